@@ -54,7 +54,7 @@ def problems(folder: Path, place: str, text: str) -> list[tuple[int, str]]:
             2,
             "Args gives no unit of angle",
         ),
-        ("fsw/kinematics/a.py", MODULE + FUNCTION + '    """Turn it."""\n', 2, "has no Returns"),
+        ("fsw/kinematics/a.py", MODULE + FUNCTION + '    """Turn it."""\n', 2, "shape that is returned"),
         (
             "sim/a.py",
             MODULE + "def show(j: JointEstimate) -> None:\n"

@@ -1,9 +1,10 @@
-"""Steps of an interrupted diagnosis: the next run ends with the same bits, and takes no steps of others."""
+"""Progress and kept steps of a diagnosis: the next run ends with the same bits, and takes no others."""
 
 import os
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -210,3 +211,27 @@ def test_the_digest_changes_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_an_effect_without_a_file_has_no_digest() -> None:
     kind = type("Typed", (Toy,), {"__module__": "typed"})
     assert digest_inputs(planar_arm(), (), None, (kind("base", "x", np.square),), 1) is None
+
+
+TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})
+
+
+@pytest.mark.parametrize("truth", slow_but(TRUTHS, TRUTHS[1]))
+def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth: dict[str, float]) -> None:
+    model = draw_toy(1, truth)
+    reports: list[tuple[float, int]] = []
+    meter = Meter(lambda share, text: reports.append((share, model.calls)))
+    find_confidence_sets(select_effects(model, BASE, CATALOGUE, seed=1, meter=meter))
+    assert all(before[0] <= after[0] for before, after in pairwise(reports))
+    assert max(abs(share - calls / model.calls) for share, calls in reports) < 0.25
+    assert reports[-1][0] < 1.0
+
+
+def test_a_round_that_takes_longer_than_expected_never_seems_done() -> None:
+    shares: list[float] = []
+    meter = Meter(lambda share, text: shares.append(share))
+    meter.begin_round(30, 0)
+    for _ in range(100):
+        meter.advance("refit", 10)
+    assert shares[0] == pytest.approx(1.0 / 3.0)
+    assert shares[-1] == pytest.approx(1.0 / 1.1)

@@ -105,15 +105,6 @@ def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind:
     assert not np.array_equal(found[0], found[1])
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_sizes_have_bounds_around_their_typical_size_and_0(kind: type[JointEffect]) -> None:
-    effect = at_swing(kind, pendulum())
-    for size in effect.sizes:
-        assert size.low <= 0.0 < size.typical < size.high
-    assert effect.key.startswith("swing: ")
-    assert effect.describe(np.array([size.typical for size in effect.sizes]))
-
-
 @pytest.mark.parametrize(
     ("kind", "size", "torque"),
     [

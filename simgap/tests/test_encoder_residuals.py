@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.real_robots import robot_path
-from helpers.two_joint_arm import PERIOD_s, arm, rms, scales, simulated
+from helpers.real_robots import load_real
+from helpers.two_joint_arm import PERIOD_s, arm, check_promises, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.command import EncoderScale, MeasurementDelay
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
-from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.encoder_residuals import EncoderResiduals, shows, why_refused
 from simgap.residuals.noise import correlation_time_s
-from simgap.robot import Robot
 
 SKEW_s, COMPLIANCE_rad_Nm, OFFSET_rad = 0.003, 2e-5, 0.02
 SPRING_Nm = 8.0
@@ -135,29 +133,10 @@ def _without_torques(motion):
     return replace(motion, joints={name: replace(one, torque=None) for name, one in motion.joints.items()})
 
 
-def test_a_size_of_zero_changes_no_bit():
-    model = EncoderResiduals(arm(), [second_log()])
+def test_candidates_and_parts_keep_their_bits():
     effects = [*effects_at("shoulder"), *effects_at("elbow")]
-    (plain,) = model.residuals([], np.zeros((1, 0)))
-    assert np.array_equal(model.residuals(effects, np.zeros((2, 4)))[1], plain)
-
-
-def test_a_candidate_does_not_depend_on_its_neighbours():
-    model = EncoderResiduals(arm(), [second_log()])
-    effects = effects_at("shoulder")
     sizes = np.array([[0.0, 0.0], [0.002, 0.0], [0.002, 1e-5], [0.0, 3e-5]])
-    together = model.residuals(effects, sizes)
-    for row, one in zip(together, sizes, strict=True):
-        assert np.array_equal(model.residuals(effects, one[None])[0], row)
-
-
-def test_selected_motions_keep_their_residuals():
-    logs = [replace(second_log(), name=name) for name in ("a", "b", "c")]
-    model = EncoderResiduals(arm(), logs)
-    part = model.select(["a", "c"])
-    size = np.array([[0.003, 1e-5]])
-    whole = model.residuals(effects_at("shoulder"), size)[:, model.motion_of != 1]
-    assert np.array_equal(part.residuals(effects_at("shoulder"), size), whole)
+    check_promises(lambda logs: EncoderResiduals(arm(), logs), second_log(), effects, np.tile(sizes, 2))
 
 
 def test_an_effect_that_no_encoder_shows_changes_nothing():
@@ -198,8 +177,7 @@ def test_logs_without_a_second_encoder_are_refused():
 
 @cache
 def kr300(folder: Path):
-    robot = Robot.from_toml(robot_path("kr300"))
-    logs = load(robot, [folder / "kr300" / f"kr300_{batch}.parquet" for batch in "AB"])
+    robot, logs = load_real(folder, "kr300")
     effects = {effect.key: effect for effect in catalogue(robot, logs)}
     return robot, EncoderResiduals(robot, logs.motions), effects
 

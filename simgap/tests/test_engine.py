@@ -1,8 +1,9 @@
-"""The engine against an independent integrator, and its promises on bits."""
+"""The engine against an independent integrator: bits, starts, error of the step, stages that are off."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -19,6 +20,8 @@ from helpers.pendulum import (
     simulated,
     waves,
 )
+from helpers.real_robots import robot_path
+from helpers.two_joint_arm import arm
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DeadZone, GainError
@@ -29,7 +32,9 @@ from simgap.effects.transmission import Backlash
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.residuals import residuals_by_motion
 from simgap.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals
-from simgap.robot import ControlMode
+from simgap.robot import ControlMode, Robot
+from simgap.simulation.compiled import Models
+from simgap.simulation.simulation import profiler_off
 from simgap.simulation.windows import cut_windows, held_means
 
 TIME_s = np.arange(0, 3, 0.01)
@@ -264,3 +269,105 @@ def test_variables_of_the_measured_motion_are_those_of_the_motion() -> None:
     load = MASS_kg * LENGTH_m * (g_m_s2 * np.sin(q) + LENGTH_m * a)
     assert model.explain("load")[inside] == pytest.approx(load, abs=2e-3)
     assert np.isnan(model.explain("temperature")).all()
+
+
+STARTS_s = np.arange(0.0, 2.0, 0.01)
+NOISE_rad = 1e-4
+FINE = pendulum(step_s=0.00025)
+
+
+def measure(position_rad: Array, seed: int) -> Array:
+    """Add the noise of an encoder."""
+    return position_rad + NOISE_rad * np.random.default_rng(seed).standard_normal(position_rad.size)
+
+
+def worst_residual(step_s: float, measured_rad: Array, command: Array) -> float:
+    robot = pendulum(step_s=step_s, period_s=0.004)
+    model = SimulationResiduals(robot, [motion(STARTS_s, measured_rad, command)], n_threads=1)
+    return float(np.abs(model.residuals([], np.zeros((1, 0)))).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_that_is_pulled_from_rest_starts_at_rest(seed: int) -> None:
+    command = np.full(STARTS_s.size, 0.5)
+    truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
+    speed_rad_s = truth[4] / STARTS_s[4]
+    assert speed_rad_s > 0.5  # the speed of its first samples
+    assert worst_residual(0.002, measure(truth, seed), command) < 10 * NOISE_rad
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_whose_log_begins_in_motion_starts_with_its_speed(seed: int) -> None:
+    command = waves(STARTS_s, seed)
+    truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
+    speed_rad_s = np.gradient(truth, STARTS_s)
+    begin = int(np.argmax(speed_rad_s[:100]))
+    log = motion(STARTS_s[begin:], measure(truth, seed)[begin:], command[begin:])
+    model = SimulationResiduals(pendulum(), [log], n_threads=1)
+    assert np.abs(model.residuals([], np.zeros((1, 0)))).max() < 20 * NOISE_rad
+
+
+def test_steps_that_are_too_long_for_the_motor_show_no_residual() -> None:
+    command = waves(STARTS_s, 5)
+    truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
+    long = np.abs(simulated(pendulum(step_s=0.004, period_s=0.004), motion(STARTS_s, truth, command)) - truth)
+    assert worst_residual(0.004, truth, command) < 0.2 * long.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed: int) -> None:
+    command = waves(STARTS_s, seed)
+    truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
+    measured_rad = measure(truth, seed)
+    measured_rad[:5] += 5e-3
+    log = motion(STARTS_s, measured_rad, command)
+    judged, fitted = (
+        np.abs(
+            SimulationResiduals(pendulum(), [log], n_threads=1, fit_starts=fit).residuals(
+                [], np.zeros((1, 0))
+            )
+        )
+        for fit in (False, True)
+    )
+    assert judged[0, 5:15].max() > 10 * NOISE_rad
+    assert np.median(fitted[0, 5:]) < 2 * NOISE_rad
+
+
+IDLE = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+
+def path(model: mujoco.MjModel) -> Array:
+    """Swing all joints far, into their limits if they have some."""
+    data = mujoco.MjData(model)
+    found = []
+    for k in range(500):
+        data.qfrc_applied[:] = 5.0 * np.sin(0.02 * k + np.arange(model.nv))
+        mujoco.mj_step(model, data)
+        found.append(data.qpos.copy())
+    return np.array(found)
+
+
+def so101() -> Robot:
+    return Robot.from_toml(robot_path("so101"))
+
+
+@pytest.mark.parametrize("robot", [pendulum, arm, so101])
+def test_the_stages_that_are_skipped_change_no_bit(robot: Callable[[], Robot]) -> None:
+    model = Models(robot()).compiled([]).robot.model
+    assert model.opt.disableflags & IDLE == IDLE
+    fast = path(model)
+    model.opt.disableflags &= ~IDLE
+    assert np.array_equal(fast, path(model))
+
+
+def test_the_profiler_is_off_inside_and_on_again_outside() -> None:
+    mujoco.set_mjcb_time(None)  # a plant in this process has switched it off for good
+    model = pendulum().model
+    seconds = []
+    with profiler_off():
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data)
+        seconds.append(data.timer[0].duration)
+    mujoco.mj_step(model, data)
+    seconds.append(data.timer[0].duration)
+    assert seconds[0] == 0.0 < seconds[1]

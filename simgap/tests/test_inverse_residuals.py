@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.real_robots import robot_path
-from helpers.two_joint_arm import arm, rms, scales, simulated
+from helpers.real_robots import load_real
+from helpers.two_joint_arm import arm, check_promises, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.command import EncoderScale, JointZero
 from simgap.effects.forces import CoulombFriction, PositionTorque, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
 from simgap.effects.transmission import JointCompliance
-from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.inverse_residuals import InverseResiduals, shows
-from simgap.robot import Robot
 
 FRICTION = (CoulombFriction, ViscousFriction)
 
@@ -149,32 +147,13 @@ def test_an_encoder_with_a_false_zero_is_read_at_its_true_angle():
     assert rms(found[0][rows]) > 3 * rms(expected[rows])
 
 
-def test_a_size_of_zero_changes_no_bit():
-    model = residuals_of(log())
-    effects = at("shoulder", *FRICTION, PositionTorque, StribeckFriction, EncoderScale)
-    effects.append(LinkMass("elbow", 2.0))
-    (plain,) = model.residuals([], np.zeros((1, 0)))
-    n = sum(len(effect.sizes) for effect in effects)
-    assert np.array_equal(model.residuals(effects, np.zeros((2, n)))[1], plain)
-
-
-def test_a_candidate_does_not_depend_on_its_neighbours():
-    model = residuals_of(log())
-    effects = [LinkMass("elbow", 2.0), *at("shoulder", CoulombFriction, JointZero)]
-    sizes = np.random.default_rng(5).uniform(-0.05, 0.05, (4, 3))
+def test_candidates_and_parts_keep_their_bits():
+    kinds = (*FRICTION, PositionTorque, StribeckFriction, EncoderScale, JointZero)
+    effects = [*at("shoulder", *kinds), LinkMass("elbow", 2.0)]
+    n_sizes = sum(len(effect.sizes) for effect in effects)
+    sizes = np.random.default_rng(5).uniform(-0.05, 0.05, (4, n_sizes))
     sizes[2] = 0.0
-    together = model.residuals(effects, sizes)
-    for row, one in zip(together, sizes, strict=True):
-        assert np.array_equal(model.residuals(effects, one[None])[0], row)
-
-
-def test_selected_motions_keep_their_residuals():
-    logs = [replace(log(), name=name) for name in ("a", "b", "c")]
-    model = residuals_of(*logs)
-    part = model.select(["c", "a"])
-    assert part.motions == ("a", "c")
-    whole = model.residuals([], np.zeros((1, 0)))[0][model.motion_of != 1]
-    assert np.array_equal(part.residuals([], np.zeros((1, 0)))[0], whole)
+    check_promises(lambda logs: residuals_of(*logs), log(), effects, sizes)
 
 
 def test_what_torques_cannot_show_changes_nothing():
@@ -231,8 +210,7 @@ def test_a_log_that_is_shorter_than_the_filter_is_refused():
 
 @cache
 def kr300(folder: Path):
-    robot = Robot.from_toml(robot_path("kr300"))
-    logs = load(robot, [folder / "kr300" / f"kr300_{batch}.parquet" for batch in "AB"])
+    robot, logs = load_real(folder, "kr300")
     effects = {effect.key: effect for effect in catalogue(robot, logs)}
     shared = {"a2": scales(robot, *logs.motions)["a2"]}
     base = [kind.at(robot, "a2", shared) for kind in FRICTION]

@@ -1,4 +1,4 @@
-"""Robot files: what they say is in the robot, and what is wrong is one sentence with its key."""
+"""Robot files and their page: what they say is in the robot, and what is wrong is one sentence."""
 
 import math
 
@@ -6,9 +6,21 @@ import mujoco
 import numpy as np
 import pytest
 
+from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
-from simgap.files.robot_file import SerialFile, read_robot_file
+from simgap.common.toml import Record
+from simgap.files.robot_file import (
+    CsvTable,
+    JointTable,
+    MotionTable,
+    RobotFile,
+    SerialFile,
+    SignalColumn,
+    TimeTable,
+    read_robot_file,
+)
+from simgap.loading import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
 
 GAIN = 'gain_column = "gain"\nkp_Nm_rad = 15.0\n'
@@ -218,3 +230,34 @@ def test_a_driven_joint_that_has_no_table_is_refused(tmp_path):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(RobotError, match=r"robot\.toml: cannot be read \(No such file or directory\)"):
         Robot.from_toml(tmp_path / "robot.toml")
+
+
+TABLES = {
+    "Robot": RobotFile,
+    "`[time]`": TimeTable,
+    "`[motion]`": MotionTable,
+    "`[csv]`": CsvTable,
+    "`[joints.NAME]`": JointTable,
+    "Columns": SignalColumn,
+    "Split file": SplitFile,
+    "`[splits.NAME]`": SplitTable,
+    "Arm with tracker poses": SerialFile,
+}
+
+
+def lines_of(record: type[Record]) -> list[str]:
+    """Return the lines of the list of a record: key, default, meaning."""
+    lines = []
+    for key, field in record.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        is_plain = isinstance(default, (str, float, int)) and default != ""
+        shown = " (needed)" if field.is_required() else f" (`{str(default).lower()}`)" if is_plain else ""
+        lines.append(f"- `{key}`{shown}: {' '.join(str(field.description).split())}")
+    return lines
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_the_page_has_a_line_for_each_key(heading: str) -> None:
+    section = repository_file("docs/robot-file.md").read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    shown = [line for line in section.splitlines() if line.startswith("- `")]
+    assert shown == lines_of(TABLES[heading])

@@ -1,6 +1,8 @@
-"""Verdicts in words: what is said at each level, and what is not said where it is not known."""
+"""Verdicts in words, and their JSON document: what is said, and what is not said where it is not known."""
 
+import json
 from dataclasses import replace
+from math import inf
 
 import pytest
 
@@ -17,7 +19,7 @@ from helpers.verdicts import (
     without_floor,
 )
 from simgap.effects.effect import Family
-from simgap.report.sentences import detail_lines, level, verdict_lines, verdict_word
+from simgap.report.sentences import detail_lines, level, to_document, verdict_lines, verdict_word
 from simgap.result import Rejected
 
 TWO = finding(effects=("lift: Coulomb friction", "lift: gain error"), next_motion="slow sweeps of lift")
@@ -185,3 +187,35 @@ def test_remarks_on_the_logs_stand_beside_the_findings():
     lines = detail_lines(diagnosis(remarks=remarks))
     assert lines[-4:-1] == list(remarks[:3])
     assert lines[-1] == "2 more remarks on the logs are in the JSON document."
+
+
+FULL = diagnosis(
+    findings=(finding(next_motion="slow sweeps"), finding(place="pan", interval=((0.0, inf),))),
+    base=(GAIN, ARMATURE),
+    remaining=(REST,),
+    refused=REFUSED,
+)
+
+
+def written(one):
+    """Return the document as a program reads it from a file."""
+    return json.loads(json.dumps(to_document(one), allow_nan=False))
+
+
+def test_a_document_holds_every_number_of_a_finding():
+    (first, second) = written(FULL)["findings"]
+    assert first["sizes"] == [{"name": "coulomb_Nm", "value": 0.44, "low_90": 0.41, "high_90": 0.47}]
+    assert (first["place"], first["family"], first["effect"]) == ("lift", "friction", "Coulomb friction")
+    assert second["sizes"][0]["high_90"] == "inf"
+
+
+def test_an_unknown_floor_is_null_and_stays_unknown():
+    document = written(diagnosis(errors=(without_floor(LIFT),)))
+    assert document["errors"][0]["noise_floor"] is None
+    assert document["closure_share"] is None
+
+
+def test_a_document_opens_with_the_verdict_in_a_word_and_in_lines():
+    document = written(FULL)
+    assert document["verdict"] == "named"
+    assert [line.partition(":")[0] for line in document["lines"]] == ["Where", "What", "How far", "Next"]

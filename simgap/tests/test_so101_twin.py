@@ -4,13 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from helpers.so101_twin import (
-    Truth,
-    record,
-    smooth_command,
-    so101,
-    with_locked_joints,
-)
+from helpers.so101_twin import Truth, record, smooth_command, so101, with_locked_joints
 from simgap.assemble import list_base
 from simgap.catalogue.catalogue import base_effects
 from simgap.diagnosis import diagnose

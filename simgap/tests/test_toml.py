@@ -1,5 +1,6 @@
-"""The one reader and the one writer of TOML."""
+"""The one reader and the one writer of TOML, and the units that files may name."""
 
+import math
 import os
 import tomllib
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from simgap.common.toml import (
     read_toml,
     toml_text,
 )
+from simgap.units import UNITS, Quantity, find_unit
 
 TABLE = {
     "name": 'a "quoted" line\nand \u0007 another',
@@ -105,3 +107,36 @@ def test_faults_name_the_path_of_the_key_and_what_would_be_right():
 def test_lists_count_from_1():
     assert key_path(("command", 0, "position_m", 2)) == "command[1].position_m[3]"
     assert key_path(()) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "logged", "expected"),
+    [
+        ("deg", Quantity.ANGLE, 180.0, math.pi),
+        ("turn", Quantity.ANGLE, 0.5, math.pi),
+        ("mrad", Quantity.ANGLE, 1.0, 1e-3),
+        ("rpm", Quantity.SPEED, 60.0, 2 * math.pi),
+        ("deg/s", Quantity.SPEED, 180.0, math.pi),
+        ("mN m", Quantity.TORQUE, 5.0, 5e-3),
+        ("mA", Quantity.CURRENT, 5.0, 5e-3),
+        ("K", Quantity.TEMPERATURE, 273.15, 0.0),
+        ("us", Quantity.TIME, 1.0, 1e-6),
+        ("g0", Quantity.ACCELERATION, 1.0, 9.80665),
+        ("%", Quantity.RATIO, 50.0, 0.5),
+    ],
+)
+def test_a_value_is_converted_to_si_units(name, quantity, logged, expected):
+    unit = find_unit(name, quantity)
+    assert unit.factor * logged + unit.offset == pytest.approx(expected)
+
+
+def test_every_quantity_has_its_si_unit():
+    plain = {one.quantity for one in UNITS.values() if (one.factor, one.offset) == (1.0, 0.0)}
+    assert plain == set(Quantity)
+
+
+def test_a_unit_of_another_quantity_is_refused_with_the_nearest():
+    with pytest.raises(ValueError, match="'N m' is no unit of angle; write one of rad, mrad, urad, deg"):
+        find_unit("N m", Quantity.ANGLE)
+    with pytest.raises(ValueError, match="did you mean 'deg'"):
+        find_unit("degs", Quantity.ANGLE)

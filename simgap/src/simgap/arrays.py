@@ -9,14 +9,7 @@ Flags = NDArray[np.bool_]
 
 
 def orthonormal(changes: Array) -> Array:
-    """Return an orthonormal basis of the changes that sizes make.
-
-    Args:
-        changes: (n_rows, n_sizes), without a unit.
-
-    Returns:
-        (n_rows, rank): changes that are 0, or combinations of others, add no direction.
-    """
+    """Return an orthonormal basis, (n_rows, rank), of what changes (n_rows, n_sizes) span, without a unit."""
     lengths = np.linalg.norm(changes, axis=0)
     left, values, _ = np.linalg.svd(changes[:, lengths > 0.0] / lengths[lengths > 0.0], full_matrices=False)
     return np.asarray(left[:, values > 1e-8 * np.max(values, initial=0.0)])

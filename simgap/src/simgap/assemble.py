@@ -1,4 +1,8 @@
-"""Assemble a diagnosis from what was selected, and judge it by motions that took no part."""
+"""Assemble a diagnosis from what was selected, and judge it by motions that took no part.
+
+Residuals are arrays (n,) in the unit of their model; of several models, (n_models, n). Rows of a model are
+indices, (n_rows,).
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -45,16 +49,11 @@ def assemble(
     sets: Sequence[ConfidenceSet],
     held_out: ResidualModel,
 ) -> Diagnosis:
-    """Put the parts of a diagnosis together.
+    """Put the parts of a diagnosis together, but for seed, refusals and held-out motions.
 
     Args:
         raw: Residuals of the motions that were fitted.
-        selection: Models before and after.
-        sets: Findings with their alternatives.
         held_out: Residuals of motions that took no part; those of the fit where there are none.
-
-    Returns:
-        The diagnosis, without what only the caller knows: seed, refusals, held-out motions.
     """
     context, chosen = selection.context, selection.chosen
     effects = tuple(
@@ -83,15 +82,7 @@ def assemble(
 
 
 def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
-    """Return the residuals of some motions with models that were found on others.
-
-    Args:
-        model: Residuals of any motions.
-        sizes: Sizes of each model, (n_sizes,), in their own units.
-
-    Returns:
-        (n_models, n), in the unit of the model.
-    """
+    """Return the residuals of some motions, (n_models, n), with models that were found on others."""
     union, points = context.union, np.array(sizes)
     part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
     return model.residuals(part, points[:, union.columns(part)])
@@ -104,14 +95,6 @@ def describe_finding(
 
     Where effects explain too little of a joint, or one only beside another that it resembles, the sets of
     families and effects are empty: none of the catalogue is known to be the cause of what is at the place.
-
-    Args:
-        chosen: The model with all findings.
-        found: The finding with its alternatives.
-        sets: All findings with their alternatives.
-
-    Returns:
-        The finding.
     """
     effect, own = found.effect, context.union.columns([found.effect])
     places, families, effects = list_members(found)
@@ -137,13 +120,10 @@ def describe_finding(
 
 
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
-    """Check whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
+    """Check whether a model explains less than MIN_CLOSURE of left-out motions; False if noise is unknown.
 
     Args:
         place: Name of the joint; all joints count for another place.
-
-    Returns:
-        True if the share is below MIN_CLOSURE; False where the noise is unknown.
     """
     model = context.model
     joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
@@ -153,18 +133,11 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
 
 
 def find_inflation(context: Context, chosen: FittedModel, effect: Effect) -> float:
-    """Compute the variance inflation of a finding by the others that were fitted with it.
+    """Compute the variance inflation of a finding by those that were fitted with it; 1 without others.
 
     Several effects that nearly cancel one another can imitate one that the catalogue lacks. With the largest
     canonical correlation r of their changes with those of the finding, beside the base parameters, the
     inflation is 1 / (1 - r^2) (Belsley, Kuh and Welsch 1980).
-
-    Args:
-        chosen: The model with all findings.
-        effect: The finding.
-
-    Returns:
-        Factor by which the variance of a size, or a combination of sizes, grows; 1 without other findings.
     """
     fit = next(fit for fit in chosen.fits if np.isin(context.union.columns([effect]), fit.columns).all())
     scale = context.scales[context.model.joint_of[fit.rows]]
@@ -187,14 +160,6 @@ def find_interval(
     """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
 
     It also holds the intervals that the size has where a member of its set stands for another finding.
-
-    Args:
-        chosen: The model with all findings.
-        sets: All findings with their alternatives.
-        column: Column of a size that the model has fitted.
-
-    Returns:
-        Low and high end, in the unit of the size.
     """
     fit = next(fit for fit in chosen.fits if column in fit.columns)
     pairs = [(fit.columns, size_intervals(context, fit))]
@@ -210,12 +175,6 @@ def list_base(
 
     A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its
     joint is fitted too and gravity gives it no scale.
-
-    Args:
-        sets: All findings with their alternatives.
-
-    Returns:
-        One record a size.
     """
     found = []
     with_gain = {one.place for one in context.base if isinstance(one, GainError)}
@@ -239,17 +198,7 @@ def list_base(
 
 
 def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows: Array) -> list[JointError]:
-    """List the mean absolute residual of each joint.
-
-    Args:
-        raw: Motions of the fit.
-        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
-        held_out: Motions that judge.
-        rows: Their residuals with nominal, base and chosen model, (3, n), in the unit of the model.
-
-    Returns:
-        One record a joint.
-    """
+    """List the mean absolute residual of each joint, with nominal, base and chosen model."""
     found = []
     for j, name in enumerate(held_out.joints):
         if not np.any(held_out.joint_of == j):
@@ -266,12 +215,6 @@ def list_remainders(
     raw: ResidualModel, fitted: Array, held_out: ResidualModel, residuals: Array
 ) -> list[Remainder]:
     """Say what no effect explains: joint, regime of speed, variable on which it depends.
-
-    Args:
-        raw: Motions of the fit.
-        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
-        held_out: Motions that judge.
-        residuals: Their residuals with the chosen model, (n_held,), in the unit of the model.
 
     Returns:
         A record for each joint whose error is above its noise, or follows a variable where noise is unknown.
@@ -292,17 +235,10 @@ def list_remainders(
 
 
 def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> tuple[str, float]:
-    """Find the variable that a residual follows most, from motion to motion.
+    """Find the variable that a residual follows most from motion to motion, and the share that it explains.
 
-    Of few motions, blocks as long as the correlation time of the residual count.
-
-    Args:
-        model: Residuals of the motions that judge.
-        rows: Its rows of one joint, (n_rows,) indices.
-        residuals: Their residuals with the chosen model, (n_rows,), in the unit of the model.
-
-    Returns:
-        The variable, empty if none explains MIN_DEPENDENCE, and the share that it explains.
+    Of few motions, blocks as long as the correlation time of the residual count. The variable is empty if
+    none explains MIN_DEPENDENCE.
     """
     group = model.motion_of[rows]
     if len(np.unique(group)) < MIN_MOTIONS:
@@ -320,15 +256,7 @@ def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> t
 
 
 def find_regime(speed_rad_s: Array, residuals: Array) -> str:
-    """Return the regime of speed that holds most of a residual.
-
-    Args:
-        speed_rad_s: (n,).
-        residuals: (n,), in any unit.
-
-    Returns:
-        "slow" or "fast" if more than two thirds of the sum of squares lie there, else "all motion".
-    """
+    """Return "slow" or "fast" if over two thirds of the sum of squares lie there, else "all motion"."""
     slow = np.abs(speed_rad_s) < SLOW * np.quantile(np.abs(speed_rad_s), 0.99)
     total, part = float(np.sum(residuals**2)), float(np.sum(residuals[slow] ** 2))
     if total == 0.0 or 1.0 < 3.0 * part / total < 2.0:

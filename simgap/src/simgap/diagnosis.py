@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -51,9 +51,6 @@ def diagnose(
         progress: Called with the share that is done, from 0 to 1, and a text.
         cache: Folder for the steps of an unfinished diagnosis: after an interruption, the same call goes on
             from them. They are deleted at the end. None: nothing is kept.
-
-    Returns:
-        The diagnosis.
 
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands; a
@@ -105,14 +102,7 @@ def _part_of(progress: Progress, part: int, parts: int) -> Progress:
 def choose_shown(
     robot: Robot, kind: ResidualKind, known: Sequence[Effect]
 ) -> tuple[list[Effect], list[Rejected]]:
-    """Choose the effects that a kind of residual can show.
-
-    Args:
-        known: All effects of the catalogue.
-
-    Returns:
-        Effects that compete, and those that get no name whatever the fit says, with the reason.
-    """
+    """Return the effects that compete, and those that get no name whatever the fit says, with the reason."""
     shown = [effect for effect in known if kind.shows(effect)]
     if kind.has_base:
         return shown, []
@@ -122,35 +112,17 @@ def choose_shown(
 
 
 def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
-    """Join the results of several kinds of residual.
-
-    Args:
-        parts: One diagnosis a kind.
-
-    Returns:
-        A diagnosis with the findings of all.
-    """
-    return replace(
-        parts[0],
-        kind=" and ".join(part.kind for part in parts),
-        method=" ".join(part.method for part in parts),
-        findings=tuple(one for part in parts for one in part.findings),
-        base=tuple(one for part in parts for one in part.base),
-        errors=tuple(one for part in parts for one in part.errors),
-        remaining=tuple(one for part in parts for one in part.remaining),
-        rejected=tuple(one for part in parts for one in part.rejected),
-        effects=tuple(one for part in parts for one in part.effects),
-        sizes=tuple(one for part in parts for one in part.sizes),
-        effect_kinds=tuple(one for part in parts for one in part.effect_kinds),
-    )
+    """Join the results of several kinds of residual."""
+    lists = ("findings", "base", "errors", "remaining", "rejected", "effects", "sizes", "effect_kinds")
+    joined: dict[str, Any] = {
+        name: tuple(one for part in parts for one in getattr(part, name)) for name in lists
+    }
+    kinds, methods = [part.kind for part in parts], [part.method for part in parts]
+    return replace(parts[0], kind=" and ".join(kinds), method=" ".join(methods), **joined)
 
 
 def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Motion]) -> None:
     """Refuse motions that cannot be diagnosed.
-
-    Args:
-        motions: Motions that are fitted.
-        held_out: Motions that only judge.
 
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
@@ -189,10 +161,6 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
 
     Effects would explain a wrong unit, or a position that never changes.
 
-    Args:
-        audit: Audit of the motions.
-        motions: Motions that are fitted.
-
     Raises:
         RobotError: A unit looks wrong, a position never changes, or no sample can be used.
     """
@@ -214,9 +182,6 @@ def describe_remark(one: Remark) -> str:
 def check_names(effects: Sequence[Effect]) -> None:
     """Refuse two effects of one name at one place.
 
-    Args:
-        effects: Effects of the catalogue and of one's own.
-
     Raises:
         RobotError: Two have the same key.
     """
@@ -231,11 +196,7 @@ def _find_repeated(names: Sequence[str]) -> str | None:
 
 
 def is_copy(one: Motion, other: Motion) -> bool:
-    """Return whether two motions have the same positions, in which something moves.
-
-    Args:
-        other: Another one.
-    """
+    """Return whether two motions have the same positions, in which something moves."""
     if one.joints.keys() != other.joints.keys():
         return False
     pairs = [(log.position.value, other.joints[name].position.value) for name, log in one.joints.items()]
@@ -247,9 +208,6 @@ def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
 
     Two distances count: that from the command itself, and that beside the best offset and gain.
     The second is needed because a weak servo hangs below its command.
-
-    Args:
-        pairs: Position and command of each motion.
 
     Returns:
         Number of motions with one of these distances to another command below half of that to their own.

@@ -72,7 +72,6 @@ def choose_motions(
 
     Args:
         file: Split file; None: there is none.
-        members: Motions that were loaded.
         split: Name of a split; empty: the default of the file.
         held_out: Motions, conditions or files in place of a split; empty: the split counts.
 

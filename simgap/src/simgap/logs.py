@@ -3,7 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Flags
+
+Usable = Mapping[tuple[str, str], Flags]
+"""By names of motion and joint, which position samples take part, (n,); all where it has no entry."""
 
 
 @dataclass(frozen=True, slots=True)

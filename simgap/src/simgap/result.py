@@ -139,11 +139,7 @@ class Diagnosis:
         return tuple(self.kind.split(" and "))
 
     def fitted_to(self, kind: str) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
-        """Return the effects that were fitted to a kind of residual, and their sizes.
-
-        Args:
-            kind: Kind of residual.
-        """
+        """Return the effects that were fitted to a kind of residual, and their sizes."""
         kinds = self.effect_kinds or (self.kind,) * len(self.effects)
         own = [k for k, one in enumerate(kinds) if one == kind]
         return tuple(self.effects[k] for k in own), tuple(self.sizes[k] for k in own)

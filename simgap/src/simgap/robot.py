@@ -85,7 +85,7 @@ class Robot:
         Raises:
             RobotError: the file, the model, or what the one says of the other is wrong.
         """
-        return build_robot(Path(path))
+        return _build_robot(Path(path))
 
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
@@ -100,12 +100,7 @@ FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": 
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
 
 
-def build_robot(path: Path) -> Robot:
-    """Read a robot file and compile its model.
-
-    Raises:
-        RobotError: the file, the model, or what the one says of the other is wrong.
-    """
+def _build_robot(path: Path) -> Robot:
     file = read_model_file(path)
     model_path = path.parent / file.model
     xml = read_model_text(model_path)
@@ -146,11 +141,7 @@ def read_model_text(path: Path) -> str:
 
 
 def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path, ...]) -> None:
-    """Put the elements of included files in the place of each include; as in MuJoCo, paths begin at `folder`.
-
-    Raises:
-        RobotError: a file cannot be read, or includes itself.
-    """
+    """Put the elements of included files in the place of each include; paths begin at `folder`."""
     for parent in [*root.iter()]:
         for k, child in reversed([*enumerate(parent)]):
             if child.tag == "include":
@@ -163,11 +154,7 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
 
 
 def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
-    """Read a file of XML as text and as a tree.
-
-    Raises:
-        RobotError: it cannot be read or is no XML.
-    """
+    """Read a file of XML as text and as a tree."""
     try:
         if path.exists() and not path.is_file():  # a pipe would be waited for
             raise RobotError(f"{path}: is no regular file; name an MJCF file")

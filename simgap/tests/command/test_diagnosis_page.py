@@ -8,7 +8,6 @@ import pytest
 
 import simgap.command.diagnosis as execution
 from helpers.arm_folder import write_arm
-from helpers.command import snapshot
 from helpers.verdicts import (
     ARMATURE,
     FRICTION,
@@ -30,7 +29,6 @@ from simgap.command.diagnosis import (
     save_page_of,
 )
 from simgap.command.request import DiagnoseRequest
-from simgap.common.errors import BadRequest, RobotError
 from simgap.report.traces import choose_traces, make_traces
 
 FOUND = diagnosis(
@@ -141,28 +139,3 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     save_diagnosis_files(result)
     assert (folder / "found" / "patched.xml").is_file()
     assert files["report"].read_text().count('<figure class="traces"') == 2
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "words"),
-    [
-        ({"held_out": ("nosuch",)}, RobotError, "nosuch"),
-        ({"split": "nosuch"}, RobotError, "nosuch"),
-        ({"patch": "log.parquet"}, BadRequest, "this is a file; give the path of a folder"),
-        ({"report": "page.txt"}, BadRequest, "must end in .html"),
-        ({"effects": ("nosuch.py",)}, RobotError, "no such file"),
-        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "nothing is fitted"),
-    ],
-    ids=["held out", "split", "patch", "report", "effects", "too few"],
-)
-def test_a_wrong_request_is_one_sentence_and_writes_nothing(folder, changes, error, words):
-    paths = {
-        key: tuple(folder / one for one in value) if isinstance(value, tuple) else folder / value
-        for key, value in changes.items()
-        if key in ("patch", "report", "effects")
-    }
-    before = snapshot(folder)
-    with pytest.raises(error, match=re.escape(words)) as caught:
-        diagnose_robot(request(folder, **(changes | paths)))
-    assert "\n" not in str(caught.value)
-    assert snapshot(folder) == before

@@ -67,18 +67,16 @@ start()
 """
 
 
-def run(folder: Path, cache: Path) -> subprocess.CompletedProcess[str]:
-    """Run a diagnosis to its end."""
+def run(folder: Path, cache: Path, *start: str) -> subprocess.CompletedProcess[str]:
+    """Run a diagnosis to its end, or as a program says."""
     env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, "-m", "simgap", *WORDS]
+    command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
     return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
 
 
 def end_at_step(number: signal.Signals, folder: Path, cache: Path) -> tuple[int, str]:
-    """Start a diagnosis that sends itself a signal once it has kept a step; return its status and errors."""
-    env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, "-c", ENDING, str(int(number)), *WORDS]
-    ended = subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+    """Run a diagnosis that sends itself a signal once it has kept a step; return its status and errors."""
+    ended = run(folder, cache, "-c", ENDING, str(int(number)))
     return ended.returncode, ended.stderr
 
 

@@ -8,9 +8,9 @@ import mujoco.batch
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect, Fields
+from simgap.effects.effect import Effect
 from simgap.robot import ControlMode, Robot, RobotJoint
-from simgap.simulation.compiled import Models
+from simgap.simulation.compiled import Models, nominal_fields
 from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import Window
 
@@ -97,7 +97,7 @@ def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[fl
         if effect.overrides("vary"):
             effect.vary(spec, robot)
     batch = mujoco.batch.Batch(spec.compile(), nsim=len(sizes), nthread=1)
-    fields = fields_of(robot, batch)
+    fields = nominal_fields(robot, batch.nsim, batch)
     table, first = np.asarray(sizes, float), 0
     for effect in effects:
         number = len(effect.sizes)
@@ -106,24 +106,6 @@ def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[fl
         first += number
     batch.set_const()
     return batch
-
-
-def fields_of(robot: Robot, batch: mujoco.batch.Batch) -> Fields:
-    """Return the nominal fields of controllers and joints."""
-
-    def rows(values: Sequence[float]) -> Array:
-        return np.tile(np.asarray(values, float), (batch.nsim, 1))
-
-    dofs = [joint.dof_index for joint in robot.joints]
-    return Fields(
-        kp_Nm_rad=rows([joint.kp_Nm_rad for joint in robot.joints]),
-        kd_Nms_rad=rows([joint.kd_Nms_rad for joint in robot.joints]),
-        torque_limit_Nm=rows([joint.torque_limit_Nm for joint in robot.joints]),
-        damping_Nms_rad=rows(robot.model.dof_damping[dofs].ravel()),
-        frictionloss_Nm=rows(robot.model.dof_frictionloss[dofs]),
-        armature_kgm2=rows(robot.model.dof_armature[dofs]),
-        batch=batch,
-    )
 
 
 def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:

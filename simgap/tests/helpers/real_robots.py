@@ -4,6 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from simgap.loading import load
+from simgap.logs import Logs
+from simgap.robot import Robot
+
 ROBOTS = ("so101", "kr300", "pendulum", "ur10")
 LOADED = {
     "so101": {"shoulder_lift", "elbow_flex", "wrist_flex"},
@@ -29,3 +33,9 @@ def repository_file(path: str) -> Path:
 def robot_path(name: str) -> Path:
     """Return the path of a robot file."""
     return repository_file(f"models/robots/{name}/robot.toml")
+
+
+def load_real(folder: Path, name: str) -> tuple[Robot, Logs]:
+    """Return a robot with all its measured logs."""
+    robot = Robot.from_toml(robot_path(name))
+    return robot, load(robot, [folder / one for one in LOGS[name]])

@@ -1,14 +1,16 @@
 """An arm with two joints in a vertical plane, and logs of it from forward simulation with known effects."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import JointScales, joint_scales
+from simgap.effects.effect import Effect, JointScales, joint_scales
 from simgap.logs import JointLog, Motion, Signal
+from simgap.residuals.residuals import ResidualModel
 from simgap.robot import ControlMode, Robot, RobotJoint
 
 XML = """
@@ -112,3 +114,19 @@ def scales(robot: Robot, *motions: Motion) -> dict[str, JointScales]:
 def rms(values: Array) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def check_promises(
+    make: Callable[[Sequence[Motion]], ResidualModel], log: Motion, effects: Sequence[Effect], sizes: Array
+) -> None:
+    """Check that 0 changes no bit, that candidates do not depend on one another, and that parts stay."""
+    model = make([log])
+    plain = model.residuals([], np.zeros((1, 0)))[0]
+    assert np.array_equal(model.residuals(effects, np.zeros((2, sizes.shape[1])))[1], plain)
+    for row, one in zip(model.residuals(effects, sizes), sizes, strict=True):
+        assert np.array_equal(model.residuals(effects, one[None])[0], row)
+    whole = make([replace(log, name=name) for name in ("a", "b", "c")])
+    part = whole.select(["c", "a"])
+    assert part.motions == ("a", "c")
+    kept = whole.residuals(effects, sizes)[:, whole.motion_of != 1]
+    assert np.array_equal(part.residuals(effects, sizes), kept)

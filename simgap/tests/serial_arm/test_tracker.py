@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.real_robots import repository_file
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 from simgap.common.errors import RobotError
 from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, pose_errors
@@ -16,12 +17,18 @@ from simgap.serial_arm.effects import (
     TrackerCompliance,
     patch_arm,
 )
+from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.model import TERMS
 from simgap.serial_arm.tracker import diagnose_tracker
 
 COUNT = 500
 WAVES = (0.0, 3e-4, 0.0, 0.0, 0.0, 0.0)
 FLAT = (0.0,) * 6
+THREE = {
+    "joint0": {"hysteresis_rad": 2e-4},
+    "joint1": {"compliance_rad_per_Nm": 4e-5},
+    "joint2": {"sin_rad": WAVES},
+}
 
 
 def built_with(**effects):
@@ -39,13 +46,7 @@ def diagnose(arm, count=COUNT, seed=5):
 @pytest.fixture(scope="module")
 def three():
     """Diagnose an arm with one effect at each joint."""
-    return diagnose(
-        built_with(
-            joint0={"hysteresis_rad": 2e-4},
-            joint1={"compliance_rad_per_Nm": 4e-5},
-            joint2={"sin_rad": WAVES},
-        )
-    )
+    return diagnose(built_with(**THREE))
 
 
 def test_each_effect_is_named_at_its_joint_and_no_other(three):
@@ -83,16 +84,7 @@ def test_the_error_comes_back_without_a_finding(three):
 
 def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
     arm = patch_arm(drawn_arm(3), three.effects, three.sizes)
-    poses = series(
-        built_with(
-            joint0={"hysteresis_rad": 2e-4},
-            joint1={"compliance_rad_per_Nm": 4e-5},
-            joint2={"sin_rad": WAVES},
-        ),
-        setup(2),
-        COUNT,
-        5,
-    )
+    poses = series(built_with(**THREE), setup(2), COUNT, 5)
     part, fresh = poses.at(np.arange(COUNT) < COUNT // 2), poses.at(np.arange(COUNT) >= COUNT // 2)
     placed = calibrate_series(arm, estimate_setup(arm, part), part, ())
     assert pose_errors(placed.arm, placed.setup, fresh).rms_m == pytest.approx(
@@ -157,3 +149,29 @@ def test_without_a_parameter_the_fit_is_that_of_a_model_without_it():
     assert np.all(found.values[is_out] == 0.0)
     near = np.abs(found.values[~is_out] - other.values) / np.array([one.scale for one in other.parameters])
     assert near.max() < 0.01
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("table", "mapping", "held_out_mm"),
+    [
+        ("series_a_grid.csv", "series_a.toml", 0.12),
+        ("series_c_random_poses.csv", "series_c.toml", 0.10),
+    ],
+)
+def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table, mapping, held_out_mm):
+    arm = read_arm(repository_file("models/robots/ur10/arm.toml"))
+    series = read_series(
+        arm, real_data / "ur10-tracker" / table, repository_file(f"models/robots/ur10/{mapping}")
+    )
+    found = diagnose_tracker(arm, series)
+    named = {(one.effect, one.place) for one in found.findings}
+    assert {place for effect, place in named if effect == "periodic joint error"} == {
+        one.name for one in arm.links
+    }
+    assert {place for effect, place in named if effect == "joint compliance"} == {"shoulder_lift", "elbow"}
+    assert ("direction hysteresis", "shoulder_pan") in named
+    assert found.errors[0].explained * 1e3 < held_out_mm
+    assert "air temperature" in {one.effect for one in found.rejected}
+    assert "temperature" not in {one.depends_on for one in found.remaining}

@@ -144,14 +144,7 @@ BASE_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
 
 
 def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
-    """List the effects that make sense for a robot and its logs.
-
-    Args:
-        logs: Logs; bounds and typical sizes come from the motions that are fitted.
-
-    Returns:
-        Effects, none of which is a base effect.
-    """
+    """List the effects, none of the base, that make sense for a robot and the fitted motions of its logs."""
     found: list[Effect] = []
     all_facts = _facts(robot, logs.fit)
     for facts in all_facts:
@@ -172,12 +165,8 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
 def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     """List the nuisances of all joints that are not known.
 
-    Args:
-        logs: Logs, of which the motions that are fitted give bounds and scales.
-
-    Returns:
-        Effects, whose sizes have priors. These decide only what the data do not: the armature of a joint
-        that never accelerates, or friction at one that never moves.
+    The sizes have priors. These decide only what the data do not: the armature of a joint that never
+    accelerates, or friction at one that never moves.
     """
     unknown = [facts for facts in _facts(robot, logs.fit) if not facts.joint.is_known]
     found = [effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS)]
@@ -229,13 +218,6 @@ def transmission_effects(
     of the motor (gear ratio above 1); else it is at the output, as in servos. Without a second encoder, gears
     show in a simulation only, so there must be commands. Periodic errors need the second encoder: that of the
     loop hides its own.
-
-    Args:
-        motions: Motions that are fitted.
-        scales: Numbers of the joints.
-
-    Returns:
-        Effects.
     """
     found: list[Effect] = []
     for j, joint in enumerate(robot.joints):

@@ -31,13 +31,6 @@ def link_effects(robot: Robot, motions: Sequence[Motion], scales: Mapping[str, J
 
     Those that change no torque of any joint are left out, such as the mass of a link that turns about its own
     vertical axis.
-
-    Args:
-        motions: Motions that are fitted.
-        scales: Numbers of the joints.
-
-    Returns:
-        Effects.
     """
     places = [joint.name for joint in robot.joints if joint.name in scales]
     found = [effect for effect in _candidates(robot, places) if _changes_torques(robot, effect, scales)]
@@ -106,15 +99,7 @@ def _changes_torques(robot: Robot, effect: Effect, scales: Mapping[str, JointSca
 
 
 def depends_on_angle(robot: Robot, place: str, scales: Mapping[str, JointScales]) -> bool:
-    """Check whether a torque depends on the angle of a joint; that of a vertical first axis changes none.
-
-    Args:
-        place: Name of the joint.
-        scales: Numbers of the joints.
-
-    Returns:
-        True if the zero of the joint can be seen.
-    """
+    """Check whether a torque depends on the angle of a joint; that of a vertical first axis changes none."""
     nominal, turned = (_torques_Nm(robot.model, robot, scales, turn) for turn in ({}, {place: 0.1}))
     return _differ(nominal, turned)
 

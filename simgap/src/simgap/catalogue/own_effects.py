@@ -21,17 +21,10 @@ MODULE_PREFIX: Final = "own_effects_"
 
 
 def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
-    """Load effects from a file, which join the catalogue.
+    """Load effects from a Python file, which is executed; they join the catalogue.
 
     If the file has a function `effects(robot, logs)`, it returns the effects. Else each subclass of
     JointEffect in the file is put at each joint that has a log.
-
-    Args:
-        path: Python file; it is executed.
-        logs: Logs, of which the motions that are fitted give scales.
-
-    Returns:
-        The effects.
 
     Raises:
         RobotError: The file does not exist, fails, or holds no effect that is complete.
@@ -64,13 +57,7 @@ def user_files() -> set[str]:
 
 
 def load_module(path: Path) -> ModuleType:
-    """Run a file of the user as a module.
-
-    Args:
-        path: Python file.
-
-    Returns:
-        The module, which `sys.modules` has under a name of its own.
+    """Run a file of the user as a module, which `sys.modules` has under a name of its own.
 
     Raises:
         RobotError: There is no such Python file, or it fails.

@@ -35,13 +35,7 @@ PASSES: Final = 2
 def audit(robot: Robot, logs: Logs) -> Audit:
     """Audit logs against their robot.
 
-    Args:
-        robot: Robot with its nominal model.
-        logs: Logs of all its motions, held out or not.
-
-    Returns:
-        Rates of all signals, remarks with the worst first, and the samples that are refused, with reasons.
-        Stale and invalid samples, cut-off commands and contact with a plane are refused.
+    Stale and invalid samples, cut-off commands and contact with a plane are refused.
     """
     motions = logs.motions
     rates, remarks = audit_rates(motions)

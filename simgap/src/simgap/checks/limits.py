@@ -180,8 +180,6 @@ def find_plane(
 
     Args:
         robot: Robot; without a tool site nothing is found.
-        rest: Samples of the motions at a low rate.
-        free: Their free positions.
         is_held: Samples at which a joint is held back by something else, (n,).
 
     Returns:

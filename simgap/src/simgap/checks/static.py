@@ -13,8 +13,8 @@ import numpy as np
 from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.checks.records import Samples, joint_samples, robust_sigma, runs
-from simgap.logs import Motion
+from simgap.checks.records import hold, joint_samples, robust_sigma, runs
+from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot
 
 PERIOD_S: Final = 0.05
@@ -85,14 +85,10 @@ def find_rest(robot: Robot, motions: Sequence[Motion]) -> Rest:
 
 
 def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: Flags) -> Free:
-    """Predict free positions.
+    """Predict free positions, also at fast samples, where they are less exact.
 
     Args:
-        rest: Their samples.
         is_held: Samples that something is known to hold back, (n, n_joints); the fit leaves them out.
-
-    Returns:
-        Free positions, also at fast samples, where they are less exact.
     """
     free, offset = np.full_like(rest.measured, np.nan), np.zeros_like(rest.measured)
     friction = np.zeros(len(rest.joints))
@@ -138,13 +134,8 @@ def _resample(motion: Motion, joints: Sequence[str]) -> tuple[Array, Array, Arra
     begin, end = max(one.time_s[0] for one in samples), min(one.time_s[-1] for one in samples)
     time_s = np.arange(begin, end, PERIOD_S)
     measured = np.stack([np.interp(time_s, one.time_s, one.position) for one in samples], axis=1)
-    command = np.stack([_held_command(one, time_s) for one in samples], axis=1)
+    command = np.stack([hold(Signal(one.time_s, one.command), time_s) for one in samples], axis=1)
     return time_s, measured, command
-
-
-def _held_command(samples: Samples, time_s: Array) -> Array:
-    at = np.maximum(np.searchsorted(samples.time_s, time_s, side="right") - 1, 0)
-    return samples.command[at]
 
 
 def _command_motion(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[Flags, Array, Array]:
@@ -237,9 +228,6 @@ def find_lower_stop(free: Array, measured: Array, motion: Integers, least_sigma:
         measured: Measured values, (n,), in the same unit.
         motion: Index of the motion of each sample, (n,); an excursion ends with its motion.
         least_sigma: Least standard deviation of the prediction to assume, in the same unit.
-
-    Returns:
-        The stop, or None.
     """
     known = np.isfinite(free) & np.isfinite(measured)
     if known.sum() < LEAST_EXCURSIONS:

@@ -358,11 +358,7 @@ def _shown(logs: Logs) -> tuple[Motion, ...]:
 
 
 def _check_folder(folder: Path | None) -> None:
-    """Check that a folder is there or can be made, before hours of work.
-
-    Raises:
-        BadOutput: it is a file, or its parent is missing.
-    """
+    """Check that a folder is there or can be made, before hours of work."""
     if folder is None:
         return
     check_new_path(folder, "patch")

@@ -80,11 +80,7 @@ def _discard(stdout: TextIO) -> None:
 
 
 def make_app(program: str, about: str) -> typer.Typer:
-    """Make the command line of a program, with its version and no verb yet.
-
-    Args:
-        program: Name of the command and of the installed package.
-    """
+    """Make the command line of a program, with its version and no verb yet."""
     app = typer.Typer(
         name=program,
         help=about,

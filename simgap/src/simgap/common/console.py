@@ -1,4 +1,4 @@
-"""Text for the terminal: consoles, styled cells, plurals and sparklines."""
+"""Text for the terminal: consoles, plurals and sparklines."""
 
 import re
 from typing import Final
@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.text import Text
 
 NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
 """Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
@@ -17,15 +16,7 @@ SPARKLINE_WIDTH: Final = 40
 
 
 def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
-    """Draw magnitudes over time as a line of block characters.
-
-    Args:
-        size: Magnitudes, not negative, shape (n,), any unit.
-        width: Largest number of characters; each shows the maximum of its part.
-
-    Returns:
-        The line; a dot where the maximum is zero.
-    """
+    """Draw magnitudes, (n,), in at most `width` blocks: each shows the maximum of its part, a dot zero."""
     if not size.size:
         return ""
     columns = [part.max() for part in np.array_split(size, min(width, len(size)))]
@@ -62,8 +53,3 @@ WARNING_STYLE: Final = "bold"
 def plain_console(width: int | None = None) -> Console:
     """Make a console that interprets no markup: titles, paths and messages may contain brackets."""
     return Console(highlight=False, markup=False, width=width)
-
-
-def styled_cell(text: str, style: str) -> Text:
-    """Make a cell of a table with its own style."""
-    return Text(text, style=style)

@@ -20,7 +20,6 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     """Return the path if a file can be written there.
 
     Args:
-        path: The path to check.
         suffixes: Allowed suffixes, in lower case.
         what: Name of the option that gave the path, for the error.
 
@@ -60,11 +59,7 @@ def check_new_path(path: Path, what: str) -> None:
 
 
 def check_distinct_files(files: dict[str, Path | None]) -> None:
-    """Refuse two options that name the same file, also through links.
-
-    Args:
-        files: Path of each option by its name; None if it is not given.
-    """
+    """Refuse two options that name the same file, also through links."""
     given = [(name, path) for name, path in files.items() if path is not None]
     for (one, path), (other, same) in combinations(given, 2):
         if _same_file(path, same):
@@ -100,10 +95,6 @@ def reserve(path: Path | None, what: str) -> Iterator[None]:
 
     The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
     written, and is deleted if it stays empty.
-
-    Args:
-        path: The file; None reserves nothing.
-        what: Name of the option that gave the path, for the error.
 
     Raises:
         BadOutput: another run has reserved or is writing the file, or the file cannot be made.
@@ -142,12 +133,9 @@ def lock_file(file: int) -> bool:
 
 
 def _open_reserved(path: Path) -> tuple[int, bool, bool]:
-    """Open the file without a change, or make an empty one, and lock it.
+    """Open the file or make an empty one; return descriptor, whether it is new, and whether it is locked.
 
     Another run may delete its empty file between the steps; then all of them are repeated.
-
-    Returns:
-        The descriptor, whether the file is new, and whether it is locked.
     """
     while True:
         try:

@@ -63,6 +63,11 @@ class Field(NamedTuple):
         name = None if self.option is None else self.option.name
         return (name or self.name.replace("_", "-")).removeprefix("--").partition("/")[0]
 
+    @property
+    def is_list(self) -> bool:
+        """True for a tuple of any length, whose option is given once for each value."""
+        return get_origin(self.type) is tuple and get_args(self.type)[1:] == (...,)
+
 
 def option_fields(request_type: type) -> Iterator[Field]:
     """List the options and groups of a request class; fields that are neither are left out."""
@@ -169,9 +174,6 @@ def command_text(command: str, request: Any) -> str:
     """Return the command line of a request, without options that have their defaults.
 
     Files that are written are left out: the name of a report is not part of its content.
-
-    Args:
-        command: Program and verb.
     """
     return shlex.join([*command.split(), *_words(request, MISSING)])
 
@@ -197,13 +199,8 @@ def _option_words(field: Field, value: Any) -> Iterator[str]:
         yield f"--no-{field.label}"
     elif value is True:
         yield name
-    elif _is_repeatable(field):
+    elif field.is_list:
         for one in values:
             yield from (name, str(one))
     else:
         yield from (name, *map(str, values))
-
-
-def _is_repeatable(field: Field) -> bool:
-    """Check whether an option is given once for each value: its type is a tuple of any length."""
-    return getattr(field.type, "__args__", ())[1:] == (...,)

@@ -48,12 +48,9 @@ def save_page(
     """Write a page.
 
     Args:
-        title: Plain text.
         verdict: Sentence about the result; empty for a count of the requirements that are met.
-        requirements: Requirements, shown before everything else.
         origin: Origin of the result; None for a page without it, the same at any time.
         parts: Further parts in HTML, as the other functions here make them.
-        path: The HTML file.
 
     Raises:
         BadOutput: the file cannot be written.
@@ -98,7 +95,7 @@ def _requirement_table(requirements: Sequence[Requirement]) -> str:
     words = {True: ("pass", "pass"), False: ("fail", "FAIL"), None: ("open", "not shown")}
     head = ("requirement", "bound", "value", "verdict")
     rows = [(one.text, one.bound, one.value, words[one.passed][1]) for one in requirements]
-    return _scrolling(head, rows, [words[one.passed][0] for one in requirements])
+    return table(head, rows, [words[one.passed][0] for one in requirements])
 
 
 def _origin_list(origin: Origin) -> str:
@@ -131,13 +128,8 @@ def figures(*svgs: str) -> str:
     return "\n".join(['<div class="figures">', *(f"<figure>{svg}</figure>" for svg in svgs), "</div>"])
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Make a table of plain text, which scrolls by itself if it is too wide."""
-    return _scrolling(head, rows)
-
-
-def _scrolling(head: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str] = ()) -> str:
-    """Make a table in a part of the page that scrolls; `last` has a class for the last cell of each row."""
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str] = ()) -> str:
+    """Make a table that scrolls if it is too wide; `last` has a class for the last cell of each row."""
     is_number = [all(NUMBER.fullmatch(cell) for cell in column if cell) for column in zip(*rows, strict=True)]
     kinds = ["number" if k > 0 and numeric else "" for k, numeric in enumerate(is_number)]
     kinds += [""] * (len(head) - len(kinds))

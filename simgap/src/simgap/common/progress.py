@@ -21,13 +21,7 @@ LINE_PERIOD_S: Final = 60.0
 
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
-    """Make the progress of one stage of some work.
-
-    Args:
-        progress: Progress of the whole work.
-        begin: Share of the whole that is done when the stage begins.
-        end: Share of the whole that is done when the stage ends.
-    """
+    """Make the progress of one stage, which begins and ends at these shares of the whole work."""
 
     def update(done: float, total: float, what: str) -> None:
         share = min(done / total, 1.0) if total > 0 else 0.0

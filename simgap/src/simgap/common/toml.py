@@ -77,9 +77,6 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Parse a text as TOML.
 
-    Args:
-        name: Name of the file of the text, for errors.
-
     Raises:
         RobotError: It is no TOML, or holds what Python cannot print.
     """
@@ -131,10 +128,6 @@ def describe_faults(kind: type, error: ValidationError) -> list[str]:
     """Return a sentence for each fault of a document, with the path of its key.
 
     The first unknown key explains a missing one better than the reverse: it is often its misspelling.
-
-    Args:
-        kind: Record or dataclass as which the document was read.
-        error: What pydantic found.
     """
     faults: list[Any] = sorted(error.errors(), key=lambda one: one["type"] == "missing")
     said = ((key_path(one["loc"]), describe_fault(kind, one)) for one in faults)
@@ -147,12 +140,7 @@ def key_path(place: KeyPath) -> str:
 
 
 def describe_fault(kind: type, fault: Any) -> str:
-    """Return what is wrong with a value.
-
-    Args:
-        kind: Record or dataclass as which the document was read.
-        fault: One of the errors of pydantic.
-    """
+    """Return what is wrong with a value."""
     loc: KeyPath = fault["loc"]
     match fault["type"]:
         case "missing":
@@ -191,12 +179,7 @@ def read_json(path: Path, adapter: TypeAdapter[T], otherwise: str, advice: str) 
     """Read a JSON file strictly as a type.
 
     Args:
-        path: The file.
         otherwise: What is said of a file of another type, such as "holds no keys".
-        advice: What the user can do.
-
-    Returns:
-        The document.
 
     Raises:
         BadRequest: The file cannot be read, or has another type.

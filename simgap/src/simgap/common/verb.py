@@ -9,22 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
 from itertools import pairwise
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Final,
-    Literal,
-    Protocol,
-    get_args,
-    get_origin,
-)
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand
 
 from simgap.common.app import EXIT_BAD_INPUT, release_stdout
-from simgap.common.errors import RobotError, UserError, describe_problems
+from simgap.common.errors import UserError, describe_problems
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
 from simgap.common.origin import current_date
 from simgap.common.progress import show_progress
@@ -85,14 +76,7 @@ def shown(
     is_done: bool = True,
     view: Playable | None = None,
 ) -> VerbResult:
-    """Make the result of a verb.
-
-    Args:
-        document: Values for programs, as `to_json` takes them.
-        parts: Sentences and tables for people.
-        is_done: False if the arm refused or faulted and is safe.
-        view: View that plays the result after it was printed.
-    """
+    """Make the result of a verb from values that `to_json` takes, and from sentences and tables."""
     from simgap.common.report import print_parts, to_json
 
     return VerbResult(
@@ -195,7 +179,7 @@ def _request_options(request_type: Any, group: Any) -> Iterator[inspect.Paramete
 
 def _typer_type(field: Field) -> Any:
     """Return the type for typer, which knows lists instead of tuples; `check_options` checks literals."""
-    if not _is_list(field):
+    if not field.is_list:
         return str if get_origin(field.type) is Literal else field.type
     values = list[get_args(field.type)[0]]  # type: ignore[misc, valid-type]
     return values | None if field.default == () else values
@@ -205,10 +189,6 @@ def _typer_option(field: Field, option: Option) -> Any:
     if option.is_argument:
         return typer.Argument(help=_plain(option.help), metavar=option.metavar)
     return typer.Option(option.name or f"--{field.label}", help=_plain(option.help), metavar=option.metavar)
-
-
-def _is_list(field: Field) -> bool:
-    return get_origin(field.type) is tuple and get_args(field.type)[1:] == (...,)
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
@@ -227,7 +207,7 @@ def _build_request(request_type: Any, values: dict[str, Any]) -> Any:
         value = values.pop(field.name)
         if values.pop(f"no_{field.name}", False):
             value = None
-        made[field.name] = tuple(value or ()) if _is_list(field) else value
+        made[field.name] = tuple(value or ()) if field.is_list else value
     return request_type(**made)
 
 
@@ -247,9 +227,6 @@ def report_user_errors(as_json: bool) -> Iterator[None]:
     except UserError as error:
         _report(describe_problems(error), as_json)
         raise typer.Exit(error.exit_status) from error
-    except RobotError as error:
-        _report(describe_problems(error), as_json)
-        raise typer.Exit(EXIT_BAD_INPUT) from error
     except Exception as error:
         sentence = describe_failed_effect(error)
         if sentence is None:

@@ -182,7 +182,6 @@ class SupplySag(Effect):
         """Return the effect for a robot.
 
         Args:
-            scales: Numbers of its joints.
             motions: Motions that are fitted; a voltage that they log bounds the effect.
         """
         torques = tuple(scales[joint.name].torque_Nm for joint in robot.joints)
@@ -202,13 +201,10 @@ class SupplySag(Effect):
 
 
 def largest_sag(motions: Sequence[Motion]) -> float:
-    """Return the largest share by which the supply can fall.
+    """Return the largest share by which the supply can fall; 1 if no voltage is logged.
 
     A logged voltage shows how far it fell. The logs may have had half of the largest torques only, so that
     twice as much is possible.
-
-    Returns:
-        Share from 0 to 1; 1 if no voltage is logged.
     """
     logs = [
         log.voltage.value for motion in motions for log in motion.joints.values() if log.voltage is not None

@@ -289,12 +289,7 @@ class JointEffect(Effect):
 
     @classmethod
     def at(cls, robot: Robot, place: str, scales: Mapping[str, JointScales]) -> Self:
-        """Return the effect at a joint.
-
-        Args:
-            place: Name of the joint.
-            scales: Numbers of all joints, as `joint_scales` returns them.
-        """
+        """Return the effect at a joint."""
         index = [joint.name for joint in robot.joints].index(place)
         return cls(place, index, robot.joints[index], scales[place])
 
@@ -306,14 +301,7 @@ class JointEffect(Effect):
 
 
 def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:
-    """Collect ranges of all joints over motions.
-
-    Args:
-        motions: Motions that are fitted; joints without a log in any of them are left out.
-
-    Returns:
-        The numbers by the name of the joint.
-    """
+    """Collect the ranges of joints over fitted motions, without joints that no motion logs."""
     found = {}
     for j, joint in enumerate(robot.joints):
         logs = [motion.joints[joint.name] for motion in motions if joint.name in motion.joints]

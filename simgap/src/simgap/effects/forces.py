@@ -234,13 +234,7 @@ class PeriodicTorque(JointEffect):
 
     @classmethod
     def of_order(cls, robot: Robot, place: str, scales: Mapping[str, JointScales], order: float) -> Self:
-        """Return the effect of an order at a joint.
-
-        Args:
-            place: Name of the joint.
-            scales: Numbers of all joints.
-            order: Periods in a turn of the joint.
-        """
+        """Return the effect of an order at a joint."""
         return replace(cls.at(robot, place, scales), order=order)
 
     @property

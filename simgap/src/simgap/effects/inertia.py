@@ -253,14 +253,7 @@ class GravityDirection(Effect):
 
 
 def level_axes(gravity_m_s2: Array) -> Array:
-    """Return two unit vectors across gravity: x and y of the world where gravity is along z.
-
-    Args:
-        gravity_m_s2: Vector of gravity, (3,), in m/s2.
-
-    Returns:
-        Unit vectors, (2, 3).
-    """
+    """Return two unit vectors, (2, 3), across gravity (3,): x and y of the world where gravity is along z."""
     down = gravity_m_s2 / np.linalg.norm(gravity_m_s2)
     first = np.eye(3)[0] if abs(down[0]) < 0.9 else np.eye(3)[1]
     first = first - down * (down @ first)

@@ -7,7 +7,7 @@ from typing import ClassVar, Final
 import mujoco
 import numpy as np
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array
 from simgap.effects.effect import Effect, Family, Fields, Rotor, Size, State, Tick, mjcf_joint
 from simgap.robot import Robot
 
@@ -52,7 +52,7 @@ class Backlash(Effect):
         """Let the motor turn the rotor, and limit the angle between rotor and joint."""
         rows = size[:, 0] != 0
         half_rad = size[rows] / 2 * np.array((-1.0, 1.0))
-        _connect(fields, robot, self.index, rows, self.encoder_is_at_output)
+        fields.rotors.append(Rotor(self.index, _rotor(self.place), rows, self.encoder_is_at_output))
         gear = fields.batch.model.tendon(_gear(self.place)).id
         fields.batch.expand("tendon_lengthspring")[rows, gear] = half_rad
         is_rigid = fields.batch.expand("tendon_stiffness")[rows, gear] == 0
@@ -96,7 +96,7 @@ class JointCompliance(Effect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Let the motor turn the rotor, and put the spring between rotor and joint."""
         rows = size[:, 0] != 0
-        _connect(fields, robot, self.index, rows, self.encoder_is_at_output)
+        fields.rotors.append(Rotor(self.index, _rotor(self.place), rows, self.encoder_is_at_output))
         inertia_kgm2 = gear_inertia_kgm2(robot, self.index)
         stiffest = inertia_kgm2 * (LARGEST_PHASE / robot.model.opt.timestep) ** 2
         stiffness = np.minimum(1 / size[rows, 0], stiffest)
@@ -159,12 +159,6 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
     )
     gear.wrap_joint(turned.name, 1.0)
     gear.wrap_joint(_rotor(joint), -1.0)
-
-
-def _connect(fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_at_output: bool) -> None:
-    """Let the motor turn the rotor."""
-    place = robot.joints[index].name
-    fields.rotors.append(Rotor(index, _rotor(place), rows, encoder_is_at_output))
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,12 +31,6 @@ MAX_BYTES: Final = 1 << 32
 def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table: CsvTable) -> LogFile:
     """Open a log by its suffix.
 
-    Args:
-        path: Log file.
-        numbers: Columns of numbers that will be read.
-        texts: Columns that will be read as text.
-        csv_table: Format of CSV files.
-
     Raises:
         RobotError: the file cannot be read, has no such column, or has no rows.
     """

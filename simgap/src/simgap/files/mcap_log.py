@@ -45,7 +45,6 @@ def open_mcap(path: Path, names: Sequence[str]) -> McapLog:
     """Read fields of an MCAP file.
 
     Args:
-        path: Log file.
         names: Fields, as topic and path in its messages: `/joint_states.position[2]`.
 
     Raises:

@@ -47,11 +47,7 @@ class MotionRows:
         self._parts = [_as_slice(np.flatnonzero(number == k)) for k in order]
 
     def _check_length(self, values: Any, name: str) -> None:
-        """Refuse an array of another length than the column that names the motions.
-
-        Raises:
-            RobotError: it has more values or fewer.
-        """
+        """Refuse an array of another length than the column that names the motions."""
         if self._n_rows not in (None, values.size):
             raise RobotError(
                 f"{self._log.path}: column {name!r} has {values.size} values, "
@@ -91,11 +87,7 @@ class MotionRows:
         return found
 
     def _check_rate(self, time_s: Array, name: str) -> None:
-        """Refuse times in another unit than the robot file says, and gaps that no simulation should cross.
-
-        Raises:
-            RobotError: positions have less than one sample a second, or far more than the controller.
-        """
+        """Refuse times in another unit than the robot file says, and gaps that no simulation should cross."""
         if time_s.size < 2:
             raise RobotError(f"{self._log.path}: motion {name!r} has 1 position; a motion needs several")
         mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)

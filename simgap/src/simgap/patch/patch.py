@@ -91,12 +91,7 @@ def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, 
     """Write the patched model, and the runtime file if effects are left for it.
 
     Args:
-        robot: Robot that was diagnosed.
-        diagnosis: Diagnosis with its effects and sizes.
         folder: Folder, which is made if it is not there.
-
-    Returns:
-        The files.
 
     Raises:
         RobotError: An effect changes what MJCF cannot say.
@@ -116,12 +111,7 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
 
 
 def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> Patch:
-    """Return the patched model and the runtime file of effects.
-
-    Args:
-        robot: Robot with its nominal model.
-        effects: Effects as fitted.
-        sizes: Their sizes; an effect with sizes of 0 is left out.
+    """Return the patched model and the runtime file of effects; one with sizes of 0 is left out.
 
     Raises:
         RobotError: An effect changes what MJCF cannot say.

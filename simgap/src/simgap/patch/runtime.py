@@ -78,7 +78,6 @@ class RuntimeEffects:
         """Keep the numbers of the patched model.
 
         Args:
-            model: Patched model.
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
             joints: Joints in the order of commands.
             control_period_s: Time between two commands, a whole number of time steps.
@@ -117,7 +116,6 @@ class RuntimeEffects:
         """Read a runtime file.
 
         Args:
-            model: Patched model that belongs to it.
             path: File that a patch has written. Files of effects that it names are run.
 
         Raises:
@@ -155,7 +153,6 @@ class RuntimeEffects:
 
         Args:
             model: Patched model; dry friction, torque limits and gains are set anew in each period.
-            data: State, which is stepped.
             command: Commands, (n_joints,), in the unit of each control mode.
             temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
         """
@@ -179,14 +176,7 @@ class RuntimeEffects:
         self._remember(data)
 
     def shown(self, data: mujoco.MjData) -> Array:
-        """Return what the encoders show at the time of the state.
-
-        Args:
-            data: State after `step`.
-
-        Returns:
-            Positions, (n_joints,) [rad], with delays and errors of the encoders.
-        """
+        """Return what the encoders show, (n_joints,) [rad], at the time of the state after `step`."""
         late_s = np.zeros(self._qpos.size)
         for one in self._with("sample_delay_s"):
             late_s[one.joint] += float(one.effect.sample_delay_s(one.size)[0])
@@ -201,7 +191,6 @@ class RuntimeEffects:
         """Set the joints such that the encoders show these positions.
 
         Args:
-            data: State, before the first step.
             shown_rad: Positions as the encoders show them, (n_joints,).
         """
         q_rad = np.array(shown_rad, dtype=float)

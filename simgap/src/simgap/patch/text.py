@@ -45,10 +45,6 @@ class Change:
 def change_text(text: str, changes: Sequence[Change]) -> str:
     """Return MJCF text with changes made.
 
-    Args:
-        text: MJCF text.
-        changes: Changes; an element may have several.
-
     Raises:
         RobotError: An element is not in this text, as those that MuJoCo makes from others.
     """
@@ -202,7 +198,6 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
 
     Args:
         table: Table as `effect_table` makes it. The file of an effect of one's own is run.
-        path: File of the table, for errors.
 
     Returns:
         The effect, and its sizes, (n_sizes,) in the units of their names.

@@ -118,13 +118,10 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
 
 
 def draw_traces(traces: Mapping[str, Sequence[Trace]]) -> list[str]:
-    """Draw interactive figures of traces.
+    """Draw interactive figures of traces as parts in HTML, which `figures.css` styles.
 
     Args:
         traces: Traces of each figure, by its title; a reader chooses one of them.
-
-    Returns:
-        Parts in HTML; `figures.css` styles them.
     """
     return draw_figures([_trace_figure(title, own) for title, own in traces.items()])
 
@@ -147,7 +144,6 @@ def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str,
     """Draw an interactive figure in which a reader chooses a motion.
 
     Args:
-        title: Plain text.
         shown: Keys of SERIES.
         motions: Names, and documents of `motion_document`.
     """
@@ -304,11 +300,6 @@ def save_diagnosis_page(
     diagnosis: Diagnosis, traces: Sequence[Trace], path: Path, origin: Origin | None = None
 ) -> None:
     """Write the page; the same diagnosis gives the same bytes, but for the date of an origin.
-
-    Args:
-        traces: Traces of held-out motions.
-        path: The HTML file.
-        origin: Origin of the result; None to leave it out.
 
     Raises:
         BadOutput: the file cannot be written.

@@ -1,13 +1,13 @@
 """Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, Integers
-from simgap.logs import Motion
+from simgap.arrays import Array, Integers
+from simgap.logs import Motion, Usable
 from simgap.residuals.residuals import ResidualModel
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.result import Diagnosis
@@ -39,12 +39,7 @@ class Trace:
 
 
 def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]:
-    """Predict the motions of a residual model without and with what a diagnosis has found.
-
-    Args:
-        model: Residuals of the motions to show.
-        diagnosis: Diagnosis with its effects and sizes.
-    """
+    """Predict the motions of a residual model without and with what a diagnosis has found."""
     effects, sizes = diagnosis.fitted_to(model.kind)
     found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
     nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
@@ -56,15 +51,9 @@ def trace_motions(
     robot: Robot,
     motions: Sequence[Motion],
     diagnosis: Diagnosis,
-    usable: Mapping[tuple[str, str], Flags] | None = None,
+    usable: Usable | None = None,
 ) -> tuple[Trace, ...]:
     """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
-
-    Args:
-        robot: Robot that was diagnosed.
-        motions: Motions to show.
-        diagnosis: Diagnosis with its effects and sizes.
-        usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
 
     Returns:
         The traces; none by simulation of a motion in which a joint has no command.
@@ -119,10 +108,7 @@ def thin(one: Trace) -> Trace:
 
 
 def extreme_rows(series: Iterable[Array]) -> Integers:
-    """Return the rows with the smallest and the largest value of each series in many equal parts.
-
-    Args:
-        series: Values of any unit, (n,) each.
+    """Return the rows with the smallest and the largest value of each series, (n,), in many equal parts.
 
     Returns:
         Indices in order, at most MAX_POINTS of each series; all where there are no more.

@@ -14,16 +14,16 @@ that depends on position out of the friction; only the first two are subtracted.
 so that the load of held-out motions is as measured as their angles.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from simgap.arrays import Array, Flags, Integers
+from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import ENCODER_HOOKS, Effect, State
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     LowPass,
@@ -42,13 +42,10 @@ def shows(effect: Effect) -> bool:
 
 
 def why_refused(robot: Robot, effect: Effect) -> str:
-    """Say why an effect has no name, whatever the fit says.
+    """Say why an effect has no name, whatever the fit says; empty if it may be named.
 
     Without gravity the load of a gear is inertia times acceleration. Two encoders whose filters differ in the
     second order differ in proportion to the acceleration too, so the two are one.
-
-    Returns:
-        A sentence; empty if it may be named.
     """
     names = {joint.name for joint in robot.joints}
     if not effect.overrides("deflection_rad") or effect.place not in names:
@@ -70,14 +67,11 @@ class EncoderResiduals:
     step_s = 0.0
     noise_std = 0.0
 
-    def __init__(
-        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
         """Compare the encoders, and compute the loads.
 
         Args:
             motions: Motions; joints with a second encoder that moves have residuals.
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
 
         Raises:
             RobotError: there is no second encoder that can be used, or a motion is too short for a filter.
@@ -123,14 +117,9 @@ class EncoderResiduals:
         self.time_s: Array = np.concatenate([one.time_s for one in self._parts])
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus predicted differences without their means, (n_candidates, n) [rad].
 
-        Args:
-            effects: Union of the effects of all candidates. Those that `shows` refuses change nothing.
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
-
-        Returns:
-            Measured minus predicted differences without their means, (n_candidates, n) [rad].
+        Effects that `shows` refuses change nothing.
         """
         sizes = np.asarray(sizes, float)
         starts = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
@@ -148,29 +137,14 @@ class EncoderResiduals:
         )
 
     def select(self, motions: Sequence[str]) -> "EncoderResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions and the same loads.
-        """
+        """Return the residuals of these motions alone, in their old order, with the same loads."""
         kept = [k for k, motion in enumerate(self._logs) if motion.name in set(motions)]
         chosen = copy(self)
         chosen._fill([self._logs[k] for k in kept], [self._states[k] for k in kept])
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the filtered motion of the motor.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command".
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the filtered motion of the motor, (n,); NaN where it is not logged."""
         if name not in ("position", "velocity", "load"):
             return measured_variable(
                 self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s
@@ -186,9 +160,7 @@ class EncoderResiduals:
 class _Part:
     """The two encoders of one joint in one motion."""
 
-    def __init__(
-        self, motion: Motion, name: str, m: int, j: int, keep: Mapping[tuple[str, str], Flags]
-    ) -> None:
+    def __init__(self, motion: Motion, name: str, m: int, j: int, keep: Usable) -> None:
         log = motion.joints[name]
         assert log.secondary is not None
         position = log.position

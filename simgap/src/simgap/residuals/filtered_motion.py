@@ -61,15 +61,7 @@ class LowPass:
         )
 
     def __call__(self, values: Array, axis: int = 0) -> Array:
-        """Return filtered values.
-
-        Args:
-            values: Samples along an axis.
-            axis: The axis of time.
-
-        Returns:
-            Values of the same shape.
-        """
+        """Return filtered values."""
         sections = butter(2, self.cut_off_Hz, fs=1 / self.period_s, output="sos")
         return np.asarray(sosfiltfilt(sections, values, axis=axis))
 
@@ -94,15 +86,12 @@ class FilteredMotion:
 
 
 def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: float) -> Flags:
-    """Find the times at which no refused position sample is near.
+    """Find the times at which no refused position sample is near, (n_times,) flags.
 
     Args:
         keep: Position samples that are used, (n,) flags; None: all are.
         time_s: Times, (n_times,) [s].
         distance_s: Times as near as this to a refused sample are not usable.
-
-    Returns:
-        Flags, (n_times,).
     """
     if keep is None or keep.all():
         return np.ones(time_s.size, dtype=bool)
@@ -116,13 +105,7 @@ def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: fl
 
 
 def choose_filter(robot: Robot, motions: Sequence[Motion]) -> LowPass:
-    """Derive the cut-off of a filter from the noise of positions.
-
-    Args:
-        motions: Motions; the lowest cut-off that one of them needs is that of all.
-
-    Returns:
-        The filter.
+    """Derive the cut-off of a filter from the noise of positions: the lowest that one motion needs.
 
     Raises:
         RobotError: a motion has too few samples.
@@ -148,15 +131,11 @@ def choose_filter(robot: Robot, motions: Sequence[Motion]) -> LowPass:
 
 
 def position_noise_rad(position_rad: Array) -> float:
-    """Estimate white noise from third differences, which a smooth motion scarcely has.
+    """Estimate white noise [rad] from third differences of samples (n,), which smooth motion scarcely has.
 
     The median is that of a normal distribution, so that jerks at the ends of a motion do not count.
 
-    Args:
-        position_rad: Samples, (n,) [rad].
-
-    Returns:
-        Standard deviation [rad]; third differences have 20 times the variance of the samples.
+    Third differences have 20 times the variance of the samples.
     """
     third = np.diff(position_rad, 3)
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if third.size else 0.0
@@ -169,10 +148,6 @@ def filter_motion(robot: Robot, motion: Motion, low_pass: LowPass) -> FilteredMo
 
     Args:
         robot: Robot; joints that are not logged stand at 0.
-        low_pass: Filter.
-
-    Returns:
-        Samples with the period of the filter.
 
     Raises:
         RobotError: it has too few samples.
@@ -199,15 +174,7 @@ def filter_motion(robot: Robot, motion: Motion, low_pass: LowPass) -> FilteredMo
 
 
 def differentiate(raw_rad: Array, low_pass: LowPass) -> tuple[Array, Array, Array]:
-    """Return filtered positions, speeds and accelerations.
-
-    Args:
-        raw_rad: Positions, (n, n_joints) [rad].
-        low_pass: Filter.
-
-    Returns:
-        Positions [rad], speeds [rad/s] and accelerations [rad/s2], (n, n_joints) each.
-    """
+    """Return filtered positions [rad], speeds [rad/s] and accelerations [rad/s2], (n, n_joints) each."""
     q = low_pass(raw_rad)
     v = np.gradient(q, low_pass.period_s, axis=0)
     return q, v, np.gradient(v, low_pass.period_s, axis=0)
@@ -220,10 +187,7 @@ def inverse_dynamics(
 
     Args:
         model: Model; it is changed: those numbers become 0, because the caller adds them.
-        robot: Robot that names the joints of the model.
         q_rad: Positions, (n, n_joints) [rad].
-        v_rad_s: Speeds, (n, n_joints) [rad/s].
-        a_rad_s2: Accelerations, (n, n_joints) [rad/s2].
 
     Returns:
         Torques at the joints, and `State.load_Nm`, which has no springs of the model: (n, n_joints) each.
@@ -244,14 +208,7 @@ def inverse_dynamics(
 
 
 def motion_time_s(motion: Motion, period_s: float) -> Array:
-    """Return times at which all signals of positions and torques exist.
-
-    Args:
-        period_s: Their spacing [s].
-
-    Returns:
-        Times, (n,) [s].
-    """
+    """Return times, (n,) [s], at which all signals of positions and torques exist."""
     signals = [log.position for log in motion.joints.values()]
     signals += [log.torque for log in motion.joints.values() if log.torque is not None]
     start_s = max(float(signal.time_s[0]) for signal in signals)

@@ -8,7 +8,7 @@ speed at which it is certain: tanh(v / v_s), with v_s three times the noise of t
 period of the cut-off are left out, because there the filter guesses what was before and after.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +19,7 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import TORQUE_HOOKS, Effect, State
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     choose_filter,
@@ -62,15 +62,12 @@ class InverseResiduals:
     step_s = 0.0
     noise_std = 0.0
 
-    def __init__(
-        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
         """Filter the motions.
 
         Args:
             motions: Motions; joints with a logged torque have residuals.
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
-                Nothing is compared within a period of the cut-off from others.
+            keep: Nothing is compared within a period of the cut-off from samples that take no part.
 
         Raises:
             RobotError: no torque is logged or usable, or a motion is too short for a filter.
@@ -127,14 +124,9 @@ class InverseResiduals:
         return thinned.reshape(*thinned.shape[:-2], -1)[..., self._usable[one.name]]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus needed torques, (n_candidates, n) [N m].
 
-        Args:
-            effects: Union of the effects of all candidates. Those that `shows` refuses change nothing.
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
-
-        Returns:
-            Measured minus needed torques, (n_candidates, n) [N m].
+        Effects that `shows` refuses change nothing.
         """
         acting = self._acting(effects, np.asarray(sizes, float))
         candidates = _Candidates(self._robot, acting, len(sizes))
@@ -201,29 +193,14 @@ class InverseResiduals:
         return np.asarray(total + self.low_pass(np.maximum(dry, 0.0) * sign))
 
     def select(self, motions: Sequence[str]) -> "InverseResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions and the same filter.
-        """
+        """Return the residuals of these motions alone, in their old order, with the same filter."""
         kept = [k for k, motion in enumerate(self._logs) if motion.name in set(motions)]
         chosen = copy(self)
         chosen._fill([self._logs[k] for k in kept], [self._filtered[k] for k in kept])
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the filtered motion.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command".
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the filtered motion, (n,); NaN where it is not logged."""
         if name not in ("position", "velocity", "load"):
             return measured_variable(
                 self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s

@@ -1,4 +1,8 @@
-"""Noise from motions that repeat one another, and blocks that count as motions where these are few."""
+"""Noise from motions that repeat one another, and blocks that count as motions where these are few.
+
+Residuals are arrays (n,) in the unit of their model, or those of rows, which are indices, (n_rows,). Scales
+are (n_joints,) in the same unit.
+"""
 
 from collections.abc import Sequence
 from copy import copy
@@ -39,62 +43,25 @@ class WhitenedResiduals:
         self._scale = 1.0 / np.sqrt(1.0 - self._decay**2)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return whitened residuals of candidates.
-
-        Args:
-            effects: Union of the effects of all candidates.
-            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes), in their own units.
-
-        Returns:
-            (n_candidates, n), in the unit of the model.
-        """
+        """Return whitened residuals of candidates, (n_candidates, n), in the unit of the model."""
         return self.whiten(self.raw.residuals(effects, sizes))
 
     def whiten(self, residuals: Array) -> Array:
-        """Subtract what noise predicts from the sample before.
-
-        Args:
-            residuals: (n_candidates, n), in the unit of the model.
-
-        Returns:
-            (n_candidates, n), in the unit of the model.
-        """
+        """Subtract what noise predicts from the sample before, (n_candidates, n)."""
         before = np.concatenate([residuals[..., :1], residuals[..., :-1]], axis=-1)
-        white: Array = (residuals - self._decay * before) * self._scale
-        return white
+        return np.asarray((residuals - self._decay * before) * self._scale)
 
     def select(self, motions: Sequence[str]) -> ResidualModel:
-        """Return the whitened residuals of these motions alone.
-
-        Args:
-            motions: Names.
-
-        Returns:
-            A model with fewer motions.
-        """
+        """Return the whitened residuals of these motions alone."""
         return WhitenedResiduals(self.raw.select(motions), self.correlation)
 
     def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion.
-
-        Args:
-            name: Name of the variable.
-
-        Returns:
-            Its value at each residual, (n,).
-        """
+        """Return a variable at the measured motion, (n,)."""
         return self.raw.explain(name)
 
 
 def repeat_pairs(model: ResidualModel, joint: int) -> list[tuple[Integers, Integers]]:
-    """List the rows of a joint in motions that repeat one another.
-
-    Args:
-        joint: Index of the joint.
-
-    Returns:
-        Rows of two motions at the same times, (n_rows,) each.
-    """
+    """List the rows, (n_rows,) each, of a joint in two motions that repeat one another at the same times."""
     groups: dict[str, list[Integers]] = {}
     for k, label in enumerate(model.repeat_of):
         if label:
@@ -116,33 +83,19 @@ def _pair_times(time_s: Array, one: Integers, other: Integers) -> tuple[Integers
 
 
 def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array:
-    """Return the residuals that noise alone leaves.
+    """Return the residuals that noise alone leaves, (n_noise,); empty without repeats.
 
     The model moves alike in motions that repeat one another, so that their difference is that of two noises.
-
-    Args:
-        residuals: (n,), in the unit of the model.
-        joint: Index of the joint.
-
-    Returns:
-        Differences over the square root of 2, (n_noise,); empty without repeats.
     """
     pairs = repeat_pairs(model, joint)
     return np.concatenate([np.empty(0), *((residuals[a] - residuals[b]) / np.sqrt(2.0) for a, b in pairs)])
 
 
 def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array:
-    """Return the mean pseudo-Huber loss that noise alone leaves at each joint.
+    """Return the mean pseudo-Huber loss of noise alone at each joint, (n_joints,); 0 without repeats.
 
     Known noise has a loss of squares, as `scale_residuals` chooses.
     Otherwise the motions that repeat one another show the loss.
-
-    Args:
-        residuals: (n,), in the unit of the model.
-        scales: (n_joints,), in the unit of the model.
-
-    Returns:
-        (n_joints,), without a unit; 0 where no motion was repeated.
     """
     if model.noise_std:
         return np.asarray((model.noise_std / scales) ** 2)
@@ -154,14 +107,7 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
 
 
 def whiten_noise(model: ResidualModel, residuals: Array) -> ResidualModel:
-    """Whiten the residuals of a model by the noise that its repeated motions show.
-
-    Args:
-        residuals: Residuals of its base model, (n,), in the unit of the model.
-
-    Returns:
-        The whitened model; the model itself without repeats.
-    """
+    """Whiten a model by the noise that its repeated motions show; the model itself without repeats."""
     correlation = np.zeros(len(model.joints))
     for joint in range(len(model.joints)):
         product, energy = 0.0, 0.0
@@ -186,7 +132,6 @@ class Blocks:
         """Divide the motions.
 
         Args:
-            model: Residuals of whole motions.
             counts: Number of blocks of each motion and joint, which are equally long, (n_motions, n_joints);
                 0 without residuals.
         """
@@ -227,25 +172,11 @@ class Blocks:
         self.time_s: Array = model.time_s[rows]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Compute the residuals of candidates as the whole motions have them.
-
-        Args:
-            sizes: Sizes of the effects, (n_candidates, n_sizes), in their units.
-
-        Returns:
-            Residuals, (n_candidates, n).
-        """
+        """Compute the residuals of candidates as the whole motions have them, (n_candidates, n)."""
         return self._model.residuals(effects, sizes)[:, self._rows]
 
     def select(self, motions: Sequence[str]) -> "Blocks":
-        """Return the residuals of these blocks alone; only their motions are computed.
-
-        Args:
-            motions: Names of blocks.
-
-        Returns:
-            A model with fewer blocks.
-        """
+        """Return the residuals of these blocks alone; only their motions are computed."""
         wanted = set(motions)
         kept = [k for k, name in enumerate(self.motions) if name in wanted]
         parents = {self.parents[k] for k in kept}
@@ -261,24 +192,12 @@ class Blocks:
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend.
-
-        Returns:
-            The variable at each residual, (n,).
-        """
+        """Return a variable on which a residual may depend, (n,)."""
         return self._model.explain(name)[self._rows]
 
 
 def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
-    """Cut motions into blocks that are at least as long as the correlation time of the residuals.
-
-    Args:
-        model: Residuals of whole motions.
-        residuals: Residuals with the base effects fitted, (n,), in any unit.
-
-    Returns:
-        The same residuals, counted by block.
-    """
+    """Cut motions into blocks that are at least as long as the correlation time of the residuals."""
     counts = np.zeros((len(model.motions), len(model.joints)), dtype=np.int64)
     for m, j in np.ndindex(counts.shape):
         rows = (model.motion_of == m) & (model.joint_of == j)
@@ -299,15 +218,7 @@ def _whole_motion_of(model: ResidualModel) -> Integers:
 
 
 def count_independent(model: ResidualModel, rows: Integers, residuals: Array) -> int:
-    """Count the independent residuals that scatter like those of some rows.
-
-    Args:
-        rows: Rows of the model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in any unit.
-
-    Returns:
-        Number, at least 1 for each joint in each motion.
-    """
+    """Count the independent residuals that scatter like those of some rows, at least 1 a joint and motion."""
     cell = _whole_motion_of(model)[rows] * len(model.joints) + model.joint_of[rows]
     parts = [cell == k for k in np.unique(cell)]
     return int(sum(_independent(model.time_s[rows][part], residuals[part]) for part in parts))
@@ -320,14 +231,10 @@ def _divide(time_s: Array, count: int) -> Integers:
 
 
 def correlation_time_s(time_s: Array, residuals: Array) -> float:
-    """Estimate the time after which residuals are independent.
+    """Estimate the time after which residuals are independent, T (1 + 2 sum rho) [s]; 0 if they never vary.
 
     Args:
         time_s: Times, (n,), increasing and about evenly spaced [s].
-        residuals: Residuals, (n,), in any unit.
-
-    Returns:
-        tau = T (1 + 2 sum rho) [s]; 0 if they do not vary.
     """
     if residuals.size < 2 or float(np.ptp(residuals)) == 0.0:
         return 0.0
@@ -341,15 +248,7 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
 
 
 def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers:
-    """Cut whole motions into blocks that are as long as the correlation time of residuals.
-
-    Args:
-        rows: Rows of the model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in any unit. Of joints, the longest memory counts.
-
-    Returns:
-        Block of each row, (n_rows,), from 0.
-    """
+    """Cut whole motions into blocks, (n_rows,) from 0, as long as the longest memory of a joint in them."""
     time_s, joint = model.time_s[rows], model.joint_of[rows]
     motion = _whole_motion_of(model)[rows]
     block, n_blocks = np.zeros(rows.size, dtype=np.int64), 0

@@ -66,21 +66,18 @@ class ResidualModel(Protocol):
         """Return a variable on which a residual may depend, (n,), at the measured motion.
 
         Args:
-            name: "position", "velocity", "load", "time", "temperature" or "command".
+            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
+                "command" in its unit.
         """
         ...
 
 
 def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> Array:
-    """Return the residuals of candidates whose sizes differ from motion to motion.
+    """Return the residuals of candidates, (n_candidates, n), whose sizes differ from motion to motion.
 
     Args:
-        effects: Union of the effects of all candidates.
         sizes: Sizes of all effects one after the other, in their own units, (n_candidates, n_motions, total
             sizes).
-
-    Returns:
-        (n_candidates, n), in the unit of the model.
     """
     if model.by_motion:
         return model.residuals(effects, sizes)
@@ -93,42 +90,20 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
 
 
 def pseudo_huber(z: Array) -> Array:
-    """Compute the loss: the square of small residuals, twice the absolute value of large ones.
-
-    Args:
-        z: Residuals over their scale, (n,), unitless.
-
-    Returns:
-        Losses, (n,).
-    """
+    """Compute the loss, (n,), of residuals over their scale: the square, or twice the value of large ones."""
     square = z * z
-    loss: Array = 2.0 * square / (np.sqrt(1.0 + square) + 1.0)  # exact for small residuals too
-    return loss
+    # exact for small residuals too
+    return np.asarray(2.0 * square / (np.sqrt(1.0 + square) + 1.0))
 
 
 def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
-    """Compute the first two derivatives of half the pseudo-Huber loss.
-
-    Args:
-        z: Residuals over their scale, (n,), unitless.
-
-    Returns:
-        Slope and curvature, (n,) each.
-    """
+    """Compute slope and curvature of half the pseudo-Huber loss of residuals over their scale, (n,) each."""
     return z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5
 
 
 def root_weight(z: Array) -> Array:
-    """Compute the weights with which a sum of squares acts as the pseudo-Huber loss near these residuals.
-
-    Args:
-        z: Residuals over their scale, (n,), unitless.
-
-    Returns:
-        Square roots of the weights of the squares, (n,).
-    """
-    weight: Array = (1.0 + z * z) ** -0.25
-    return weight
+    """Compute roots of weights, (n,), with which squares act as the pseudo-Huber loss near residuals."""
+    return np.asarray((1.0 + z * z) ** -0.25)
 
 
 SMOOTH_SAMPLES = 5
@@ -138,18 +113,13 @@ SMOOTH_SAMPLES = 5
 def measured_variable(
     robot: Robot, motions: Sequence[Motion], name: str, motion_of: Integers, joint_of: Integers, time_s: Array
 ) -> Array:
-    """Interpolate a variable of the measured motion.
+    """Interpolate a variable of the measured motion, (n,); NaN where it is not logged.
 
     Args:
-        motions: Its logs.
-        name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC],
-            "command".
+        name: As `ResidualModel.explain` has it.
         motion_of: Index of the motion of each value, (n,).
         joint_of: Index of the joint, (n,).
         time_s: Time in the motion, (n,) [s].
-
-    Returns:
-        Values, (n,); NaN where the variable is not logged.
     """
     if name == "time":
         return time_s.copy()
@@ -176,14 +146,7 @@ def measured_variable(
 
 
 def slopes(signal: Signal) -> Signal:
-    """Differentiate a signal by straight lines through some neighbouring samples.
-
-    Args:
-        signal: Signal of n samples.
-
-    Returns:
-        Slopes at the middles of the lines.
-    """
+    """Differentiate a signal by straight lines through some neighbouring samples."""
     n = min(SMOOTH_SAMPLES, signal.time_s.size)
     t = np.lib.stride_tricks.sliding_window_view(signal.time_s, n)
     x = np.lib.stride_tricks.sliding_window_view(signal.value, n)

@@ -1,7 +1,7 @@
 """Residuals of forward simulation, and the kinds of residual that the logs of a robot allow."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, Integers, orthonormal
+from simgap.arrays import Array, Integers, orthonormal
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
 from simgap.effects.effect import SIMULATION_HOOKS, Effect
 from simgap.effects.transmission import PeriodicError, SmoothPeriodicError
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals import encoder_residuals, inverse_residuals
 from simgap.residuals.encoder_residuals import EncoderResiduals
 from simgap.residuals.inverse_residuals import InverseResiduals
@@ -56,7 +56,7 @@ class SimulationResiduals:
         robot: Robot,
         motions: Sequence[Motion],
         spacing_s: float = SPACING_s,
-        keep: Mapping[tuple[str, str], Flags] | None = None,
+        keep: Usable | None = None,
         n_threads: int = 0,
         most_steps: float = math.inf,
         fit_starts: bool = False,
@@ -66,7 +66,6 @@ class SimulationResiduals:
         Args:
             motions: Motions, with the commands of all joints.
             spacing_s: Least time between residuals of a joint [s].
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
             n_threads: Threads of the simulation; 0: as many as there are processors.
             most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
                 simulated instead.
@@ -130,16 +129,11 @@ class SimulationResiduals:
         self._bases = [(part, orthonormal(starts[part])) for part in parts]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` where it blew up.
 
         Args:
-            effects: Union of the effects of all candidates.
             sizes: Sizes of all effects one after the other, (n_candidates, n_sizes) or
                 (n_candidates, n_motions, n_sizes), in their units; zeros where absent.
-
-        Returns:
-            Measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` in a window whose
-            simulation blew up.
         """
         engine = Engine(self._models, effects, self._windows, self._n_threads)
         sizes = np.asarray(sizes, dtype=float)
@@ -151,14 +145,7 @@ class SimulationResiduals:
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions.
-        """
+        """Return the residuals of these motions alone, in their old order."""
         chosen, names = copy(self), set(motions)
         kept = np.isin(self.motion_of, [self.motions.index(name) for name in names])
         chosen._fill(
@@ -170,15 +157,7 @@ class SimulationResiduals:
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the measured motion.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command" [rad].
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the measured motion, (n,); NaN where it is not logged."""
         return measured_variable(self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s)
 
 
@@ -193,7 +172,7 @@ def _cut(
     robot: Robot,
     motions: Sequence[Motion],
     spacing_s: float,
-    keep: Mapping[tuple[str, str], Flags] | None,
+    keep: Usable | None,
     most_periods: float,
 ) -> list[Window]:
     """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
@@ -215,12 +194,7 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
     A joint that falls or is pulled from rest has the speed of its first samples only after them.
 
     Args:
-        models: Models of the robot.
         windows: Windows whose joints start at the position and speed of their first samples.
-        n_threads: Threads of the simulation; 0: as many as there are processors.
-
-    Returns:
-        The windows; a joint that starts at rest starts where its first samples fit best.
     """
     resting = [_rest(window, 0.0) for window in windows]
     shifted = [_rest(window, SHIFT_rad) for window in windows]
@@ -276,21 +250,12 @@ class ResidualKind:
     """False if the base parameters of a joint do not move it."""
 
 
-def list_kinds(
-    robot: Robot, motions: Sequence[Motion], usable: Mapping[tuple[str, str], Flags] | None
-) -> list[ResidualKind]:
+def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -> list[ResidualKind]:
     """List the kinds of residual that the logs allow.
 
     Logged torques are compared with inverse dynamics, which needs no controller. Where a joint has a command
     and no torque, the commands are simulated instead: else nothing would look at this joint. A second encoder
     is always compared with the first.
-
-    Args:
-        motions: Motions that are fitted.
-        usable: Position samples that take part, (n,) flags; all where absent.
-
-    Returns:
-        The kinds.
 
     Raises:
         RobotError: There are neither torques nor commands nor a second encoder.

@@ -1,4 +1,8 @@
-"""Accept an effect: it predicts motions that took no part better, in pairs, and harms no other joint."""
+"""Accept an effect: it predicts motions that took no part better, in pairs, and harms no other joint.
+
+Rows are indices into the residual model, (n_rows,). `before` and `after` are residuals of two models in these
+rows when their motion was left out, over their scales, without a unit, or the losses of these.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,16 +20,7 @@ from simgap.selection.sharing import ALL_JOINTS
 
 
 def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
-    """Return the mean improvement of the losses of left-out motions, as a share of what can be explained.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
-
-    Returns:
-        The share, from -1 to 1.
-    """
+    """Return the mean improvement of left-out losses as a share, -1 to 1, of what can be explained."""
     loss = pseudo_huber(before)
     mean = float(np.mean(loss - pseudo_huber(after)))
     explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
@@ -37,14 +32,6 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
 
     Where repeats show the noise, the standard error is what that noise can do: an effect counts although it
     acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
-
-    Returns:
-        The ratio.
     """
     if knows_noise(context, rows):
         return compare_with_noise(context, rows, before, after)
@@ -52,32 +39,17 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
 
 
 def knows_noise(context: Context, rows: Integers) -> bool:
-    """Return whether the noise of all joints is known, or shown by repeated motions.
-
-    Args:
-        rows: Rows of the joints in the residual model, (n_rows,) indices.
-
-    Returns:
-        True if they do.
-    """
+    """Return whether the noise of all joints is known, or shown by repeated motions."""
     return bool(context.model.noise_std) or bool(
         np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0)
     )
 
 
 def compare_motions(motion: Integers, before: Array, after: Array) -> float:
-    """Return the improvement of the losses of motions, over its scatter between them.
+    """Return the improvement of losses over its scatter between motions; 0 with fewer than two motions.
 
     The improvement is that of differences or of logarithms of ratios, whichever says more. Motions of very
     different strength scatter in differences; motions that an effect does not touch scatter in ratios.
-
-    Args:
-        motion: Motion of each loss, (n_rows,), index.
-        before: Losses, (n_rows,), without a unit.
-        after: Losses of another model, (n_rows,), without a unit.
-
-    Returns:
-        The mean over its standard error; 0 with fewer than two motions.
     """
     _, motion = np.unique(motion, return_inverse=True)
     count = np.bincount(motion)
@@ -95,18 +67,10 @@ def _mean_over_error(values: Array) -> float:
 
 
 def compare_with_noise(context: Context, rows: Integers, before: Array, after: Array) -> float:
-    """Return the mean improvement of a loss over the standard error by the noise that remains.
+    """Return the mean improvement of a loss over its error by noise; 0 where the models do not differ.
 
     Where two models differ, noise makes one of them the better by chance: to first order, by the slope of
     the loss times the difference. Its totals over blocks of the noise are independent.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
-
-    Returns:
-        The ratio; 0 where the models do not differ.
     """
     slope, _ = half_loss_derivatives(after)
     totals = np.bincount(cut_rows(context.model, rows, after), weights=2.0 * slope * (before - after))
@@ -145,14 +109,7 @@ class Candidate:
 
 
 def choose(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Choose the best effect of each joint, or one at a body if it does more than they do.
-
-    Args:
-        candidates: Effects that were judged.
-
-    Returns:
-        Effects to accept; no two for one joint.
-    """
+    """Choose the best effect of each joint, no two for one, or one at a body if it does more than they do."""
     good = [one for one in candidates if one.gain >= MIN_SHARE and one.log_chance <= np.log(FIRST_CHANCE)]
     good = [one for one in good if not one.at_bound]
     good = [one for one in good if not worsens_another(context, present, one)]
@@ -171,16 +128,10 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
 
 
 def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
-    """Choose the effect with the fewest sizes among those that do as well as the best.
+    """Choose the effect with the fewest sizes, and then the best, of those that do as well as the best.
 
     As well means within one standard error of the best, in pairs (Breiman and others 1984). Where the noise
     is known, the chance of an effect counts its sizes.
-
-    Args:
-        candidates: Effects for the same joints.
-
-    Returns:
-        The effect; of several with as few sizes the best.
     """
     if context.model.noise_std:
         return min(candidates, key=lambda one: one.log_chance)
@@ -203,14 +154,7 @@ def _improvement(context: Context, present: FittedModel, candidate: Candidate) -
 
 
 def worsens_another(context: Context, present: FittedModel, candidate: Candidate) -> bool:
-    """Check whether an effect worsens a joint that is not its place.
-
-    Args:
-        candidate: The effect.
-
-    Returns:
-        True if the mean absolute residual of another joint grows by more than MAX_WORSE.
-    """
+    """Check whether an effect lets the mean absolute residual of another joint grow by over MAX_WORSE."""
     model = context.model
     others = [j for j in np.unique(model.joint_of) if model.joints[j] != candidate.effect.place]
     if not others:
@@ -228,9 +172,6 @@ def worsens_another(context: Context, present: FittedModel, candidate: Candidate
 def cross_validate(context: Context, fits: Sequence[JointFit]) -> Array:
     """Predict the residuals of each motion by a fit without its fold.
 
-    Args:
-        fits: Fits of different joints.
-
     Returns:
         Each residual when its motion was left out, over the scale of its joint, (n_rows,); 0 without a fit.
     """
@@ -241,16 +182,13 @@ def cross_validate(context: Context, fits: Sequence[JointFit]) -> Array:
 
 
 def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Array]:
-    """Predict the residuals of each motion without its fold, for each fit by itself.
+    """Predict residuals without the fold of their motion, (n_rows,) over their scales, for each fit.
 
     Where the noise is known, nothing is left out: the chance of an effect counts what its sizes explain of
     the noise.
 
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
-
-    Returns:
-        The residuals of each fit when their motion was left out, over the scale of their joint, (n_rows,).
     """
     joint_of = context.model.joint_of
     if context.model.noise_std:
@@ -266,18 +204,11 @@ def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Arra
 
 
 def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
-    """Return the sizes of a fit after one step without a fold of motions.
+    """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
     A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
     changes in sizes together do to the residual is not known where it is STEP times less than what they do
     alone, and the step does not go there.
-
-    Args:
-        fit: Fit of all motions.
-        fold: Indices of motions that take no part.
-
-    Returns:
-        (n_sizes,), in their own units.
     """
     model, free = context.model, fit.columns
     sizes = context.union.sizes_at(free)

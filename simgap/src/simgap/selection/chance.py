@@ -1,4 +1,9 @@
-"""Chance: the probability of an effect if it is absent, also with few motions."""
+"""Chance: the probability of an effect if it is absent, also with few motions.
+
+Residuals and changes are arrays (n_rows,) without a unit, orthogonal to the changes by the base parameters:
+`change` is that by the fitted sizes, `n_sizes` of them; `before` and `after` are residuals without and with
+the effect. `cluster` is the cluster of each row, an index from 0.
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -19,7 +24,7 @@ DRAWS: Final = 2000
 
 
 def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_sizes: int) -> float:
-    """Test whether the change that an effect makes is due to noise.
+    """Test whether the change that an effect makes is due to noise; return the p-value.
 
     The errors are CR2 (Bell and McCaffrey 2002): those of a cluster are enlarged by as much as the fit has
     followed it, and the degrees of freedom fall where few clusters decide. The change is that of the best
@@ -27,13 +32,6 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_si
 
     Args:
         basis: Orthonormal changes by the base parameters, (n_rows, n_base), without a unit.
-        change: Change by the fitted sizes, (n_rows,), orthogonal to the basis, without a unit.
-        residual: Residuals before the effect, orthogonal to the basis, (n_rows,), without a unit.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        n_sizes: Number of fitted sizes.
-
-    Returns:
-        Probability of the statistic, or a larger one, if the sizes are 0.
     """
     length = float(np.linalg.norm(change))
     if length == 0.0:
@@ -74,13 +72,6 @@ def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers,
 
     Args:
         n_base: Number of base parameters that the residuals have followed.
-        change: Change by the fitted sizes, (n_rows,), orthogonal to base changes, without a unit.
-        residual: Residuals before the effect, orthogonal to base changes, (n_rows,), without a unit.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        n_sizes: Number of fitted sizes.
-
-    Returns:
-        Probability of the statistic, or a larger one, if the sizes are 0.
     """
     length = float(np.linalg.norm(change))
     sums = np.bincount(cluster)
@@ -99,10 +90,6 @@ def chi_square_log_p(statistic: float, freedom: float) -> float:
 
     Far in the tail the probability underflows; there the leading term of the incomplete gamma function is
     used, so that the order of strong effects is kept.
-
-    Args:
-        statistic: The statistic, without a unit.
-        freedom: Degrees of freedom.
     """
     x, half = max(statistic, 0.0) / 2.0, freedom / 2.0
     if x <= ASYMPTOTIC_FROM:
@@ -111,17 +98,7 @@ def chi_square_log_p(statistic: float, freedom: float) -> float:
 
 
 def known_noise_log_p(before: Array, after: Array, n_sizes: int) -> float:
-    """Test whether an effect decreases the sum of squares by chance, where the noise is known (Wilks 1938).
-
-    Args:
-        before: Residuals without the effect over the standard deviation of the noise, (n_rows,), without a
-            unit.
-        after: The same with it, (n_rows,), without a unit.
-        n_sizes: Number of fitted sizes.
-
-    Returns:
-        Natural logarithm of the probability of the decrease, or a larger one, if the sizes are 0.
-    """
+    """Return the log p of an effect's decrease of the sum of squares in known noise (Wilks 1938)."""
     return chi_square_log_p(float(before @ before - after @ after), n_sizes)
 
 
@@ -130,9 +107,6 @@ def count_distinct(directions: Sequence[Array]) -> float:
 
     Tests of effects that look alike, such as a payload and a heavier link, are right or wrong together. The
     count is that of Li and Ji (2005), from the eigenvalues of the correlations.
-
-    Args:
-        directions: Change of the residuals by each effect, (n_rows,) each, in any unit.
 
     Returns:
         Number from 1 to that of the directions which are not 0; 0 if there is none.
@@ -153,7 +127,7 @@ def alternative_p(
     seed: int,
     noise_std: float = 0.0,
 ) -> float:
-    """Test whether a model may be right although another fits better (Cox 1961).
+    """Test whether a model may be right although another fits better (Cox 1961); return the p-value.
 
     Data are drawn from the model: its prediction with its residuals, whose sign changes at random from
     cluster to cluster. All models are refitted to them, along their derivatives. The better model is the best
@@ -164,13 +138,8 @@ def alternative_p(
             (n_rows, n_sizes), without a unit.
         rivals: The same of all models that might have been found, (n_rows,) and (n_rows, n_sizes), without a
             unit, with the same weights, better one first.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        seed: Seed of the draws.
         noise_std: Standard deviation of the noise in the same unit, if it is known; it is then drawn instead
             of the signs.
-
-    Returns:
-        Probability of so large an advantage, or a larger one, in the sum of squares.
     """
     theirs, their_basis = other
     if noise_std:

@@ -26,9 +26,9 @@ import mujoco
 import numpy as np
 import scipy
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.robot import Robot
 
 Progress = Callable[[float, str], None]
@@ -41,11 +41,7 @@ class Meter:
     """Counts candidates. The share stays 0 until the base parameters are fitted, and never falls."""
 
     def __init__(self, progress: Progress = lambda share, text: None) -> None:
-        """Start at 0.
-
-        Args:
-            progress: Called with the share that is done, from 0 to 1, and a text.
-        """
+        """Start at 0."""
         self._progress = progress
         self._share, self._is_silent = 0.0, False
         self._done, self._begin = 0, 0
@@ -59,11 +55,7 @@ class Meter:
         return [self._share, self._done, *rounds]
 
     def restore(self, counts: Sequence[float]) -> None:
-        """Take the counts of an earlier run, and report nothing before `go_on`.
-
-        Args:
-            counts: Counts of a meter.
-        """
+        """Take the counts of an earlier run, and report nothing before `go_on`."""
         self._is_silent = True
         self._share, done, begin, expected, self._after, ended_done, ended_expected = counts
         self._done, self._begin, self._expected = int(done), int(begin), int(expected)
@@ -88,12 +80,7 @@ class Meter:
         self._begin, self._expected, self._after = self._done, expected, after
 
     def advance(self, text: str, count: int) -> None:
-        """Count candidates.
-
-        Args:
-            text: Name of the work.
-            count: Number of candidates that were simulated.
-        """
+        """Count candidates."""
         self._done += count
         if self._expected:
             ratio = self._ended_done / self._ended_expected if self._ended_expected else 1.0
@@ -152,11 +139,7 @@ class Checkpoint:
 
         Args:
             meter: Progress, which goes on from where it was after the step.
-            name: Name of the step.
             work: Carries out the step; its result consists of effects, arrays and records of them.
-
-        Returns:
-            The result.
         """
         number, self._number = self._number, self._number + 1
         if self._folder is None:
@@ -199,9 +182,6 @@ def pack(value: object, arrays: list[Array]) -> Any:
     Args:
         value: Numbers, texts, arrays, effects, and records, lists and tuples of them.
         arrays: Gets the arrays of the result, (...) of any units; the document has their places.
-
-    Returns:
-        The document.
     """
     if isinstance(value, Effect):
         return {"effect": value.key}
@@ -225,10 +205,6 @@ def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]
 
     Args:
         arrays: Arrays of the result, (...) of any units.
-        effects: Effects by their keys.
-
-    Returns:
-        The result.
 
     Raises:
         KeyError: The document names an effect or a record that is not there.
@@ -262,17 +238,11 @@ def digest_code() -> str:
 def digest_inputs(
     robot: Robot,
     motions: Sequence[Motion],
-    usable: Mapping[tuple[str, str], Flags] | None,
+    usable: Usable | None,
     effects: Sequence[Effect],
     seed: int,
 ) -> str | None:
     """Return the digest of all that the steps of a diagnosis depend on.
-
-    Args:
-        robot: The robot, with its compiled model.
-        motions: Motions that are fitted.
-        usable: By names of motion and joint, which samples take part, (n,) flags.
-        effects: Effects of the user's own, whose files count.
 
     Returns:
         SHA-256 as hexadecimal text; None if an effect has no file, so that its code is not known.
@@ -289,7 +259,7 @@ def digest_inputs(
 def _inputs(
     robot: Robot,
     motions: Sequence[Motion],
-    usable: Mapping[tuple[str, str], Flags] | None,
+    usable: Usable | None,
     effects: Sequence[Effect],
     seed: int,
 ) -> Iterator[bytes]:

@@ -100,18 +100,10 @@ def start_context(
     meter: Meter,
     checkpoint: Checkpoint | None = None,
 ) -> Context:
-    """Put base and catalogue into one union and divide the motions into folds.
+    """Make a context, with scales of 1 and nothing shared: base and catalogue in a union, motions in folds.
 
     Args:
-        model: Residuals of the motions that are fitted.
-        base: Nuisance effects.
         catalogue: Effects that compete; those that are also in the base are left out.
-        seed: Seed of the folds.
-        meter: Counts simulated candidates.
-        checkpoint: Keeps the results of steps; None: nothing is kept.
-
-    Returns:
-        The context, with scales of 1 and without shared simulations.
     """
     known = {effect.key for effect in base}
     others = tuple(effect for effect in catalogue if effect.key not in known)
@@ -137,16 +129,12 @@ def start_context(
 
 
 def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str]) -> Integers:
-    """List the joint at which each size is judged.
+    """List the joint, or ALL_JOINTS, at which each size is judged, (n_sizes,).
 
     Where a robot has one joint, effects at bodies are fitted with it.
 
     Args:
-        union: Effects, and the columns of their sizes.
         everywhere: Keys of effects at a joint that are judged at all joints, because they move others too.
-
-    Returns:
-        Index of the joint, or ALL_JOINTS, of each size, (n_sizes,).
     """
     places = [
         0
@@ -160,14 +148,7 @@ def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str])
 
 
 def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
-    """Divide motions at random into folds of about equal numbers; blocks, those of each joint by themselves.
-
-    Args:
-        seed: Seed of the order.
-
-    Returns:
-        Indices of the motions of each fold.
-    """
+    """Divide motions at random into folds of about equal numbers; blocks, those of each joint apart."""
     random, n = np.random.default_rng(seed), len(model.motions)
     joint = model.joint_of_block if isinstance(model, Blocks) else np.zeros(n, dtype=np.int64)
     order = [int(m) for j in np.unique(joint) for m in random.permutation(np.flatnonzero(joint == j))]
@@ -181,11 +162,6 @@ def resume_step(
 
     Args:
         step: Function of the context, whose result `checkpoint.pack` can keep.
-        *args: Its further arguments.
-        **kwargs: Its named arguments.
-
-    Returns:
-        Its result.
     """
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
@@ -193,15 +169,7 @@ def resume_step(
 def fit_together(
     context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
 ) -> list[JointFit]:
-    """Fit hypotheses in this context.
-
-    Args:
-        text: Name of the work, for the progress.
-        iterations: Most iterations.
-
-    Returns:
-        The fits.
-    """
+    """Fit hypotheses in this context."""
     return fit_hypotheses(
         context.model,
         context.union,
@@ -214,16 +182,7 @@ def fit_together(
 
 
 def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array]:
-    """Simulate single points in this context.
-
-    Args:
-        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
-            (n_motions, n_sizes).
-        text: Name of the work, for the progress.
-
-    Returns:
-        Residuals of its joint for each point, (n_rows,).
-    """
+    """Simulate points, as `evaluate_points` takes them; return residuals of the joint of each, (n_rows,)."""
     return evaluate_points(
         context.model,
         context.union,

@@ -3,6 +3,8 @@
 Each hypothesis frees a few sizes and reads the residuals of one joint, or of all. scipy fits one problem at
 a time; here all advance together, because an engine simulates a hundred candidates at the price of ten.
 Hypotheses at different joints share a candidate where one joint scarcely moves another (`sharing.py`).
+
+Residuals are arrays (n,) in the unit of the model, scales (n_joints,) too; columns are indices, (n_sizes,).
 """
 
 from collections.abc import Callable, Sequence
@@ -44,34 +46,16 @@ class Union:
 
     @cached_property
     def owner(self) -> Integers:
-        """Index of the effect of each column.
-
-        Returns:
-            (n_sizes,).
-        """
+        """Index of the effect of each column, (n_sizes,)."""
         return np.repeat(np.arange(len(self.effects)), [len(effect.sizes) for effect in self.effects])
 
     def sizes_at(self, columns: Integers) -> list[Size]:
-        """Return the sizes in these columns.
-
-        Args:
-            columns: Indices of columns, (n_sizes,), without a unit.
-
-        Returns:
-            Bounds, typical size and prior of each, in its own unit.
-        """
+        """Return the sizes in these columns."""
         sizes = self.sizes
         return [sizes[c] for c in columns]
 
     def columns(self, effects: Sequence[Effect]) -> Integers:
-        """Return the columns of the sizes of these effects.
-
-        Args:
-            effects: Members of the union.
-
-        Returns:
-            Indices, (n_sizes,).
-        """
+        """Return the columns of the sizes of these effects, (n_sizes,) indices."""
         return np.concatenate([np.empty(0, np.int64), *(self._columns[effect.key] for effect in effects)])
 
     @cached_property
@@ -117,15 +101,7 @@ class JointFit:
 
 
 def gather_residuals(fits: Sequence[JointFit], n_rows: int) -> Array:
-    """Put the residuals of the joints in one array.
-
-    Args:
-        fits: One fit a joint.
-        n_rows: Number of residuals of all joints.
-
-    Returns:
-        (n_rows,), in the unit of the model.
-    """
+    """Put the residuals of the joints in one array, (n_rows,), in the unit of the model."""
     together = np.zeros(n_rows)
     for fit in fits:
         together[fit.rows] = fit.residuals
@@ -133,15 +109,9 @@ def gather_residuals(fits: Sequence[JointFit], n_rows: int) -> Array:
 
 
 def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
-    """Return a robust standard deviation for the residuals of each joint.
+    """Return a robust deviation for each joint, (n_joints,): 1.4826 times the median absolute residual.
 
     Known noise is normal, and its loss is a sum of squares: that of a scale which no residual comes near.
-
-    Args:
-        residuals: (n,), in the unit of the model.
-
-    Returns:
-        Scales by joint, (n_joints,), 1.4826 times the median of the absolute residuals.
     """
     scales = np.ones(len(model.joints))
     if model.noise_std:
@@ -166,15 +136,8 @@ def fit_hypotheses(
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
 
     Args:
-        union: Effects, and the columns of their sizes.
-        hypotheses: Problems to solve.
-        scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
         sharing: Joints whose hypotheses may share a candidate.
-        iterations: Most iterations.
         report: Called with the number of candidates after each call of the model.
-
-    Returns:
-        One fit a hypothesis, in their order.
     """
     evaluate = _Evaluator(model, union, sharing, report)
     problems = [_Problem(model, union, hypothesis, scales, sharing) for hypothesis in hypotheses]
@@ -205,7 +168,6 @@ def evaluate_points(
     """Simulate single points, those of different joints in one candidate if they may share it.
 
     Args:
-        union: Effects, and the columns of their sizes.
         points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
             (n_motions, n_sizes).
         sharing: Joints whose points may share a candidate.
@@ -378,12 +340,5 @@ class _Evaluator:
 
 
 def select_rows(model: ResidualModel, joint: int) -> Integers:
-    """Return the rows of the residuals of a joint.
-
-    Args:
-        joint: Index of the joint, or ALL_JOINTS.
-
-    Returns:
-        Indices, (n_rows,).
-    """
+    """Return the rows of the residuals of a joint, or of ALL_JOINTS, (n_rows,) indices."""
     return np.arange(len(model.joint_of)) if joint == ALL_JOINTS else np.flatnonzero(model.joint_of == joint)

@@ -1,4 +1,7 @@
-"""Fit the base parameters and the accepted effects of every joint, with all motions and without some."""
+"""Fit the base parameters and the accepted effects of every joint, with all motions and without some.
+
+Sizes are those of the union, each in its own unit, (n_sizes,); a fit starts from them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,13 +24,7 @@ from simgap.selection.context import (
     resume_step,
     simulate,
 )
-from simgap.selection.fit import (
-    Hypothesis,
-    JointFit,
-    gather_residuals,
-    scale_residuals,
-    select_rows,
-)
+from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, scale_residuals, select_rows
 from simgap.selection.screening import share_simulations
 from simgap.selection.sharing import ALL_JOINTS
 
@@ -86,13 +83,6 @@ def add_effects(
     """Add effects to the present model, and refit it in the scales of its new residuals.
 
     A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
-
-    Args:
-        effects: Effects to add.
-        found: The fit with each of them.
-
-    Returns:
-        The context with new scales, and the model refitted in them.
     """
     sizes, model = merge_sizes(context, present.sizes, found), context.model
     (together,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
@@ -115,9 +105,6 @@ def recut_blocks(
     Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
     the misfit would be so few that a fit without one of them extrapolates.
 
-    Args:
-        shortlist: Scores of the effects that will be judged.
-
     Returns:
         The context with new blocks and folds, and the model judged by them; the same where motions are whole.
     """
@@ -133,28 +120,13 @@ def recut_blocks(
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[JointFit, ...]]:
-    """Fit the base parameters of all joints.
-
-    Args:
-        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
-
-    Returns:
-        Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
-    """
+    """Fit the base parameters of all joints; return sizes (n_sizes,), all residuals (n,), and the fits."""
     fits = resume_step(fit_joints, context, (), sizes)
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
 def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Integers:
-    """Return the columns of the base and of these effects that are fitted at a joint.
-
-    Args:
-        effects: Accepted effects.
-        joint: Index of the joint; ALL_JOINTS: all columns.
-
-    Returns:
-        Indices, (p,).
-    """
+    """Return the columns, (p,), of the base and of these effects that are fitted at a joint or ALL_JOINTS."""
     wanted = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
     return context.union.columns(wanted)
 
@@ -165,13 +137,7 @@ def start_fit(
     """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
 
     Args:
-        effects: Accepted effects.
-        joint: Index of the joint, or ALL_JOINTS.
-        sizes: Sizes from which the fit starts, (n_sizes,), in their own units.
         known: Fits of the same residual model at sizes that are near.
-
-    Returns:
-        The hypothesis.
     """
     columns = free_columns(context, effects, joint)
     slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
@@ -191,12 +157,7 @@ def fit_joints(
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
 
     Args:
-        effects: Accepted effects.
-        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
         known: Fits of the same residual model at sizes that are near.
-
-    Returns:
-        One fit a joint, or one of all joints, each with the sizes of all.
     """
     joints = [*range(len(context.model.joints))]
     if any(context.joint_of(one) == ALL_JOINTS for one in effects):
@@ -210,14 +171,7 @@ def fit_joints(
 
 
 def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[JointFit, ...]:
-    """Return the fits of the residuals of a joint.
-
-    Args:
-        joint: Index of the joint; ALL_JOINTS: all fits.
-
-    Returns:
-        The fit of the joint; of a fit of all joints, the part at this one.
-    """
+    """Return the fits of the residuals of a joint or ALL_JOINTS; of a fit of all joints, its part there."""
     if joint == ALL_JOINTS or len(present.fits) == len(context.model.joints):
         return present.fits if joint == ALL_JOINTS else (present.fits[joint],)
     (whole,) = present.fits
@@ -235,14 +189,7 @@ def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[JointFi
 
 
 def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Array:
-    """Return the sizes with those that each fit has found.
-
-    Args:
-        sizes: (n_sizes,), in their own units.
-
-    Returns:
-        (n_sizes,).
-    """
+    """Return the sizes, (n_sizes,), with those that each fit has found."""
     merged = sizes.copy()
     for fit in fits:
         merged[fit.columns] = fit.sizes[fit.columns]
@@ -250,14 +197,7 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Arr
 
 
 def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
-    """Refit the model without some of its effects.
-
-    Args:
-        effects: Effects to leave out.
-
-    Returns:
-        The model without them.
-    """
+    """Refit the model without some of its effects."""
     gone = {effect.key for effect in effects}
     rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
@@ -267,11 +207,7 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
-    """Divide effects into groups that can be left out together, because none moves the joint of another.
-
-    Returns:
-        Groups, in the order of their first effects.
-    """
+    """Divide effects into groups that can be left out together, because none moves the joint of another."""
     layers: list[list[Effect]] = []
     for effect in effects:
         free = [layer for layer in layers if all(_are_separate(context, effect, one) for one in layer)]
@@ -288,10 +224,6 @@ def _are_separate(context: Context, first: Effect, second: Effect) -> bool:
 
 
 def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
-    """Return the joints at which an effect is judged.
-
-    Returns:
-        Indices of joints.
-    """
+    """Return the joints at which an effect is judged."""
     joint = context.joint_of(effect)
     return tuple(range(len(context.model.joints))) if joint == ALL_JOINTS else (joint,)

@@ -2,6 +2,9 @@
 
 Each effect is simulated at several sizes: the derivative at size 0 says nothing of a velocity limit. Its
 change, cleared of what the base parameters can do, is held against the residual motion by motion.
+
+Sizes, and `at`, are those of the union in the present model, each in its own unit, (n_sizes,). Residuals are
+(n,) in the unit of the model, and scales (n_joints,).
 """
 
 from collections.abc import Sequence
@@ -36,15 +39,7 @@ class Trial:
 
 
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
-    """List the sizes at which an effect is tried.
-
-    Args:
-        union: Effects, and the columns of their sizes.
-        at: Sizes of the present model, (n_sizes,), in their own units.
-
-    Returns:
-        Trials with one direction for each size of the effect, for each factor.
-    """
+    """List the trials of an effect: one direction for each of its sizes, for each factor."""
     columns = union.columns([effect])
     trials = []
     for factor in FACTORS:
@@ -87,14 +82,7 @@ class Whitened:
         return together
 
     def clear(self, change: Array) -> Array:
-        """Weight a change of the residuals and clear it like the residuals.
-
-        Args:
-            change: (n_rows, n_points), in the unit of the model.
-
-        Returns:
-            (n_rows, n_points), without a unit.
-        """
+        """Weight a change of the residuals and clear it like the residuals, (n_rows, n_points)."""
         cleared = np.empty_like(change)
         for rows, weight, basis in self.parts:
             part = np.where(np.isfinite(change[rows]), change[rows], 0.0) * weight[:, None]
@@ -103,15 +91,7 @@ class Whitened:
 
 
 def whiten(fits: Sequence[JointFit], model: ResidualModel, scales: Array) -> Whitened:
-    """Weight the residuals of some joints and clear them of what their free sizes can do.
-
-    Args:
-        fits: Present model of these joints.
-        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
-
-    Returns:
-        The whitened residuals.
-    """
+    """Weight the residuals of some joints and clear them of what their free sizes can do."""
     parts, residuals, begin = [], [], 0
     for fit in fits:
         scale = scales[model.joint_of[fit.rows]]
@@ -138,11 +118,8 @@ def score_effect(
     """Hold the changes that an effect makes against the residual of the present model.
 
     Args:
-        white: Residuals of the present model.
-        trials: Trials of one effect.
         changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
             the fit.
-        at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
         The score of the best trial; its change and what it leaves, (n_rows,) each, without a unit. With
@@ -196,8 +173,6 @@ def adjust(share: float, n_sizes: int, n_independent: int) -> float:
     """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
 
     Args:
-        share: Share that is explained.
-        n_sizes: Number of fitted sizes.
         n_independent: Number of independent samples: blocks as long as the correlation time.
 
     Returns:
@@ -215,17 +190,10 @@ def refit_p(
     scales: Array,
     is_stationary: bool,
 ) -> float:
-    """Test whether a fit without an effect is worse by chance.
+    """Test whether a fit without an effect is worse by chance: p-value of `stationary_p` or `wald_p`.
 
     Args:
-        fits: Fits, with the effect, of the joints at which it is judged.
-        own: Columns of the effect, (n_sizes,) indices.
-        without: Residuals of a fit without it, (n,), in the unit of the model.
-        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
         is_stationary: True if repeats show the noise.
-
-    Returns:
-        Probability of such a change, or a larger one, by `stationary_p` or `wald_p`.
     """
     base = []
     for fit in fits:
@@ -252,12 +220,7 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     """Measure which joints effects move, and choose what shares simulations and what is judged at all joints.
 
     Args:
-        context: The context, with scales.
-        sizes: Present sizes, (n_sizes,), in their own units.
         effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
-
-    Returns:
-        The context with its sharing, and the reach of the effects.
     """
     union, model = context.union, context.model
     base = {effect.key for effect in context.base}
@@ -283,8 +246,6 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
     """Measure how much effects of typical size move each joint, in the motions in which joints move most.
 
     Args:
-        context: The context, with scales.
-        sizes: Present sizes, (n_sizes,), in their own units.
         columns: For each effect the columns of its sizes and its typical sizes, (n_own,), in their units.
 
     Returns:
@@ -308,11 +269,7 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
 
 
 def list_fastest_motions(model: ResidualModel) -> list[str]:
-    """List, for each joint, the motion in which it moves fastest.
-
-    Returns:
-        Names of motions, without repetition.
-    """
+    """List, for each joint, the motion in which it moves fastest, without repetition."""
     square = np.nan_to_num(model.explain("velocity") ** 2)
     shape = len(model.joints), len(model.motions)
     cell = model.joint_of * shape[1] + model.motion_of
@@ -323,14 +280,7 @@ def list_fastest_motions(model: ResidualModel) -> list[str]:
 
 
 def expected_change(context: Context, joint: int, trial: Trial) -> float:
-    """Return the change that a trial should make at its joint, from that of typical sizes.
-
-    Args:
-        joint: Index of the joint, or ALL_JOINTS.
-
-    Returns:
-        RMS change over the scale of the joint, without a unit.
-    """
+    """Return the RMS change over the scale of its joint that a trial should make there, by typical sizes."""
     if joint == ALL_JOINTS:
         return 0.0
     typical = np.array([size.typical for size in trial.effect.sizes])

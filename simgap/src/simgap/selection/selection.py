@@ -1,6 +1,8 @@
 """Select the effects that the motions need: screen, refit a shortlist, accept by motions that were left out.
 
 Effects at different joints are selected side by side. An effect at a body competes with them for all joints.
+
+`without` has the residuals of a model without an effect, (n,), in the unit of the residual model.
 """
 
 from collections.abc import Sequence
@@ -86,16 +88,8 @@ def select_effects(
     """Find the effects that motions need beyond the base parameters.
 
     Args:
-        model: Residuals of the motions that are fitted.
         base: Effects that every model has: nuisance parameters with priors.
-        catalogue: Effects that compete.
-        seed: Seed of the folds.
         n_kinds: Kinds of residual in which effects are looked for, which share the probability of chance.
-        meter: Tells the progress; None: nobody is told.
-        checkpoint: Keeps the results of steps; None: nothing is kept.
-
-    Returns:
-        The models before and after.
     """
     context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
     present = first
@@ -136,8 +130,6 @@ def list_again(
     Where the present model is far from the motions, the screen ranks worse than a refit.
 
     Args:
-        open_joints: Joints at which effects are still looked for.
-        shortlist: Effects that the screen has found.
         finalists: Effects of the round before, with their sizes and the share that they removed.
 
     Returns:
@@ -165,10 +157,6 @@ def screen(
     context: Context, present: FittedModel, open_joints: set[int], rounds_after: float
 ) -> tuple[list[Score], float]:
     """Simulate every effect at a few sizes, and keep the best of each place.
-
-    Args:
-        open_joints: Joints at which effects are still looked for.
-        rounds_after: Rounds that are expected after this one, for the progress.
 
     Returns:
         At most SHORTLIST scores of a joint, and as many of all bodies; and how many effects are distinct.
@@ -235,9 +223,6 @@ def find_winners(
 ) -> tuple[list[Candidate], list[Score]]:
     """Refit the shortlist, and choose what is accepted.
 
-    Args:
-        shortlist: Effects, and the sizes from which they start.
-
     Returns:
         Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
         end and, with a gain of 0, those that explain RIVAL_SHARE of what the best explains.
@@ -260,28 +245,13 @@ def find_winners(
 
 
 def explain_loss(context: Context, fit: JointFit, without: Array) -> float:
-    """Return by how much a fit decreases the loss of its joints.
-
-    Args:
-        fit: A fit with an effect more.
-        without: Residuals of the present model, (n,), in the unit of the model.
-
-    Returns:
-        Decrease of the sum of the pseudo-Huber loss.
-    """
+    """Return by how much a fit decreases the loss of its joints."""
     scale = context.scales[context.model.joint_of[fit.rows]]
     return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
 
 
 def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:
-    """Return the hypothesis of an effect with the base parameters and the accepted effects of its joint.
-
-    Args:
-        score: The effect, and the sizes from which it starts.
-
-    Returns:
-        The hypothesis.
-    """
+    """Return the hypothesis of an effect with the base parameters and the accepted effects of its joint."""
     effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
     return start_fit(context, effects, joint, score.start, present.fits)
 
@@ -289,14 +259,7 @@ def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothe
 def judge(
     context: Context, present: FittedModel, effects: Sequence[Effect], starts: Sequence[Hypothesis]
 ) -> list[Candidate]:
-    """Refit effects with all motions and without each fold.
-
-    Args:
-        starts: The hypothesis of each.
-
-    Returns:
-        One candidate an effect.
-    """
+    """Refit effects with all motions and without each fold."""
     fits = fit_together(context, starts, "refit")
     candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
@@ -313,13 +276,6 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
     """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
     A simulation works in steps: a delay of less than half a step is none in it.
-
-    Args:
-        others: The other effects of the model.
-        fit: The fit with it.
-
-    Returns:
-        True if the effect gets no name.
     """
     own = context.union.columns([effect])
     beside = {
@@ -344,9 +300,6 @@ def drop_needless(
     context: Context, present: FittedModel
 ) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
-
-    Args:
-        present: The model with all accepted effects.
 
     Returns:
         The model with those that it needs; and the effects that were left out together with the model
@@ -375,10 +328,6 @@ def drop_needless(
 
 def find_log_chance(context: Context, fits: Sequence[JointFit], effect: Effect, without: Array) -> float:
     """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
-
-    Args:
-        fits: Fits, with the effect, of the joints at which it is judged.
-        without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:
         Probability by a Wald test, or that of a decrease of known noise, times the number of distinct effects

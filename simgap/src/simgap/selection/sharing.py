@@ -1,4 +1,8 @@
-"""Share simulations: hypotheses at joints that scarcely move one another are put into one candidate."""
+"""Share simulations: hypotheses at joints that scarcely move one another are put into one candidate.
+
+`joint_of_column` is the joint of each size, or ALL_JOINTS, (n_sizes,); `reach` has changes at all joints,
+(n_joints,), without a unit.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,29 +39,14 @@ class Sharing:
     """Joint whose residuals decide each size, or ALL_JOINTS, (n_sizes,)."""
 
     def may_share(self, first: int, second: int) -> bool:
-        """Return whether sizes at two joints scarcely change the other joint.
-
-        Args:
-            first: Column of a size.
-            second: Column of another.
-
-        Returns:
-            True if they may differ in one candidate; False at the same joint, or at all joints.
-        """
+        """Return whether sizes in two columns scarcely change each other's joint; False at the same."""
         joints = {int(self.joint_of_column[first]), int(self.joint_of_column[second])}
         if len(joints) < 2 or ALL_JOINTS in joints or np.isin((first, second), self.mixing).any():
             return False
         return any(joints <= set(group) for group in self.groups)
 
     def plan(self, points: Sequence[Point]) -> list[list[int]]:
-        """Distribute points over as few candidates as possible.
-
-        Args:
-            points: All with sizes of one shape.
-
-        Returns:
-            For each candidate the indices of its points, at most one of each joint.
-        """
+        """Distribute points over few candidates; list the points of each, at most one of each joint."""
         same = np.union1d(self.mixing, np.flatnonzero(self.joint_of_column == ALL_JOINTS))
         group_of = {joint: g for g, group in enumerate(self.groups) for joint in group}
         alone: list[list[int]] = []
@@ -74,9 +63,6 @@ class Sharing:
     def merge(self, points: Sequence[Point]) -> Array:
         """Put the sizes of points at different joints into one candidate.
 
-        Args:
-            points: Members of a candidate by `plan`.
-
         Returns:
             Sizes of the union in their units, in the shape of the points.
         """
@@ -88,15 +74,7 @@ class Sharing:
 
 
 def share_nothing(n_joints: int, joint_of_column: Integers) -> Sharing:
-    """Return the sharing in which each joint has candidates of its own.
-
-    Args:
-        n_joints: Number of joints.
-        joint_of_column: Joint of each size, (n_sizes,), index or ALL_JOINTS.
-
-    Returns:
-        Groups of one joint each.
-    """
+    """Return the sharing in which each joint has candidates of its own."""
     none = np.empty(0, np.int64)
     return Sharing(tuple((j,) for j in range(n_joints)), none, none, joint_of_column)
 
@@ -146,15 +124,7 @@ def find_sharing(
 
 
 def relative_reach(joint: int, reach: Array) -> Array:
-    """Return the changes at other joints over that at a joint.
-
-    Args:
-        joint: Index of the joint.
-        reach: Changes at all joints, (n_joints,), without a unit.
-
-    Returns:
-        Ratios, (n_joints,); 0 at the joint itself.
-    """
+    """Return the changes at other joints over that at a joint, (n_joints,); 0 at the joint itself."""
     ratios: Array = reach / max(float(reach[joint]), 1e-12)
     ratios[joint] = 0.0
     return ratios

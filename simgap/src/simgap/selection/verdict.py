@@ -61,14 +61,7 @@ class ConfidenceSet:
 
 
 def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
-    """Refit competitors in the place of each finding, and exclude those that fit too badly to be the cause.
-
-    Args:
-        selection: The selected effects.
-
-    Returns:
-        One set a finding, in their order.
-    """
+    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause."""
     found: dict[str, ConfidenceSet] = {}
     for layer, without in selection.left_out:
         sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
@@ -79,16 +72,7 @@ def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
 def find_layer_sets(
     context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
 ) -> list[ConfidenceSet]:
-    """Refit the competitors of findings that are left out together.
-
-    Args:
-        selection: The selected effects.
-        without: The model without these findings.
-        layer: The findings that are left out.
-
-    Returns:
-        One set a finding of the layer.
-    """
+    """Refit the competitors of findings that are left out together."""
     # each begins at its own sizes, without the others that are left out
     starts = {effect.key: (effect, selection.chosen.sizes) for effect in layer}
     present = {effect.key for effect in without.effects}
@@ -171,9 +155,6 @@ def size_intervals(context: Context, fit: JointFit) -> Array:
     in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
     Where the noise is known, it is that of least squares, and the quantile is normal.
 
-    Args:
-        fit: A fit of one joint or of all.
-
     Returns:
         Low and high ends, (n_free, 2), in the units of the sizes.
     """
@@ -206,14 +187,7 @@ def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array)
 
 
 def separating_motion(context: Context, found: ConfidenceSet) -> str:
-    """Find the recorded motion in which the first two members of a set differ most.
-
-    Args:
-        found: A finding with its alternatives.
-
-    Returns:
-        A sentence; empty if one member is left.
-    """
+    """Say in which recorded motion the first two members of a set differ most; empty if one is left."""
     if len(found.alternatives) < 2:
         return ""
     first, second = found.alternatives[:2]
@@ -268,14 +242,7 @@ def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_
 
 
 def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[StrEnum, ...], tuple[str, ...]]:
-    """List the places, families and effects that cannot be excluded, the best first.
-
-    Args:
-        found: A finding with its alternatives.
-
-    Returns:
-        Names without repetition.
-    """
+    """List places, families and effects that cannot be excluded, the best first, without repetition."""
     effects = [one.effect for one in found.alternatives]
     places, families = (
         dict.fromkeys(one.place for one in effects),

@@ -1,4 +1,7 @@
-"""Calibration of a serial arm from a series of poses: first estimate of base and target, fit, error terms."""
+"""Calibration of a serial arm from a series of poses: first estimate of base and target, fit, error terms.
+
+`used` flags the poses that are fitted, (n,); values of parameters are (p,) in their units, by default 0.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,8 +94,7 @@ def _solve_rotations(R_TM: Array, R_BF: Array) -> tuple[Array, Array]:
 
 def _nearest_rotation(M: Array) -> Array:
     U, _, Vt = np.linalg.svd(M)
-    R: Array = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return R
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def _solve_translations(series: PoseSeries, X_BF: Pose, R_TB: Array, R_FM: Array) -> TrackerSetup:
@@ -119,18 +121,15 @@ def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
 
 
 def _product(R_TB: Array, R_BF: Array, R_FM: Array) -> Array:
-    product: Array = np.einsum("ij,jkn,kl->iln", R_TB, R_BF, R_FM)
-    return product
+    return np.asarray(np.einsum("ij,jkn,kl->iln", R_TB, R_BF, R_FM))
 
 
 def _angle(R: Array) -> Array:
-    angle: Array = np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0))
-    return angle
+    return np.asarray(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0)))
 
 
 def _log(R: Array) -> Array:
-    turns: Array = Rotation.from_matrix(np.moveaxis(R, -1, 0)).as_rotvec().T
-    return turns
+    return np.asarray(Rotation.from_matrix(np.moveaxis(R, -1, 0)).as_rotvec().T)
 
 
 COMPONENTS: Final = 6
@@ -192,15 +191,6 @@ def calibrate_series(
     A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
     with the next fit are included again.
 
-    Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        series: Measured poses.
-        terms: Terms to fit, of TERMS.
-
-    Returns:
-        The calibration.
-
     Raises:
         RobotError: Too many poses do not agree.
     """
@@ -232,19 +222,7 @@ def fit_poses(
     used: Flags,
     start: Array | None = None,
 ) -> SerialCalibration:
-    """Fit an arm to selected poses of a series.
-
-    Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        series: Measured poses.
-        terms: Terms to fit, of TERMS.
-        used: Boolean flags of the poses to fit, shape (n,).
-        start: Initial values in the units of the parameters, shape (p,); zeros by default.
-
-    Returns:
-        The calibration.
-    """
+    """Fit an arm to selected poses of a series."""
     model = serial_model(arm, setup, series, terms)
     return SerialCalibration(model, fit(model.parameters, model, start, used))
 
@@ -323,14 +301,10 @@ def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:
 
 
 def periodic_error_rad(features: Array, amplitudes: Array) -> Array:
-    """Compute the periodic error of a joint.
+    """Compute the periodic error of a joint, (n,) [rad].
 
     Args:
         features: Cosines and sines, unitless, shape (n, k), k twice the number of orders.
         amplitudes: Amplitudes of cosines and sines [rad], shape (2, orders).
-
-    Returns:
-        Errors [rad], shape (n,).
     """
-    waves: Array = features @ amplitudes.ravel()
-    return waves
+    return np.asarray(features @ amplitudes.ravel())

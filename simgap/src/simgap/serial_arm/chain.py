@@ -1,7 +1,8 @@
 """Poses in batches, error screws, forward kinematics of a serial arm, and series of measured poses.
 
 Components lead, the batch axis trails: a vector has shape (3, n), a rotation (3, 3, n), so that the inner
-loops of numpy run over the batch.
+loops of numpy run over the batch. Parameters of links are (6,) or (joints, 6), in radians and metres; joint
+angles are (n,) or (joints, n), vectors of any unit.
 """
 
 from dataclasses import dataclass
@@ -48,96 +49,38 @@ IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 
 def repeat_pose(X: Pose, n: int) -> Pose:
-    """Repeat a pose.
-
-    Args:
-        X: A single pose.
-        n: Number of copies.
-
-    Returns:
-        The pose as a batch (n,).
-    """
+    """Repeat a pose n times, as a batch (n,)."""
     return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
 
 
 def relative_pose(X_AB: AnyPose, X_AC: AnyPose) -> Pose:
-    """Compute the pose of one frame in another.
-
-    Args:
-        X_AB: Frame B, batch (n,).
-        X_AC: Frame C in the same frame, batch (n,).
-
-    Returns:
-        X_BC, batch (n,).
-    """
+    """Compute X_BC, the pose of frame C in frame B, batch (n,)."""
     R_BA = np.swapaxes(X_AB.R, 0, 1)
     return Pose(R_BA, -rotate_back(X_AB.R, X_AB.p)) @ Pose(X_AC.R, X_AC.p)
 
 
 def compose(R: Array, S: Array) -> Array:
-    """Multiply rotations.
-
-    Args:
-        R: Left rotations, shape (3, 3, ...), unitless.
-        S: Right rotations, shape (3, 3, ...), unitless.
-
-    Returns:
-        The rotations R S, shape (3, 3, ...).
-    """
-    product: Array = np.einsum("ik...,kj...->ij...", R, S)
-    return product
+    """Multiply rotations: R S, shape (3, 3, ...)."""
+    return np.asarray(np.einsum("ik...,kj...->ij...", R, S))
 
 
 def rotate(R: Array, v: Array) -> Array:
-    """Rotate vectors.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The vectors R v, shape (3, ...), unit of v.
-    """
-    turned: Array = np.einsum("ij...,j...->i...", R, v)
-    return turned
+    """Rotate vectors: R v, shape (3, ...), unit of v."""
+    return np.asarray(np.einsum("ij...,j...->i...", R, v))
 
 
 def rotate_back(R: Array, v: Array) -> Array:
-    """Rotate vectors by the transposes of rotations.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The vectors R^T v, shape (3, ...), unit of v.
-    """
-    turned: Array = np.einsum("ji...,j...->i...", R, v)
-    return turned
+    """Rotate vectors by the transposes of rotations: R^T v, shape (3, ...), unit of v."""
+    return np.asarray(np.einsum("ji...,j...->i...", R, v))
 
 
 def norm(v: Array) -> Array:
-    """Compute the Euclidean norm of vectors.
-
-    Args:
-        v: Vectors of any unit, shape (3, n).
-
-    Returns:
-        The norms, shape (n,), unit of v.
-    """
-    lengths: Array = np.sqrt(np.einsum("in,in->n", v, v))
-    return lengths
+    """Compute the Euclidean norm of vectors, shape (n,), unit of v."""
+    return np.asarray(np.sqrt(np.einsum("in,in->n", v, v)))
 
 
 def skew(v: Array) -> Array:
-    """Build the matrices [v] of the vector product: [v] w = v x w.
-
-    Args:
-        v: Vectors of any unit, shape (3, n).
-
-    Returns:
-        The matrices, shape (3, 3, n), unit of v.
-    """
+    """Build the matrices [v], shape (3, 3, n), of the vector product: [v] w = v x w."""
     K = np.zeros((3, *v.shape))
     K[0, 1], K[0, 2], K[1, 2] = -v[2], v[1], -v[0]
     K[1, 0], K[2, 0], K[2, 1] = v[2], -v[1], v[0]
@@ -145,14 +88,7 @@ def skew(v: Array) -> Array:
 
 
 def screw_log(X: AnyPose) -> Array:
-    """Compute the logarithm of poses, for rotations below half a turn.
-
-    Args:
-        X: Poses, batch (n,).
-
-    Returns:
-        Screws, rotation [rad] above translation [m], shape (6, n).
-    """
+    """Compute the logarithm of poses below half a turn: rotation [rad] above translation [m], (6, n)."""
     w = Rotation.from_matrix(np.moveaxis(X.R, -1, 0)).as_rotvec().T
     angle2 = np.einsum("in,in->n", w, w)
     small = angle2 < 1e-4
@@ -167,10 +103,6 @@ def screw_log(X: AnyPose) -> Array:
 def error_screw(X_RM: AnyPose, X_RT: AnyPose) -> Array:
     """Compute the error screws, the logarithm of D_error (paper equation 14).
 
-    Args:
-        X_RM: Modelled poses, batch (n,).
-        X_RT: Measured poses, batch (n,).
-
     Returns:
         Screws from modelled to measured poses in axes of the modelled ones, rotation [rad] above
         translation [m], shape (6, n).
@@ -182,13 +114,8 @@ def linearise(X_RM: AnyPose, jacobian: Array, X_RT: AnyPose, whitener: Array) ->
     """Compute whitened error screws of modelled poses with their derivatives.
 
     Args:
-        X_RM: Modelled poses, batch (n,).
         jacobian: Screws of the modelled poses in their own axes, per unit of each parameter, shape (6, n, p).
-        X_RT: Measured poses, batch (n,).
         whitener: Matrices that make the errors whitened, shape (n, 6, 6); rows may be 0.
-
-    Returns:
-        The linearisation of the residuals.
     """
     T = error_screw(X_RM, X_RT)
     derivatives = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), jacobian)
@@ -208,8 +135,7 @@ def _inverse_left_jacobian(T: Array) -> Array:
     ad[3:, :3] = skew(T[3:])
     ad2 = np.einsum("ikn,kjn->ijn", ad, ad)
     second_order = np.eye(6)[:, :, None] - ad / 2 + ad2 / 12
-    result: Array = second_order - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720
-    return result
+    return np.asarray(second_order - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720)
 
 
 LinkGeometry = Array
@@ -233,9 +159,6 @@ class LinkAxes:
     def screws(self, X_M: Pose) -> Array:
         """Compute the derivatives of a later frame by the six parameters of the link.
 
-        Args:
-            X_M: Frame M in the frame of the chain, batch (n,).
-
         Returns:
             Screws of M in its own axes per unit of each parameter, shape (6, n, 6).
         """
@@ -248,16 +171,7 @@ class LinkAxes:
 
 
 def link_transform(X: Pose, turn_rad: Array, geometry: LinkGeometry) -> tuple[Pose, LinkAxes]:
-    """Compute the frame at the end of a link (paper equation 1).
-
-    Args:
-        X: Frame at the beginning of the link, batch (n,).
-        turn_rad: Joint angles, shape (n,).
-        geometry: Parameters of the link, angles in radians, lengths in metres, shape (6,).
-
-    Returns:
-        The frame at the end, batch (n,), and the axes of the parameters.
-    """
+    """Compute the frame at the end of a link (paper equation 1), and the axes of its parameters."""
     theta, d, beta, b, alpha, a = geometry
     x, y, z = X.R[:, 0], X.R[:, 1], X.R[:, 2]
     x_theta, y_theta = _turn(x, y, turn_rad + theta)
@@ -276,16 +190,7 @@ def _turn(u: Array, v: Array, angle_rad: Array) -> tuple[Array, Array]:
 
 
 def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
-    """Compute the frames at the ends of all links; the last one is the flange.
-
-    Args:
-        X: Frame at the beginning of the first link, batch (n,).
-        link_geometry: Parameters of the links, angles in radians, lengths in metres, shape (joints, 6).
-        turn_rad: Joint angles, shape (joints, n).
-
-    Returns:
-        The frames, batch (n,) each, and the axes of each link.
-    """
+    """Compute the frames at the ends of all links, the last one the flange, and the axes of each link."""
     ends, axes = [], []
     for geometry, turn in zip(link_geometry, turn_rad, strict=True):
         X, link_axes = link_transform(X, turn, geometry)
@@ -300,8 +205,6 @@ def load_torque_Nm(
     """Compute the gravity torque on each joint.
 
     Args:
-        ends: Frames at the ends of the links, batch (n,) each.
-        axes: Axes of each link.
         masses_kg: Masses of the links, shape (joints,).
         p_EoCo_E_m: Centres of mass in the frames at the ends, shape (joints, 3).
         gravity_m_s2: Gravity in the frame of the chain, shape (3,).
@@ -345,14 +248,7 @@ class PoseSeries:
         return self.row.size
 
     def at(self, poses: Flags | Integers) -> "PoseSeries":
-        """Select some of the poses; directions of moves stay those of the whole series.
-
-        Args:
-            poses: Flags, shape (n,), or indices, shape (k,).
-
-        Returns:
-            Series of the selected poses.
-        """
+        """Select some of the poses; directions of moves stay those of the whole series."""
         air = None if self.air_C is None else self.air_C[poses]
         return PoseSeries(
             self.name,
@@ -365,13 +261,6 @@ class PoseSeries:
 
 
 def move_directions(joint_rad: Array) -> Array:
-    """Compute the direction of each joint's last move.
-
-    Args:
-        joint_rad: Joint angles in order of time, shape (joints, n).
-
-    Returns:
-        +1, -1 or 0, unitless, shape (joints, n).
-    """
+    """Compute the direction of each joint's last move in order of time: +1, -1 or 0, shape (joints, n)."""
     motion = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
     return np.where(np.abs(motion) > STILL_RAD, np.sign(motion), 0.0)

@@ -23,11 +23,10 @@ from simgap.serial_arm.model import (
     SerialArm,
     coefficient_names,
 )
-from simgap.serial_arm.nested_models import NestedModel
+from simgap.serial_arm.nested_models import LENGTHS, NestedModel
 
 MAX_SIZE: Final = 1.0
 """Largest size in radians, metres or rad/(N m): that of an arm file."""
-LENGTHS: Final = ("d", "b", "a")
 
 
 class TrackerEffect(Effect):
@@ -121,16 +120,7 @@ def with_unit(number: str) -> str:
 
 
 def patch_arm(arm: SerialArm, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> SerialArm:
-    """Add effects to an arm.
-
-    Args:
-        arm: Arm of the file.
-        effects: Effects; those of this module are added.
-        sizes: Sizes of each effect, in their units.
-
-    Returns:
-        The arm with the effects.
-    """
+    """Add effects to an arm."""
     links = {one.name: one for one in arm.links}
     for effect, size in zip(effects, sizes, strict=True):
         if isinstance(effect, TrackerEffect):
@@ -190,9 +180,6 @@ class Elimination:
 
         Args:
             removed: Boolean flags of these parameters, shape (p,).
-
-        Returns:
-            Values of all parameters, and errors of blocks that took no part.
         """
         steps = [self._step(H, g, removed) for H, g in zip(self._inverse, self._gradient, strict=True)]
         error = np.empty(BLOCKS)
@@ -213,19 +200,15 @@ class Elimination:
 
 
 def jackknife_sigma(by_block: Array) -> Array:
-    """Compute standard errors of numbers from their values without each block.
+    """Compute standard errors, shape (k,), of numbers from their values without each block.
 
     Blocks differ by all that the model lacks, so these know more than the covariance of a fit.
 
     Args:
         by_block: Numbers in any unit, shape (b, k).
-
-    Returns:
-        Standard errors in their unit, shape (k,).
     """
     b = by_block.shape[0]
-    sigma: Array = np.sqrt((b - 1) * np.var(by_block, axis=0))
-    return sigma
+    return np.asarray(np.sqrt((b - 1) * np.var(by_block, axis=0)))
 
 
 FALSE_ALARM: Final = 0.05
@@ -257,14 +240,7 @@ def list_effects(found: SerialCalibration) -> list[TrackerEffect]:
 
 
 def flag_parameters(fit: Fit, effects: list[TrackerEffect]) -> Flags:
-    """Flag the parameters of some effects.
-
-    Args:
-        fit: Fit with the parameters.
-
-    Returns:
-        Flags, shape (p,).
-    """
+    """Flag the parameters of some effects, shape (p,)."""
     wanted = {f"{effect.place}.{number}" for effect in effects for number in effect.numbers}
     return np.array([one.name in wanted for one in fit.parameters])
 
@@ -276,14 +252,6 @@ def judge_effects(
 
     An effect is named if three things hold. Its term lowers the error of left-out blocks. Its size is not 0,
     with FALSE_ALARM over all effects together. Without it, left-out blocks are predicted worse.
-
-    Args:
-        models: Nested models, one for each term.
-        elimination: Fits of the last model without some parameters.
-        effects: Effects to test.
-
-    Returns:
-        A test for each effect.
     """
     found = models[-1].found
     significant = {model.terms[-1]: model.is_significant for model in models[1:]}
@@ -330,11 +298,7 @@ def _test(
 
 
 def widened_covariance(fit: Fit) -> Array:
-    """Compute the covariance of a fit, widened where the noise is larger than stated.
-
-    Returns:
-        Covariance in the units of the parameters, shape (p, p).
-    """
+    """Compute the covariance of a fit, shape (p, p), widened where the noise is larger than stated."""
     return fit.covariance * max(1.0, fit.sigma0) ** 2
 
 
@@ -342,11 +306,6 @@ def effect_size(
     found: SerialCalibration, effect: TrackerEffect, fits: Eliminated
 ) -> tuple[float, Array, Array]:
     """Compute the size of an effect; that of a periodic error is its root mean square at the fitted poses.
-
-    Args:
-        found: Calibration with all effects.
-        effect: The effect, with k parameters.
-        fits: Values of all parameters.
 
     Returns:
         The size in its unit, its gradient, shape (k,), and its values without each block, shape (b,).
@@ -363,14 +322,6 @@ def effect_size(
 
 
 def wave_features(found: SerialCalibration, effect: PeriodicJointError) -> Array:
-    """Select the features of the periodic error of a joint.
-
-    Args:
-        effect: Periodic error of the joint, with k parameters.
-
-    Returns:
-        Cosines and sines at the fitted poses, unitless, shape (n, k).
-    """
+    """Select the features of a joint's periodic error at the fitted poses, unitless, shape (n, k)."""
     joint = [one.name for one in found.model.arm.links].index(effect.place)
-    waves: Array = found.model.features[joint][found.fit.used, len(NON_PERIODIC) :]
-    return waves
+    return np.asarray(found.model.features[joint][found.fit.used, len(NON_PERIODIC) :])

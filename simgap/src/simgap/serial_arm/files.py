@@ -87,15 +87,7 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
-    """Format an arm as TOML, from which every bit can be read again.
-
-    Args:
-        arm: Arm to write.
-        about: Comments at the top of the file.
-
-    Returns:
-        The content of the file.
-    """
+    """Format an arm as TOML, from which every bit can be read again."""
     table: dict[str, Any] = {"name": arm.name, "gravity_B_m_s2": arm.gravity_B_m_s2}
     table |= {"link": [_set_fields(one) for one in arm.links]}
     table |= {"uncertainty": _set_fields(arm.uncertainty), "repeatability": _set_fields(arm.repeatability)}
@@ -194,14 +186,6 @@ def read_mapping(path: Path) -> TrackerMapping:
 def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
     """Read the poses of a table, in order of time.
 
-    Args:
-        arm: Arm whose joints the table has.
-        table: Table with joint angles and measured poses.
-        mapping: File that assigns the columns.
-
-    Returns:
-        The series.
-
     Raises:
         RobotError: A file, a column or a value is missing or wrong, the mapping is that of another arm, or
             the tracker readings stood still while the arm moved.
@@ -220,13 +204,6 @@ def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
 
 def series_from_table(path: Path, mapping: TrackerMapping) -> PoseSeries:
     """Read the poses of a table, in order of time.
-
-    Args:
-        path: Table with joint angles and measured poses.
-        mapping: Columns of each quantity.
-
-    Returns:
-        The series.
 
     Raises:
         RobotError: A column or a value is missing, or the tracker readings stood still while the arm moved.

@@ -1,4 +1,8 @@
-"""Weighted least squares with priors; identifiability, outliers, and validation on held-out poses."""
+"""Weighted least squares with priors; identifiability, outliers, and validation on held-out poses.
+
+Values of parameters are arrays (p,) in their units, and 0 where a fit starts by default. `used` flags the
+poses to fit, (n,), by default all.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,14 +61,7 @@ class Linearisation:
         return np.asarray(np.any(self.jacobian != 0.0, axis=-1))
 
     def at(self, poses: Flags) -> "Linearisation":
-        """Select some of the poses.
-
-        Args:
-            poses: Selection as flags, shape (n,).
-
-        Returns:
-            Linearisation at the selected poses.
-        """
+        """Select some of the poses."""
         return Linearisation(self.residual[poses], self.jacobian[poses])
 
 
@@ -134,16 +131,7 @@ def fit(
     start: Array | None = None,
     used: Flags | None = None,
 ) -> Fit:
-    """Fit parameters by damped Gauss-Newton iteration.
-
-    Args:
-        parameters: Parameters with scales and priors.
-        start: Initial values in the units of the parameters, shape (p,); zeros by default.
-        used: Boolean flags of the poses to fit, shape (n,); all by default.
-
-    Returns:
-        The fit.
-    """
+    """Fit parameters by damped Gauss-Newton iteration."""
     scale, prior = _scale(parameters), _prior_weights(parameters)
     x = np.zeros(scale.size) if start is None else start
     at = model(x)
@@ -166,13 +154,7 @@ def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
     """Compute the sum of squares that the fit minimises.
 
     Args:
-        at: Linearisation at the values.
-        used: Boolean flags of the poses to fit, shape (n,).
-        x: Parameter values in their units, shape (p,).
         prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
-
-    Returns:
-        Sum of the squared whitened residuals and of the squared priors.
     """
     return float(np.sum(at.residual[used] ** 2) + np.sum((x * prior) ** 2))
 
@@ -298,16 +280,7 @@ class Identifiability:
 def assess_identifiability(
     parameters: Sequence[FitParameter], at: Linearisation, used: Flags | None = None
 ) -> Identifiability:
-    """Assess which combinations of parameters some poses identify.
-
-    Args:
-        parameters: Parameters with their scales.
-        at: Linearisation of all poses.
-        used: Boolean flags of the poses to use, shape (n,); all by default.
-
-    Returns:
-        Singular values and combinations.
-    """
+    """Assess which combinations of parameters some poses identify."""
     jacobian = at.jacobian if used is None else at.jacobian[used]
     scale = np.array([parameter.scale for parameter in parameters])
     J = jacobian.reshape(-1, scale.size) * scale
@@ -346,9 +319,6 @@ def leave_one_out_distance(fitted: Fit) -> Array:
     """Compute the squared distance of each pose from the prediction of a fit to the other poses.
 
     For poses that were not fitted, the fit itself predicts.
-
-    Args:
-        fitted: Fit with its linearisation.
 
     Returns:
         Squared distances over their variances, unitless, shape (n,).

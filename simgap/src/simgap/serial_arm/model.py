@@ -1,4 +1,7 @@
-"""Serial arm with any number of joints, and measured poses as a function of the parameters to fit."""
+"""Serial arm with any number of joints, and measured poses as a function of the parameters to fit.
+
+Values of parameters are arrays (p,) in their units.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -60,11 +63,7 @@ class Link:
     sin_rad: tuple[Number, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check that cosines and sines are equally many.
-
-        Raises:
-            ValueError: They are not.
-        """
+        """Refuse cosines and sines that are not equally many."""
         if len(self.cos_rad or ()) != len(self.sin_rad or ()):
             raise ValueError(f"{self.name}: cos and sin are not equally many; give both, one for each order")
 
@@ -74,14 +73,7 @@ class Link:
         return (self.theta_rad, self.d_m, self.beta_rad, self.b_m, self.alpha_rad, self.a_m)
 
     def periodic_rad(self, orders: int) -> Array:
-        """Return the amplitudes of the periodic error, filled up with zeros.
-
-        Args:
-            orders: Number of orders.
-
-        Returns:
-            Amplitudes of cosines and sines [rad], shape (2, orders).
-        """
+        """Return amplitudes of cosines and sines [rad], shape (2, orders), filled up with zeros."""
         both = np.zeros((2, orders))
         for row, given in zip(both, (self.cos_rad or (), self.sin_rad or ()), strict=True):
             row[: len(given)] = given[:orders]
@@ -154,10 +146,6 @@ def coefficient_names(orders: int) -> list[str]:
 def joint_coefficients(arm: SerialArm, orders: int) -> Array:
     """Collect the coefficients of all joints.
 
-    Args:
-        arm: Arm with its joint errors.
-        orders: Number of orders of the periodic error.
-
     Returns:
         Coefficients [rad/(N m), rad], shape (joints, 2 + 2 orders).
     """
@@ -171,10 +159,6 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
 
 def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
     """Compute the factors of all coefficients: torque, direction of the last move, cosines and sines.
-
-    Args:
-        arm: Arm with its masses.
-        orders: Number of orders of the periodic error.
 
     Returns:
         Factors [N m, unitless], shape (joints, n, 2 + 2 orders).
@@ -190,18 +174,9 @@ def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
 
 
 def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
-    """Compute the joint errors.
-
-    Args:
-        arm: Arm with its joint errors.
-        features: Factors of the coefficients [N m, unitless], shape (joints, n, k).
-
-    Returns:
-        True less read joint angles [rad], shape (joints, n).
-    """
+    """Compute the joint errors, true less read angles [rad], shape (joints, n)."""
     orders = (features.shape[2] - len(NON_PERIODIC)) // 2
-    errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
-    return errors
+    return np.asarray(np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,14 +232,7 @@ class SerialModel:
         return [*non_periodic, *(waves if PERIODIC in self.terms else ())]
 
     def at(self, values: Array) -> tuple[SerialArm, TrackerSetup]:
-        """Apply parameter values.
-
-        Args:
-            values: Values in the units of the parameters, shape (p,).
-
-        Returns:
-            The arm and the setup with these values.
-        """
+        """Apply parameter values."""
         shape = (len(self.arm.links), 6)
         geometry, rest = np.zeros(shape), values[12:]
         if GEOMETRY in self.terms:
@@ -278,14 +246,7 @@ class SerialModel:
         return replace(self.arm, links=tuple(links)), setup
 
     def poses(self, values: Array) -> Pose:
-        """Compute the modelled poses of the target.
-
-        Args:
-            values: Values in the units of the parameters, shape (p,).
-
-        Returns:
-            X_TM, the target in the tracker's frame, batch (n,).
-        """
+        """Compute X_TM, the modelled poses of the target in the tracker's frame, batch (n,)."""
         return self._chain(values)[0]
 
     def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:
@@ -301,9 +262,6 @@ class SerialModel:
 
     def __call__(self, values: Array) -> Linearisation:
         """Compute whitened error screws and their derivatives.
-
-        Args:
-            values: Values in the units of the parameters, shape (p,).
 
         Returns:
             Residuals, shape (n, 6), and derivatives, shape (n, 6, p).

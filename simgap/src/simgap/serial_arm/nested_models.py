@@ -1,6 +1,6 @@
 """Models of an arm, term by term, cross-validated; and the test of the air temperature against placebos."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.progress import Progress
 from simgap.serial_arm.calibrate import (
     PoseErrors,
     SerialCalibration,
@@ -19,8 +20,6 @@ from simgap.serial_arm.chain import PoseSeries
 from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
 from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, SerialArm, TrackerSetup, serial_model
 
-Progress = Callable[[float, float, str], None]
-"""Function of the amount done, the total amount, and the name of the current activity."""
 BLOCKS: Final = 5
 """Number of blocks of time in the cross-validation."""
 
@@ -76,9 +75,6 @@ class CrossValidation:
 
         Args:
             more: Additional whitened columns of the Jacobian, in units of prior sigmas, shape (n, 6, m).
-
-        Returns:
-            The squared errors.
         """
         square = np.empty(self._r.shape[0])
         for k in range(BLOCKS):
@@ -92,8 +88,7 @@ class CrossValidation:
         factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
         if more is None:
             step = -cho_solve(factor, g)
-            change: Array = self._J[in_block] @ step
-            return change
+            return np.asarray(self._J[in_block] @ step)
         others = ~in_block
         E = more[others].reshape(-1, more.shape[2])
         B = self._J[others].reshape(E.shape[0], -1).T @ E
@@ -101,13 +96,11 @@ class CrossValidation:
         corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
         extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
         step = -solved[:, -1] - solved[:, :-1] @ extra
-        both: Array = self._J[in_block] @ step + more[in_block] @ extra
-        return both
+        return np.asarray(self._J[in_block] @ step + more[in_block] @ extra)
 
     def _against(self, J: Array, k: int) -> Array:
         in_block = self.block == k
-        along: Array = J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel()
-        return along
+        return np.asarray(J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel())
 
     @staticmethod
     def _square(J: Array) -> Array:
@@ -148,17 +141,6 @@ def fit_nested_models(
     """Fit each set of terms to one part of a series, and compare it with the other part.
 
     Outliers of the largest model are left out of all fits.
-
-    Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        part: Poses to fit.
-        fresh: Poses to compare with.
-        steps: Sets of terms; the last one is the largest.
-        progress: Callback for progress.
-
-    Returns:
-        One model for each set of terms.
 
     Raises:
         RobotError: Too many poses do not agree.

@@ -15,17 +15,9 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.common.progress import Progress, no_progress
 from simgap.effects.effect import Family
-from simgap.result import (
-    MIN_REMAINDER,
-    Base,
-    Diagnosis,
-    Finding,
-    JointError,
-    Refusal,
-    Rejected,
-    Remainder,
-)
+from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
 from simgap.serial_arm.calibrate import (
     LEAST_POSES,
     PoseErrors,
@@ -58,7 +50,6 @@ from simgap.serial_arm.fit import assess_identifiability
 from simgap.serial_arm.model import GEOMETRY, TERMS, SerialArm
 from simgap.serial_arm.nested_models import (
     NestedModel,
-    Progress,
     TemperatureTest,
     drift_gain,
     fit_nested_models,
@@ -104,16 +95,14 @@ def fit_tracker(
     *,
     terms: Sequence[str] = TERMS,
     fit_share: float = 0.5,
-    progress: Progress = lambda *_: None,
+    progress: Progress = no_progress,
 ) -> TrackerFit:
     """Fit an arm to the earliest poses of a series, term by term.
 
     Args:
         arm: Arm of the file; sizes are differences from it.
-        series: Measured poses in order of time.
         terms: Terms to fit, of TERMS and in their order; none fits base and target alone.
         fit_share: Share of the poses that are fitted.
-        progress: Called with the amount done, the total amount and the current activity.
 
     Raises:
         RobotError: There are too few poses, or they do not determine base and target.

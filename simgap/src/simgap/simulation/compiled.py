@@ -42,14 +42,7 @@ class Models:
         self._kept: dict[tuple[str, ...], Compiled] = {}
 
     def compiled(self, effects: Sequence[Effect]) -> Compiled:
-        """Return the model with what effects add to it.
-
-        Args:
-            effects: Effects, of which those with `vary` change the model.
-
-        Returns:
-            The model, compiled at the first call.
-        """
+        """Return the model with what effects add to it, compiled at the first call."""
         key = tuple(effect.key for effect in effects if effect.overrides("vary"))
         if key not in self._kept:
             self._kept[key] = compile_for(self.robot, effects)
@@ -60,13 +53,6 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
     """Compile the model of a robot with what effects add to it.
 
     The actuators of the joints are replaced by affine ones: an implicit integrator sees their damping.
-
-    Args:
-        robot: Robot; its time step is kept.
-        effects: Effects, of which those with `vary` change the model.
-
-    Returns:
-        The model.
     """
     spec = mujoco.MjSpec.from_string(robot.model_xml)
     spec.option.timestep = robot.model.opt.timestep
@@ -132,7 +118,6 @@ def control_laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
     """Compute the coefficients of the affine actuators.
 
     Args:
-        robot: Robot with the control modes.
         kp: Stiffness, or torque per unit of the command, (n_sims, n_joints) [N m/rad].
         kd: Damping, (n_sims, n_joints) [N m s/rad].
 
@@ -155,15 +140,7 @@ def control_laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
 
 
 def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fields:
-    """Return the numbers of model and controllers without effects.
-
-    Args:
-        n_sims: Number of simulations.
-        batch: Models of the simulations, in which effects change other fields.
-
-    Returns:
-        The numbers, a row a simulation.
-    """
+    """Return the numbers of model and controllers without effects."""
     model, (kp, kd) = robot.model, nominal_gains(robot)
     dof = [joint.dof_index for joint in robot.joints]
 
@@ -182,17 +159,10 @@ def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fiel
 
 
 def step_armature(robot: Robot, fields: Fields) -> Array:
-    """Compute the armature with which steps of the integrator are of second order.
+    """Compute the armature, (n_sims, n_joints), with which steps of the integrator are of second order.
 
     The implicit step takes the damping at its end, which acts like more inertia: half a step times the
     damping. Without it the step is a trapezoidal rule, and SO-101 errs by a fifth as much at 5 ms.
-
-    Args:
-        robot: Robot with its time step and control modes.
-        fields: Numbers after all effects, with a damping of at least 0.
-
-    Returns:
-        Armature, at least 0, (n_sims, n_joints) [kg m2].
     """
     is_closed = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in robot.joints]
     damping = fields.damping_Nms_rad + np.where(is_closed, fields.kd_Nms_rad, 0.0)
@@ -232,12 +202,7 @@ class Rotors:
     """All rotors of a batch. Without any, nothing is written."""
 
     def __init__(self, robot: Robot, fields: Fields) -> None:
-        """Find the places, and let the actuators turn the rotors.
-
-        Args:
-            robot: Robot with the compiled model.
-            fields: Fields after all effects.
-        """
+        """Find the places, and let the actuators turn the rotors."""
         rotors = _one_for_each_joint(fields.rotors)
         self._places: Sequence[_Place] = [
             _place(robot, one.joint, one.name, np.flatnonzero(one.rows), one.encoder_is_at_output)

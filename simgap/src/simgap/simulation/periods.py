@@ -89,10 +89,7 @@ class Periods:
         """Sort the effects by their hooks.
 
         Args:
-            compiled: Model.
             batch: Batch, with the numbers of `fields` set.
-            fields: Numbers of model and controllers.
-            rotors: Rotors that motors turn in place of joints.
             temperature_degC: Temperatures, (n_sims, n_joints).
         """
         self._compiled, self._batch, self._fields = compiled, batch, fields
@@ -167,7 +164,6 @@ class Periods:
         """Set the inputs of a control period.
 
         Args:
-            k: Number of the period.
             command: Commands, (n, n_joints); effects may change them.
             enabled: 1 where the motor has torque, else 0, (n, n_joints); None: all have.
         """

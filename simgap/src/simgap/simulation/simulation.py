@@ -72,9 +72,6 @@ class Simulation:
         """Set models, commands and starts.
 
         Args:
-            models: Models of the robot.
-            effects: Effects with their sizes for each candidate.
-            n_candidates: Number of candidates.
             n_threads: Most threads; 0: as many as there are processors.
         """
         self._compiled = models.compiled([one.effect for one in effects])
@@ -173,11 +170,7 @@ class Simulation:
         self._rotors.start(self._batch)
 
     def positions(self) -> Array:
-        """Simulate and sample.
-
-        Returns:
-            What the encoders show, (n_candidates, n_samples) [rad]; NaN where a simulation failed.
-        """
+        """Simulate, and return what encoders show, (n_candidates, n_samples) [rad]; NaN where one failed."""
         sampling, periods = self._sampling(), self._periods
         failed = np.zeros(self._n_sims, dtype=bool)
         self._call(failed, self._batch.forward)
@@ -287,9 +280,6 @@ class Engine:
         """Keep what is common to all candidates.
 
         Args:
-            models: Models of the robot.
-            effects: Effects of all candidates.
-            windows: Windows to simulate.
             n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
         """
         self.models = models

@@ -1,6 +1,6 @@
 """Windows: parts of a motion that are simulated from a measured start, and sampled at the measured times."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
-from simgap.logs import JointLog, Motion, Signal
+from simgap.logs import JointLog, Motion, Signal, Usable
 from simgap.robot import Robot
 
 LEAD_S: Final = 0.25
@@ -56,21 +56,15 @@ def cut_windows(
     motion: Motion,
     window_s: float | None,
     spacing_s: float,
-    keep: Mapping[tuple[str, str], Flags] | None = None,
+    keep: Usable | None = None,
 ) -> list[Window]:
     """Cut a motion into windows.
 
     A new window begins after a stretch of samples that are not used, if it is longer than LEAD_S.
 
     Args:
-        robot: Robot that moved.
-        motion: Its log.
         window_s: Length of a window [s]; None: until the next stretch that is not used.
         spacing_s: Least time between two samples of a joint that are kept [s].
-        keep: By names of motion and joint, which position samples are used, (n,); all where it is absent.
-
-    Returns:
-        The windows in the order of time.
 
     Raises:
         RobotError: A joint has no log, no command, or too few positions.
@@ -189,14 +183,11 @@ def held_means(signal: Signal, edges_s: Array) -> Array:
 
 
 def local_line(signal: Signal, time_s: float) -> tuple[float, float]:
-    """Fit a straight line to the samples nearest to a time.
+    """Fit a straight line to the samples nearest to a time; return value and slope [1/s] there.
 
     Args:
         signal: Signal with at least `SLOPE_SAMPLES` samples.
         time_s: Time [s].
-
-    Returns:
-        Value and slope [1/s] at this time.
     """
     nearest = np.searchsorted(signal.time_s, time_s)
     first = int(np.clip(nearest - SLOPE_SAMPLES // 2, 0, signal.time_s.size - SLOPE_SAMPLES))
@@ -256,10 +247,7 @@ class Sampling:
         """Find the control period of each sample.
 
         Args:
-            windows: Windows in the order of the simulations.
-            order: For each of them, its place in the order of the values.
             late_s: Delays of the samples, (n_windows, n_candidates, n_joints) [s].
-            period_s: Control period [s].
         """
         n_candidates = late_s.shape[1]
         counts = np.zeros((len(windows), late_s.shape[2]), dtype=np.int64)
@@ -284,8 +272,6 @@ class Sampling:
 
         Args:
             path: Positions at the ends of control periods, (more than last - first, n_sims, n_joints) [rad].
-            first: First control period of the path.
-            last: End of the control periods that are simulated.
         """
         for one in self._series:
             n_candidates = one.sims.stop - one.sims.start

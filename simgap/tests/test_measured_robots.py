@@ -1,11 +1,11 @@
-"""A real KR300: a position-dependent torque at axis 2, a time skew between its encoders."""
+"""Diagnoses of a real KR300 and a real XL330: named effects hold for motions that took no part."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.real_robots import robot_path
+from helpers.real_robots import load_real, robot_path
 from simgap.catalogue.catalogue import catalogue
 from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
@@ -121,3 +121,13 @@ def test_no_compliance_is_named_at_axis_1_which_gravity_does_not_load(batch, req
     _, result, _ = request.getfixturevalue(batch)
     assert not [one for one in result.findings if (one.place, one.effect) == ("a1", "joint compliance")]
     assert [one for one in result.rejected if (one.place, one.effect) == ("a1", "joint compliance")]
+
+
+def test_three_effects_predict_the_gain_that_was_held_out(real_data):
+    robot, logs = load_real(real_data, "pendulum")
+    result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
+    (error,) = result.errors
+    assert {motion.condition for motion in logs.judged} == {"400"}
+    assert error.explained < 0.040 < error.base
+    assert len(result.findings) <= 3
+    assert "load-dependent friction" in {one.effect for one in result.findings}

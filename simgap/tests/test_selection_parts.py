@@ -1,0 +1,243 @@
+"""Parts of the selection: comparison of models, effects that hide each other, screening, sharing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from simgap.arrays import Array
+from simgap.effects.effect import Effect, Size
+from simgap.residuals.noise import repeat_pairs
+from simgap.selection.acceptance import compare_motions, compare_with_noise
+from simgap.selection.checkpoint import Meter
+from simgap.selection.context import start_context
+from simgap.selection.fit import JointFit, Union, gather_residuals
+from simgap.selection.joint_fits import fit_base, fit_joints
+from simgap.selection.screening import list_trials, score_effect, whiten
+from simgap.selection.selection import find_log_chance, select_effects
+from simgap.selection.sharing import ALL_JOINTS, Sharing, find_sharing, relative_reach, share_nothing
+
+LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))
+
+
+def test_an_effect_that_one_motion_reaches_is_found() -> None:
+    toy = draw_toy(1, {})
+    commands = np.clip(toy.commands, -0.8, 0.8)
+    commands[:, 3] = toy.commands[:, 3]
+    measured = toy.measured - 0.3 * toy.commands + 0.3 * commands
+    measured[0] += LIMIT.shape(commands[0])
+    effects: tuple[Effect, ...] = (LIMIT, *(Toy(name, "square", np.square) for name in NAMES))
+    chosen = select_effects(ToyResiduals(commands, measured, NAMES), BASE, effects, seed=1).chosen
+    assert [effect.key for effect in chosen.effects] == [LIMIT.key]
+
+
+def test_an_improvement_that_repeats_is_sure_beside_motions_of_very_different_strength() -> None:
+    before = np.geomspace(1.0, 1e4, 12)
+    ratio = 0.9 + 0.02 * np.random.default_rng(1).standard_normal(12)
+    assert compare_motions(np.arange(12), before, ratio * before) > 10.0
+    assert abs(compare_motions(np.arange(12), before, before[::-1])) < 1e-12
+
+
+def test_a_change_without_use_seldom_exceeds_what_noise_can_do() -> None:
+    toy = draw_toy(1, {})
+    context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
+    rows, rng = np.flatnonzero(toy.joint_of == 0), np.random.default_rng(2)
+    found = []
+    for _ in range(400):
+        noise = rng.standard_normal(rows.size)
+        found.append(compare_with_noise(context, rows, noise, noise - 0.1 * rng.standard_normal(rows.size)))
+    assert np.mean(np.array(found) > 2.0) < 0.05
+
+
+def test_models_that_do_not_differ_are_equal() -> None:
+    toy = draw_toy(1, {})
+    context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
+    rows = np.flatnonzero(toy.joint_of == 0)
+    assert compare_with_noise(context, rows, toy.commands[0].ravel(), toy.commands[0].ravel()) == 0.0
+
+
+@pytest.mark.parametrize(("of_one", "of_other"), [([], [0, 7, 50]), ([0], [9]), ([-1], [0])])
+def test_motions_repeat_one_another_also_where_samples_are_missing(
+    of_one: list[int], of_other: list[int]
+) -> None:
+    model = draw_toy(1, {})
+    kept = np.ones(model.time_s.size, dtype=bool)
+    first, last = (
+        np.flatnonzero((model.joint_of == 0) & (model.motion_of == len(model.motions) - k)) for k in (2, 1)
+    )
+    kept[first[of_one]] = kept[last[of_other]] = False
+    for name in ("joint_of", "motion_of", "time_s"):
+        setattr(model, name, getattr(model, name)[kept])
+    ((one, other),) = repeat_pairs(model, 0)
+    assert len(one) == last.size - len(of_one) - len(of_other)
+    np.testing.assert_array_equal(model.time_s[one], model.time_s[other])
+
+
+STEP = Toy("near", "step of all", np.sign)
+
+
+class Hidden(ToyResiduals):
+    """Toys of which the sine shows only as much as the step is present."""
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        keys = [effect.key for effect in effects]
+        sine = sizes[:, keys.index("near: sine")] if "near: sine" in keys else np.zeros(len(sizes))
+        step = sizes[:, keys.index(STEP.key)] if STEP.key in keys else np.zeros(len(sizes))
+        hidden = (sine * (10.0 * step - 1.0))[:, None, None] * np.sin(9.0 * self.commands[0])
+        rows[:, 0] -= hidden
+        return rows.reshape(len(rows), -1)
+
+
+def test_an_effect_that_shows_only_beside_another_is_named_with_it() -> None:
+    toy = draw_toy(1, {"near: sine": 0.1, "near: step": 0.1})
+    model = Hidden(toy.commands, toy.measured, NAMES)
+    chosen = select_effects(model, BASE, (STEP, CATALOGUE[2]), seed=1).chosen
+    assert {effect.key for effect in chosen.effects} == {STEP.key, "near: sine"}
+
+
+def test_an_effect_at_a_body_of_a_robot_with_one_joint_is_fitted_with_the_joint() -> None:
+    toy = draw_toy(1, {})
+    model = ToyResiduals(toy.commands[:1], toy.measured[:1], NAMES[:1])
+    body = Toy("base", "square of all", np.square)
+    assert start_context(model, BASE[:1], (body,), 1, Meter()).joint_of(body) == 0
+
+
+@pytest.mark.parametrize(("truth", "low", "high"), [(0.1, 0.0, 1e-6), (0.0, 0.05, 1.0)])
+def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float, high: float) -> None:
+    square = CATALOGUE[0]
+    toy = draw_toy(1, {square.key: truth})
+    context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
+    fits = fit_joints(context, (square,), base.sizes)
+    without = gather_residuals(base.fits, toy.joint_of.size)
+    assert low <= np.exp(find_log_chance(context, fits[:1], square, without)) <= high
+
+
+X = np.linspace(-1.0, 1.0, 50)
+
+
+@dataclass(frozen=True)
+class Shaped(Toy):
+    """Effect with a form, which means nothing while its amplitude is 0."""
+
+    has_shape: ClassVar[bool] = True
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        return (Size("amplitude", -5.0, 5.0, 1.0), Size("form", 0.0, 5.0, 2.0))
+
+
+@dataclass(frozen=True)
+class Limit(Toy):
+    """Effect that nothing reaches while it is small."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        return (Size("inverse", 0.0, 5.0, 1.0),)
+
+
+def start(effect: Toy, amplitude: float, silent_below: float = 0.0) -> list[float]:
+    """Return the start of a fit to residuals that an effect of this amplitude leaves."""
+    commands = np.tile(X, (len(NAMES), 4, 1))
+    model, union = ToyResiduals(commands, 0.0 * commands, NAMES), Union((effect,))
+    rows = np.flatnonzero(model.joint_of == 0)
+    change = np.square(commands).ravel()[rows]
+    fit = JointFit(np.zeros(2), np.empty(0, np.int64), 0, amplitude * change, rows, np.empty((rows.size, 0)))
+    at = np.zeros(len(effect.sizes))
+    trials = list_trials(union, effect, at)
+    sizes = [float(trial.points[0][0]) for trial in trials]
+    changes = [-(size if abs(size) > silent_below else 0.0) * change[:, None] for size in sizes]
+    score, *_ = score_effect(whiten([fit], model, np.ones(2)), trials, changes, at)
+    return [float(size) for size in score.start]
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.2, -0.25])
+def test_a_fit_of_a_small_effect_begins_at_its_size(amplitude: float) -> None:
+    assert start(Toy("near", "square", np.square), amplitude) == pytest.approx([amplitude])
+
+
+def test_the_form_of_an_effect_is_not_scaled_with_its_amplitude() -> None:
+    assert start(Shaped("near", "square", np.square), 0.2) == pytest.approx([0.2, 2.0])
+
+
+def test_a_fit_begins_no_nearer_to_0_than_a_third_of_a_size_that_was_tried() -> None:
+    assert start(Toy("near", "square", np.square), 1e-3) == pytest.approx([0.09])
+
+
+@pytest.mark.parametrize(("silent_below", "first"), [(0.0, 0.2), (0.5, 1.0), (2.0, 3.0)])
+def test_a_fit_of_a_limit_begins_at_a_size_that_changes_something(silent_below: float, first: float) -> None:
+    assert start(Limit("near", "limit", np.square), 0.2, silent_below) == pytest.approx([first])
+
+
+NONE = np.empty(0, np.int64)
+
+
+class Leaking(ToyResiduals):
+    """The squares at the first joint move the second three times as much."""
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        for k, effect in enumerate(effects):
+            if effect.key == "near: square":
+                rows[:, 1] -= 3.0 * sizes[:, k, None, None] * np.square(self.commands[0])
+        return rows.reshape(len(rows), -1)
+
+
+def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
+    rng = np.random.default_rng(1)
+    sharing = Sharing(((0, 2), (1,)), np.array([3]), NONE, np.zeros(4, np.int64))
+    points = [(int(joint), rng.integers(0, 2, 4) * 1.0) for joint in rng.integers(-1, 3, 60)]
+    plan = sharing.plan(points)
+    assert sorted(k for members in plan for k in members) == list(range(60))
+    for members in plan:
+        joints = [points[k][0] for k in members]
+        assert len(set(joints)) == len(joints)
+        assert set(joints) in ({ALL_JOINTS}, {0}, {1}, {2}, {0, 2})
+        assert len({points[k][1][3] for k in members}) == 1  # a size that moves both is the same
+
+
+def test_without_sharing_each_point_is_a_candidate() -> None:
+    points = [(k % 3, np.zeros(2)) for k in range(9)]
+    assert len(share_nothing(3, NONE).plan(points)) == 9
+    assert len(Sharing(((0, 1, 2),), NONE, NONE, NONE).plan(points)) == 3
+
+
+@pytest.mark.parametrize(("other", "groups"), [(0.05, ((0, 1),)), (0.2, ((0,), (1,)))])
+def test_joints_share_if_their_base_parameters_scarcely_move_one_another(
+    other: float, groups: tuple[tuple[int, ...], ...]
+) -> None:
+    reach = np.array([[2.0, 2.0 * other], [0.0, 1.0]])
+    columns = [np.array([0]), np.array([1])]
+    assert find_sharing([0, 1], columns, np.array([True, True]), reach, np.arange(2)).groups == groups
+
+
+def test_an_effect_that_moves_another_joint_of_its_group_does_not_share() -> None:
+    reach = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.3]])
+    columns = [np.array([k]) for k in range(3)]
+    sharing = find_sharing([0, 1, 0], columns, np.array([True, True, False]), reach, np.arange(3))
+    assert sharing.groups == ((0, 1),)
+    np.testing.assert_array_equal(sharing.mixing, [2])
+
+
+def test_sizes_differ_in_one_candidate_only_at_joints_that_do_not_move_one_another() -> None:
+    sharing = Sharing(((0, 1), (2,)), np.array([4]), NONE, np.array([0, 1, 2, ALL_JOINTS, 1]))
+    allowed = {(a, b) for a in range(5) for b in range(5) if sharing.may_share(a, b)}
+    assert allowed == {(0, 1), (1, 0)}
+
+
+def test_reach_is_relative_to_the_joint_itself() -> None:
+    np.testing.assert_allclose(relative_reach(1, np.array([1.0, 2.0, 4.0])), [0.5, 0.0, 2.0])
+
+
+def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there() -> None:
+    quiet = draw_toy(3, {"near: square": 0.02})
+    quiet.measured[1] += 3.0 * 0.02 * np.square(quiet.commands[0])
+    model = Leaking(quiet.commands, quiet.measured, NAMES)
+    selection = select_effects(model, BASE, CATALOGUE, seed=1)
+    assert [selection.context.joint_of(one) for one in selection.chosen.effects] == [ALL_JOINTS]
+    assert [one.key for one in selection.chosen.effects] == ["near: square"]
+    (column,) = selection.context.union.columns(selection.chosen.effects)
+    assert selection.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)
