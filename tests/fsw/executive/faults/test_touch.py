@@ -123,14 +123,6 @@ def test_the_travel_at_contact_is_how_far_the_tool_went():
     assert evr.travel_m == pytest.approx(went, abs=3e-4)
 
 
-@pytest.mark.parametrize("switch", [s for s in SWITCHES if s not in TOOL_SWITCHES["apxs"]])
-def test_the_contact_of_another_tool_in_a_guarded_move_is_a_fault(switch):
-    rig = in_guarded_motion("apxs")
-    rig.cycle(**closed(switch))
-    assert ContactInFreeSpace(switch) in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-
-
 def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     rig = Rig(CONFIG, start_rad=START)
     rig.evrs.clear()
