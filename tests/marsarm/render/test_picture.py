@@ -312,15 +312,3 @@ def test_importing_the_pictures_asks_nothing_of_opengl():
     code = "import marsarm.render.picture, sys; sys.exit('mujoco.egl' in sys.modules)"
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     assert subprocess.run([sys.executable, "-c", code], env=env).returncode == 0
-
-
-def test_a_disk_that_is_full_costs_the_picture_and_not_the_report(model, data, tmp_path, monkeypatch):
-    def full(*_args, **_options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("PIL.Image.Image.save", full)
-    picture = save_picture(model, data, "front", tmp_path / "a.png", (64, 36))
-    movie = save_movie(model, [data.qpos.copy()], "front", tmp_path / "a.gif", (64, 36))
-    assert (picture.path, movie.path) == (None, None)
-    assert picture.hint == f"no picture: {tmp_path}/a.png cannot be written (No space left on device)"
-    assert movie.hint == f"no movie: {tmp_path}/a.gif cannot be written (No space left on device)"
