@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, ContactMade
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import Vector3
@@ -110,20 +109,3 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     times = [time_s for time_s, _ in result.evrs]
     assert times == sorted(times)
     assert result.duration_s == pytest.approx(loop.state.tick / 64)
-
-
-def test_a_software_error_puts_the_brakes_on_and_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An exception of flight software reaches the outermost loop, once, and nothing else."""
-
-    def fail(*_: object) -> None:
-        raise AssertionError("the shape of an array is wrong")
-
-    loop = ClosedLoop(Setup(NOMINAL, World(), NOMINAL.params.poses.ready_rad, seed=1))
-    loop.cycle()
-    monkeypatch.setattr("sim.loop.step", fail)
-    record = loop.cycle()
-    assert loop.failure is not None
-    assert [evr.name for evr in record.outputs.evrs] == ["SoftwareError"]
-    assert not record.outputs.drive.power_on.any()
-    assert not record.outputs.drive.brake_release.any()
-    assert loop.plant.data.eq_active[loop.plant.at.brake[Joint.ELEVATION]]

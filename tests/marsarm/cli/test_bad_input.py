@@ -16,7 +16,7 @@ from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
 from simgap.common.verb import VerbResult, verb
-from tests.marsarm.command import call, largest_file, marsarm
+from tests.marsarm.command import SHORT_RUN, call, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
 LIBRARY_WORDS = re.compile(
@@ -39,19 +39,6 @@ class Boom(Effect):
 
     def on_hardware(self, hardware):
         return hardware / 0
-"""
-SHORT_RUN = """\
-title = "A short move"
-summary = "Turn the turret a little."
-start = "ready"
-
-[[command]]
-type = "MOVE_JOINT"
-joint = "turret"
-angle_deg = 95
-
-[[check]]
-type = "done"
 """
 FAR_PLACE = """\
 type = "PLACE_TOOL"

@@ -1,15 +1,12 @@
 """The pool on a real Ray cluster of two nodes on the loopback; skipped where Ray is not installed."""
 
 import json
-import os
 import platform
-import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +19,7 @@ from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm
+from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
 from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
 from validation.joints import hardstops
@@ -57,14 +55,6 @@ def test_two_hundred_arms_are_those_of_one_process_bit_for_bit(run, one_process)
     assert measure_arms(run, list_arms(200, 7)) == one_process
 
 
-def square(x: int) -> int:
-    return x * x
-
-
-def power(x: int, y: int) -> int:
-    return x**y
-
-
 def test_every_job_is_done_once_and_results_can_come_in_order(run):
     assert sorted(run(square, range(20_000))) == [x * x for x in range(20_000)]
     assert list(in_order(run, power, [(x, 2) for x in range(50)])) == [x * x for x in range(50)]
@@ -86,21 +76,8 @@ def node_id(_: int) -> str:
     return str(ray.get_runtime_context().get_node_id())
 
 
-def die_once(folder: Path) -> int:
-    try:
-        (folder / "died").mkdir()
-    except FileExistsError:
-        return os.getpid()
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
-
-
 def test_a_worker_that_dies_costs_its_jobs_only(run, tmp_path):
     assert len(list(run(die_once, [tmp_path] * 20))) == 20
-
-
-def die(_: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_job_at_which_every_worker_dies_ends_the_run(run):
@@ -126,10 +103,6 @@ def test_a_node_with_other_software_is_refused(run, monkeypatch):
         list(run(square, [1]))
 
 
-def rest(_: int) -> None:
-    time.sleep(60)
-
-
 @pytest.mark.parametrize("again", [False, True])
 def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
     from ray.exceptions import NodeDiedError, OutOfDiskError
@@ -151,21 +124,9 @@ def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
             list(run(square, [3]))
 
 
-class Stop(BaseException):
-    """Interruption."""
-
-
 def test_an_interruption_ends_the_run_within_two_seconds(run):
-    def interrupt(*_) -> None:
-        raise Stop
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, 3.0)
-    try:
-        with pytest.raises(Stop):
-            list(run(rest, range(4)))
-    finally:
-        signal.signal(signal.SIGALRM, before)
+    with interrupted_after(3.0):
+        list(run(rest, range(4)))
     assert list(run(square, [3])) == [9]  # a worker is free again
 
 

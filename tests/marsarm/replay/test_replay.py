@@ -14,6 +14,7 @@ from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from simgap.common.errors import BadRequest
+from tests.marsarm.command import SHORT_RUN
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
@@ -122,31 +123,13 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
     )
 
 
-SHORT = """\
-title = "A short move"
-summary = "Turn the turret a little."
-start = "ready"
-
-[[command]]
-type = "MOVE_JOINT"
-joint = "turret"
-angle_deg = 91
-
-[[fault]]
-type = "MISSED_CYCLES"
-during = 1
-after_s = 1
-count = 2
-
-[[check]]
-type = "done"
-"""
+MISSED = '[[fault]]\ntype = "MISSED_CYCLES"\nduring = 1\nafter_s = 1\ncount = 2\n\n[[check]]'
 
 
 @pytest.mark.slow
 def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(tmp_path):
     scenario = tmp_path / "short.toml"
-    scenario.write_text(SHORT)
+    scenario.write_text(SHORT_RUN.replace("[[check]]", MISSED))
     log = tmp_path / "run.mcap"
     run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), silent)
     found = replayed(tmp_path, log=log).differences

@@ -5,13 +5,11 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.faults import (
     Fault,
     MotorStalled,
     NotSettled,
 )
-from fsw.motion.move import Phase
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -99,16 +97,3 @@ def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
     assert REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
     assert cycles > CONFIG.settle_timeout_ticks
-
-
-def test_calm_is_counted_in_whole_cycles_in_a_row():
-    rig = moving(MoveJoints(floats(START + 0.002)))
-    while rig.state.move.phase is not Phase.SETTLE:
-        rig.cycle()
-    for k in range(5 * CONFIG.settle_ticks):
-        far = k % CONFIG.settle_ticks == 0
-        rig.cycle(**(off_set_point(rig, Joint.TURRET, 1e-3) if far else {}))
-    assert rig.outputs.drive.brake_release.all()
-    for _ in range(CONFIG.settle_ticks + CONFIG.brake_ticks + 3):
-        rig.cycle()
-    assert CommandCompleted("MoveJoints") in rig.evrs

@@ -22,28 +22,14 @@ from tests.fsw.executive.faults.lab import (
     found,
     moving,
 )
+from tests.fsw.protect.test_readings import BAD, PLACES, QUIET, corrupted
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats, made_once
 
-QUIET = {
-    "resolver_rad": np.zeros(5),
-    "current_A": np.zeros(5),
-    "winding_C": np.full(5, -40.0),
-    "gravity_R_m_s2": MARS_R_m_s2,
-    "structure_C": np.full(1, 20.0),
-}
-BAD = [float("nan"), float("inf"), float("-inf")]
-PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
 MOVES = {
     "joints": lambda rig: MoveJoints(floats(START + 0.05)),
     "guarded": lambda rig: rig.touch("apxs", 0.1),
     "retract": lambda rig: Retract("apxs", 0.1),
 }
-
-
-def corrupted(name, place, value):
-    values = QUIET[name].copy()
-    values[place] = value
-    return {name: values}
 
 
 @made_once

@@ -32,12 +32,6 @@ def test_a_contact_in_free_space_faults_at_once(switch):
     assert braked(rig)
 
 
-def test_a_contact_while_the_arm_stands_deployed_faults():
-    rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(**closed("drt_2"))
-    assert ContactInFreeSpace("drt_2") in rig.evrs
-
-
 @pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
 def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
     for switch in TOOL_SWITCHES[tool]:
