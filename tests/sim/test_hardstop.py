@@ -8,7 +8,7 @@ import pytest
 
 from fsw.dictionary.commands import Calibrate, Stop
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted
+from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.reference import no_reference
 from fsw.messages import Sensors
 from fsw.motion.homing import HomingStage
@@ -135,30 +135,6 @@ def test_power_lost_half_way_leaves_nothing_half_set(stage):
     assert not result.reference.calibrated[Joint.TURRET]
     assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
     np.testing.assert_array_equal(result.reference.half_backlash_rad, known.half_backlash_rad)
-
-
-def test_flight_software_that_starts_anew_half_way_knows_nothing_of_the_joint():
-    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World())
-    for k, _ in enumerate(run):
-        if k == 1000:
-            break
-    reference = run.loop.state.joints.reference
-    run.loop.state = boot(run.loop.config, Mode.DEPLOYED, reference)
-    run.loop.cycle()
-    assert not run.loop.state.joints.reference.calibrated[Joint.TURRET]
-
-
-def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
-    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World())
-    for k, _ in enumerate(run):
-        if k == 1000:
-            break
-    record = run.loop.cycle((Stop(),))
-    while record.outputs.joint.busy:
-        record = run.loop.cycle()
-    assert CommandAborted("Calibrate") in record.outputs.evrs
-    assert run.loop.state.mode is Mode.DEPLOYED
-    assert not run.loop.state.joints.reference.calibrated.any()
 
 
 @pytest.mark.slow

@@ -50,7 +50,6 @@ from tests.fsw.executive.lab import (
     stowed,
 )
 from tests.fsw.rig import Rig, floats, with_params
-from tests.tools import SWITCHES
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
@@ -463,12 +462,3 @@ def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract
     rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     assert rig.evrs[0] == CommandRefused("Preload", "apxs is the tool that may touch; retract it first")
     assert CommandAccepted("Retract") in rig.evrs
-
-
-def test_another_tool_s_contact_is_a_fault_while_one_is_retracted():
-    rig = guarded_in_contact()
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
-    for _ in range(30):
-        rig.cycle(**TOUCHED)
-    rig.cycle(switch_closed=np.isin(SWITCHES, ["mahli_1a"]))
-    assert rig.state.mode is Mode.FAULTED

@@ -18,6 +18,7 @@ from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, r
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
@@ -29,10 +30,6 @@ pytestmark = [
     pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed: no cluster is tried"),
     pytest.mark.filterwarnings("default"),  # ray's own
 ]
-
-
-def quiet(*_) -> None:
-    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +134,7 @@ def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
     assert rows == list(range(1, 62))
     there = sorted(map(json.loads, path.read_text().splitlines()[1:]), key=lambda record: record["arm"])
     alone = tmp_path / "alone.jsonl"
-    run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), quiet)
+    run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), no_progress)
     assert there == [json.loads(line) for line in alone.read_text().splitlines()[1:]]
 
 
@@ -146,9 +143,9 @@ def test_a_batch_of_inverse_kinematics_is_that_of_one_process(nodes, tmp_path):
     position = np.array([2.1, 0.0, -0.3]) + rng.uniform(-0.3, 0.3, (20_000, 3))
     np.savez(tmp_path / "in.npz", position_m=position, approach=np.tile([0.5, 0.0, 0.85], (20_000, 1)))
     request = IkRequest(batch=tmp_path / "in.npz", out=tmp_path / "out.npz")
-    solve(request, quiet)
+    solve(request, no_progress)
     one = request.out.read_bytes()
-    solve(replace(request, cluster=nodes.address), quiet)
+    solve(replace(request, cluster=nodes.address), no_progress)
     assert request.out.read_bytes() == one
 
 

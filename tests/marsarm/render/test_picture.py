@@ -200,11 +200,6 @@ def test_size_must_be_positive(model, data, tmp_path):
         save_picture(model, data, "front", tmp_path / "scene.png", (0, 10))
 
 
-def test_a_movie_is_called_a_movie(model, tmp_path):
-    with pytest.raises(PictureError, match=r"movie .*lift\.avi: its name must end in \.gif or \.mp4"):
-        save_movie(model, [], "front", tmp_path / "lift.avi")
-
-
 @pytest.mark.usefixtures("without_gl")
 @pytest.mark.parametrize(("name", "is_new"), [("scene.png", True), ("lift.gif", False), ("lift.mp4", False)])
 def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
@@ -259,12 +254,6 @@ def test_an_mp4_has_the_frames_of_a_gif(model, tmp_path):
         gif.seek(4)
         last = np.asarray(gif.convert("RGB")).astype(int)
     assert np.abs(frames[-1].astype(int) - last).mean() < 8, "both show the ball at its last pose"
-
-
-def test_an_mp4_without_pyav_is_refused_with_the_package_to_install(model, tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(PictureError, match=r"PyAV is missing; pip install 'marsarm\[movie\]', or name a"):
-        save_movie(model, [], "front", tmp_path / "lift.mp4")
 
 
 def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from tests.marsarm.command import SHORT_RUN
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
@@ -25,14 +26,12 @@ def ticks_of(log) -> int:
     return read_log(log)["/sensors"].size
 
 
-def silent(*_) -> None:
-    """Ignore progress."""
-
-
 def replayed(tmp_path, toml: str = "", **request):
     path = tmp_path / "other.toml"
     path.write_text(toml)
-    return replay(ReplayRequest(request.pop("log", LOG), params=path if toml else None, **request), silent)
+    return replay(
+        ReplayRequest(request.pop("log", LOG), params=path if toml else None, **request), no_progress
+    )
 
 
 def test_what_would_it_have_done_with_another_parameter(tmp_path):
@@ -131,7 +130,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
     scenario = tmp_path / "short.toml"
     scenario.write_text(SHORT_RUN.replace("[[check]]", MISSED))
     log = tmp_path / "run.mcap"
-    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), silent)
+    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), no_progress)
     found = replayed(tmp_path, log=log).differences
     assert found.identical
     assert found.tolerance == 0.0
@@ -141,7 +140,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
 @pytest.mark.slow
 def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
     log = tmp_path / "run.mcap"
-    run_scenario(RunRequest("bit-exchange", files=RunFiles(log)), silent)
+    run_scenario(RunRequest("bit-exchange", files=RunFiles(log)), no_progress)
     found = replayed(tmp_path, log=log).differences
     assert found.identical
     assert found.tolerance == 0.0
