@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints, SetParam
-from fsw.dictionary.faults import SensorFrozen
 from fsw.kinematics.chain import forward, tool_pose
 from tests.fsw.rig import Rig, config_of, facing, floats
 
@@ -74,13 +73,6 @@ def test_the_first_temperature_is_the_mean_of_usable_readings_alone():
     for warm_C in (20.0, 23.0, 26.0):
         reads(rig, warm_C, period)
     assert rig.state.structure_C == pytest.approx(23.0, abs=1e-3)
-
-
-def test_a_frozen_reading_is_a_fault():
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(CONFIG.params.monitors.frozen_persistence + 1):
-        rig.cycle(structure_C=20.0)
-    assert any(isinstance(evr, SensorFrozen) and evr.sensor == "structure_C" for evr in rig.evrs)
 
 
 def test_the_compensation_can_be_turned_off_and_a_changed_parameter_keeps_the_temperature():

@@ -17,6 +17,20 @@ from simgap.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 Ran = subprocess.CompletedProcess[str]
+SHORT_RUN = """\
+title = "A short move"
+summary = "Turn the turret a little."
+start = "ready"
+
+[[command]]
+type = "MOVE_JOINT"
+joint = "turret"
+angle_deg = 95
+
+[[check]]
+type = "done"
+"""
+"""A scenario of two seconds."""
 
 
 def marsarm(folder: Path, *words: str) -> Ran:

@@ -115,14 +115,6 @@ def test_motors_follow_their_set_points(ready: Plant) -> None:
     np.testing.assert_allclose(ready.motor_rad(), goal, rtol=0, atol=3e-5)
 
 
-def test_without_power_there_is_no_torque(ready: Plant) -> None:
-    sensors = avionics_of(ready)
-    sensors.apply(drive_to(lab.READY_RAD + 0.1, power_on=NONE, brake_release=NONE))
-    lab.run(ready, 0.5)
-    assert not ready.truth().motor_torque_Nm.any()
-    np.testing.assert_allclose(sensors.sense().current_A, 0.0, atol=0.1)
-
-
 @pytest.mark.parametrize("dead", Joint)
 def test_power_is_switched_for_each_motor_by_itself(ready: Plant, dead: Joint) -> None:
     sensors = avionics_of(ready)
@@ -194,14 +186,6 @@ def test_a_winding_warms_by_what_its_current_heats() -> None:
     np.testing.assert_allclose(
         rise, heat_J / np.array([450.0, 450.0, 450.0, 200.0, 200.0]), rtol=0.1, atol=0.02
     )
-
-
-def test_a_stalled_winding_warms_by_its_limited_current(ready: Plant) -> None:
-    sensors = avionics_of(ready)
-    sensors.apply(drive_to(lab.READY_RAD + 0.1, brake_release=NONE))
-    lab.run(ready, 10.0)
-    rise = sensors.sense().winding_C - 20.0
-    np.testing.assert_allclose(rise[:3], 5.0**2 * 2.0 * 10.0 / 450.0, rtol=0.1)
 
 
 def test_a_winding_cools_without_power(ready: Plant) -> None:

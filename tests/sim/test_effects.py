@@ -7,7 +7,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
-from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
+from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
@@ -110,23 +110,6 @@ def test_the_screw_of_a_frame_error_is_in_the_frames_own_axes(frame: Frame, tool
     moved = inverse(X) @ X_new
     screw = (moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p)
     np.testing.assert_allclose(screw, small, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize(("frame", "tool"), FRAMES)
-def test_a_small_frame_error_moves_the_tools_of_the_plant_as_the_frame_jacobian_says(
-    frame: Frame, tool: str | None
-) -> None:
-    small = (1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6)
-    plant, frames = build(FrameError(frame, small, tool)), forward(NOMINAL, lab.LEFT_RAD)
-    mujoco.mj_resetData(plant.model, plant.data)
-    plant.data.qpos[plant.at.motor] = lab.LEFT_RAD
-    truth = plant.truth()
-    for seen in TOOLS if tool is None else [tool]:
-        X_RT = tool_pose(NOMINAL, frames, seen)
-        u = frame_jacobian(frames, X_RT)[:, :, frame] @ small
-        turn = truth.R_RT[tool_index(seen)] @ X_RT.R.T
-        np.testing.assert_allclose([turn[2, 1], turn[0, 2], turn[1, 0]], u[:3], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(truth.p_RoTo_R_m[tool_index(seen)] - X_RT.p, u[3:], rtol=0, atol=1e-10)
 
 
 def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:

@@ -27,19 +27,6 @@ OUTBOARD = (
 SIDEWAYS_M_S2 = (3.711, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("scene", "gravity_m_s2"), [("mars", 3.711), ("earth", 9.81)])
-def test_straight_out_the_elevation_carries_what_the_mass_table_says(scene: str, gravity_m_s2: float) -> None:
-    """The gear torque is the mean of approaches from less and from more load, which cancels friction."""
-    by_hand = gravity_m_s2 * sum(kg * arm_m for kg, arm_m in OUTBOARD)
-    from_less = lab.gear_torque_Nm(lab.load(lab.plant(World(scene)), lab.STRAIGHT_RAD, duration_s=12.0))
-    from_more = lab.gear_torque_Nm(
-        lab.load(lab.plant(World(scene)), lab.STRAIGHT_RAD, duration_s=12.0, overload=1.4)
-    )
-    carried = abs(from_less + from_more)[ELEVATION] / 2
-    assert carried == pytest.approx(by_hand, rel=0.03)
-    assert abs(from_more - from_less)[ELEVATION] / 2 == pytest.approx(10.0, rel=0.05)
-
-
 def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction() -> None:
     plant = lab.load(lab.plant(World("earth")), lab.STRAIGHT_RAD)
     lab.hold_by_motors(plant)

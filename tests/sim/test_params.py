@@ -355,11 +355,3 @@ def test_bounds_that_are_upside_down_are_named(tmp_path):
         BadParams, match=r"monitors\.gravity_min_m_s2: 9\.0 is not below gravity_max_m_s2 2\.0"
     ):
         params_over_nominal(file)
-
-
-def test_a_link_softer_than_any_link_is_named(tmp_path):
-    file = tmp_path / "soft.toml"
-    rows = [[0.1 if row == column < 3 else 0.0 for column in range(6)] for row in range(6)]
-    file.write_text(f"[links.arm3]\ncompliance = {rows}\n")
-    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is outside -0\.0001 \.\. 0\.0001"):
-        params_over_nominal(file)

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted, ContactMade
-from fsw.dictionary.faults import ContactInFreeSpace, NoContact
+from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import Vector3
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
@@ -110,38 +109,3 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     times = [time_s for time_s, _ in result.evrs]
     assert times == sorted(times)
     assert result.duration_s == pytest.approx(loop.state.tick / 64)
-
-
-@pytest.mark.slow
-def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None:
-    loop, result = place(preview(OPEN).placement, World())
-    evrs = [evr for _, evr in result.evrs]
-    assert result.outcome is Outcome.FAULTED
-    assert any(isinstance(evr, NoContact) for evr in evrs)
-    assert CommandCompleted("Retract") not in evrs
-    assert result.contact is None
-    assert loop.state.mode is Mode.FAULTED
-    for _ in range(16):
-        loop.cycle()
-    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
-    before = loop.plant.motor_rad().copy()
-    for _ in range(64):
-        loop.cycle()
-    assert np.abs(loop.plant.motor_rad() - before).max() < 1e-8
-
-
-def test_a_software_error_puts_the_brakes_on_and_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An exception of flight software reaches the outermost loop, once, and nothing else."""
-
-    def fail(*_: object) -> None:
-        raise AssertionError("the shape of an array is wrong")
-
-    loop = ClosedLoop(Setup(NOMINAL, World(), NOMINAL.params.poses.ready_rad, seed=1))
-    loop.cycle()
-    monkeypatch.setattr("sim.loop.step", fail)
-    record = loop.cycle()
-    assert loop.failure is not None
-    assert [evr.name for evr in record.outputs.evrs] == ["SoftwareError"]
-    assert not record.outputs.drive.power_on.any()
-    assert not record.outputs.drive.brake_release.any()
-    assert loop.plant.data.eq_active[loop.plant.at.brake[Joint.ELEVATION]]

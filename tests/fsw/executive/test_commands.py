@@ -50,28 +50,15 @@ from tests.fsw.executive.lab import (
     stowed,
 )
 from tests.fsw.rig import Rig, floats, with_params
-from tests.tools import SWITCHES
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
-
-
-AHEAD = (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
         (MoveJoints((1.0, INF, 1.0, 1.0, 1.0)), "angle_rad: number 2: inf is outside -7 .. 7"),
-        (MoveJoint(Joint.WRIST, NAN), "angle_rad: nan is outside -7 .. 7"),
-        (MoveTool("apxs", AHEAD, (0.0, 0.0, 0.0)), "approach_F: has no length; "),
-        (MoveTool("apxs", AHEAD, AHEAD, line_m=1.001), "line_m: 1.001 is outside 0 .. 1"),
-        (MoveTool("apxs", AHEAD, AHEAD, branch="up"), "branch: 'up' is not known; there are auto, "),
-        (GuardedMove("apxs", (20.1, 0.0, 0.0), AHEAD), "end_p_RoTo_R_m: number 1: 20.1 is outside -20 .. 20"),
-        (GuardedMove("apxs", AHEAD, (0.0, 1e10, 0.0)), "approach_R: number 2: 10000000000.0 is outside"),
-        (Retract("apxs", 0.0), "distance_m: 0.0 is outside 0.001 .. 1"),
-        (Retract("apxs", 0.1, backlash="some"), "backlash: 'some' is not known; there are off, on"),
-        (Retract("apx", 0.1), "tool: 'apx' is not known; there are drill, drt, mahli, apxs, portion"),
         (Calibrate(2.0), "joint: 2.0 is not known; there are azimuth, elevation, elbow, wrist, turret"),
     ],
     ids=str,
@@ -310,28 +297,6 @@ def test_stops_may_be_repeated_every_cycle():
     assert CommandAborted("MoveJoints") in rig.evrs
 
 
-def test_the_end_of_a_guarded_move_is_within_the_arm_s_reach_before_anything_is_planned():
-    rig = deployed()
-    for metres in (10.0, 18.0):
-        reason = refusal(rig, rig.touch("apxs", metres))
-        assert reason == f"the straight move is {metres:.3g} m long, the longest allowed is 0.6 m"
-
-
-def test_a_guarded_move_against_the_tool_s_own_direction_is_refused():
-    rig = deployed()
-    ahead = rig.touch("apxs", 0.02)
-    reason = refusal(rig, replace(ahead, approach_R=floats(-np.array(ahead.approach_R))))
-    assert reason == "the approach is 180.0 deg from where the tool looks, at most 5.7 deg are allowed"
-
-
-def test_a_stowed_arm_only_unstows():
-    rig = stowed()
-    for kind in (Calibrate, CalibrateAll, MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract):
-        assert refusal(rig, COMMANDS[kind](rig)) == IN_STOWED
-    rig.cycle(Unstow())
-    assert rig.state.mode is Mode.FREE_SPACE
-
-
 @pytest.mark.parametrize("mode", [Mode.STOWED, Mode.DEPLOYED])
 @pytest.mark.parametrize(
     ("off_rad", "expected"), [(0.0, Mode.STOWED), (0.019, Mode.STOWED), (0.021, Mode.DEPLOYED)]
@@ -497,12 +462,3 @@ def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract
     rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     assert rig.evrs[0] == CommandRefused("Preload", "apxs is the tool that may touch; retract it first")
     assert CommandAccepted("Retract") in rig.evrs
-
-
-def test_another_tool_s_contact_is_a_fault_while_one_is_retracted():
-    rig = guarded_in_contact()
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
-    for _ in range(30):
-        rig.cycle(**TOUCHED)
-    rig.cycle(switch_closed=np.isin(SWITCHES, ["mahli_1a"]))
-    assert rig.state.mode is Mode.FAULTED

@@ -10,7 +10,6 @@ from fsw.dictionary.faults import (
     ContactLost,
     GravityImplausible,
     NoContact,
-    OverCurrent,
     OverTemperature,
     SensorNotFinite,
 )
@@ -75,21 +74,6 @@ def test_a_fault_brakes_the_move_and_remembers_where_it_happened(mode):
     assert after.move.phase is Phase.BRAKE
     assert after.fault == StandingFault(mode, frozenset({(NoContact, None), (CommandCompleted, None)}))
     assert after.evrs == (*found, RESPONDED)
-
-
-def test_a_standing_fault_is_not_answered_again_but_what_is_new_is_reported_once():
-    rig = moving()
-    first = respond(rig, MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ()), NoContact(0.1))
-    before = MoveOutcome(first.mode, first.move, None, first.fault, ())
-    drew = OverCurrent(Joint.WRIST, 3.0, 2.85)
-    again = respond(rig, before, NoContact(0.2))
-    assert (again.mode, again.move, again.fault, again.evrs) == (before.mode, before.move, before.fault, ())
-    after = respond(rig, before, NoContact(0.2), drew)
-    assert after.evrs == (drew,)
-    assert (after.mode, after.move) == (before.mode, before.move)
-    reported = frozenset({(NoContact, None), (OverCurrent, Joint.WRIST)})
-    assert after.fault == StandingFault(Mode.FREE_SPACE, reported)
-    assert respond(rig, MoveOutcome(after.mode, after.move, None, after.fault, ()), drew).evrs == ()
 
 
 def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():

@@ -93,24 +93,6 @@ def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha,
     np.testing.assert_allclose(matrix(X), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_the_nominal_links_are_the_dh_table_of_the_drawing(joint):
-    link = config_of().params.links.in_order()[joint + 1]
-    np.testing.assert_allclose(matrix(transform6_to_pose(link.transform)), dh(0.0, *DH[joint]), atol=1e-15)
-
-
-def test_the_azimuth_joint_stands_where_the_drawing_has_it():
-    base = config_of().params.links.arm1
-    np.testing.assert_allclose(
-        matrix(transform6_to_pose(base.transform)), translation(SHOULDER_R_M), atol=1e-15
-    )
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-def test_the_nominal_tools_stand_where_the_drawing_has_them(tool):
-    np.testing.assert_allclose(matrix(config_of().arm.X_FT[tool]), drawn_tool(tool), atol=1e-12)
-
-
 def test_the_nominal_soft_limits_are_those_of_the_table():
     arm = config_of().arm
     np.testing.assert_allclose(
@@ -130,56 +112,6 @@ ALUMINIUM_1_K = 23e-6
 
 def tool_position(arm, q, tool):
     return tool_pose(arm, forward(arm, q), tool).p
-
-
-FORWARD, STARBOARD, DOWN = np.eye(3)
-STRAIGHT = (
-    # every joint at zero: what a link has along x lies forward, the offset of the wrist to starboard
-    (ALUMINIUM_1_K, 1.11285, FORWARD),  # the body, to the azimuth joint
-    (ALUMINIUM_1_K, -0.4515, STARBOARD),
-    (ALUMINIUM_1_K, 0.2660, DOWN),
-    (TITANIUM_1_K, 0.156, FORWARD),  # azimuth to elevation
-    (TITANIUM_1_K, 0.827, FORWARD),  # upper arm
-    (TITANIUM_1_K, 0.785, FORWARD),  # forearm
-    (TITANIUM_1_K, 0.1664, STARBOARD),  # wrist bracket
-    (TITANIUM_1_K, -0.144, FORWARD),
-    (TITANIUM_1_K, -0.1697, DOWN),  # turret interface
-    (TITANIUM_1_K, -0.0718, DOWN),  # drill
-    (TITANIUM_1_K, 0.360, FORWARD),
-)
-BENT_DEG = (90.0, -90.0, 90.0, 90.0, 90.0)
-BENT = (
-    # arm to starboard, upper arm up, forearm level, turret axis level; the drill looks back
-    (ALUMINIUM_1_K, 1.11285, FORWARD),
-    (ALUMINIUM_1_K, -0.4515, STARBOARD),
-    (ALUMINIUM_1_K, 0.2660, DOWN),
-    (TITANIUM_1_K, 0.156, STARBOARD),
-    (TITANIUM_1_K, -0.827, DOWN),
-    (TITANIUM_1_K, 0.785, STARBOARD),
-    (TITANIUM_1_K, -0.1664, FORWARD),
-    (TITANIUM_1_K, -0.144, DOWN),
-    (TITANIUM_1_K, 0.1697, STARBOARD),
-    (TITANIUM_1_K, 0.0718, STARBOARD),
-    (TITANIUM_1_K, -0.360, FORWARD),
-)
-
-
-@pytest.mark.parametrize(
-    ("pose_deg", "pieces", "sum_mm"),
-    [
-        ((0.0, 0.0, 0.0, 0.0, 0.0), STRAIGHT, (4.265795, -0.895346, 0.404110)),
-        (BENT_DEG, BENT, (2.106851, -0.021500, -0.223260)),
-    ],
-    ids=["straight", "bent"],
-)
-def test_a_hundred_kelvin_move_the_drill_by_the_hand_calculation(pose_deg, pieces, sum_mm):
-    """The pieces are from the drawing: expansion, length, and direction in this pose."""
-    arm, q = config_of().arm, np.radians(pose_deg)
-    cold = tool_position(arm, q, "drill")
-    np.testing.assert_allclose(cold, sum(length * way for _, length, way in pieces), atol=1e-14)
-    grown_m = sum(100.0 * expansion * length * way for expansion, length, way in pieces)
-    np.testing.assert_allclose(1e3 * grown_m, sum_mm, atol=1e-6)
-    np.testing.assert_allclose(tool_position(heat_arm(arm, 100.0), q, "drill") - cold, grown_m, atol=1e-13)
 
 
 @pytest.mark.parametrize("tool", TOOLS)

@@ -35,7 +35,6 @@ from tests.fsw.kinematics.lab import (
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
-from tests.marks import slow_but
 from tests.tools import TOOLS, tool_index
 from validation.kinematics_trials import (
     CLEAR_OF_FOLDS,
@@ -179,13 +178,6 @@ def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_roo
         assert not find_regular(Trial("offset", arm, "drill", None), q[:, lost]).any()
 
 
-def test_every_verdict_but_singular_occurs_at_random_targets():
-    _, p, a, result = random_case("apxs")
-    far = inverse_kinematics(ARM, "apxs", p + np.array([[1.0], [0.0], [0.0]]), a)
-    seen = set(result.verdict.ravel()) | set(far.verdict.ravel())
-    assert seen == {BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH}
-
-
 @pytest.mark.parametrize("push_m", [0.001, 0.05, 0.5])
 def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
     # elbow straight, pushed outward along the line from shoulder to wrist
@@ -223,26 +215,6 @@ def test_a_nearly_straight_elbow_is_answered_or_out_of_reach_by_nothing(tool, el
     X = pose_of(ARM, result.output_rad, tool)
     error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
     assert error[ok].max() < RIGID_M
-
-
-@pytest.mark.parametrize("name", slow_but(["nominal", "calibrated:3"], "calibrated:3"))
-@pytest.mark.parametrize("gravity", GRAVITIES)
-def test_what_is_returned_near_double_roots_and_singular_directions_is_right(name, gravity):
-    arm, pull = config_of(name).arm, GRAVITIES[gravity]
-    rng = np.random.default_rng(8)
-    q = in_limits(config_of(), rng, 400)
-    q[2, :200] = 10.0 ** rng.uniform(-9, -1, 200) * rng.choice([-1, 1], 200)
-    boresight = np.arctan2(*ARM.X_FT["apxs"].R[[1, 0], 0])
-    q[4, 200:] = np.pi / 2 - boresight + 10.0 ** rng.uniform(-9, -1, 200) * rng.choice([-1, 1], 200)
-    p, a = targets_of(q, "apxs", arm, pull)
-    result = inverse_kinematics(arm, "apxs", p, a, pull)
-    assert_consistent(arm, result)
-    valid = where_verdict(result, BranchVerdict.VALID)
-    p, a = (of_roots(v, valid) for v in (p, a))
-    error = np.abs(task_error(pose_of(arm, result.output_rad[:, valid], "apxs", pull), p, a))
-    assert error.max() < (RIGID_M if pull is None else LOADED_M)
-    for k in range(0, 400, 7):
-        assert_sentences(arm, select_targets(result, k))
 
 
 def along_the_pitch_axis(tool):
@@ -438,20 +410,6 @@ def two_turns(joint):
     assert high - low > 2 * np.pi or joint is not Joint.WRIST
     angle = 0.5 * (low + 2 * np.pi + high)
     return angle, angle - 2 * np.pi
-
-
-def test_of_joints_with_more_than_a_turn_of_travel_there_is_the_wrist():
-    travel = ARM.soft_max_rad - ARM.soft_min_rad
-    np.testing.assert_array_equal(np.flatnonzero(travel > 2 * np.pi), [Joint.WRIST])
-
-
-def test_where_two_turns_fit_the_nearer_one_is_taken():
-    high, low = two_turns(Joint.WRIST)
-    q = np.array([0.0, -1.0, 1.0, high, 1.0])
-    for near, expected in ((high - 0.5, high), (low + 0.5, low), (3.0, high), (-3.0, low)):
-        start = np.array([0.0, -1.0, 1.0, near, 1.0])
-        assert wrap_into_limits(ARM, q, start)[3] == pytest.approx(expected, abs=1e-12)
-        assert wrap_into_limits(ARM, q[:, None, None], start)[3, 0, 0] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)

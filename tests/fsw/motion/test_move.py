@@ -120,14 +120,6 @@ def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, j
     np.testing.assert_array_equal(drive.brake_release, alone & (phase is not Phase.BRAKE))
 
 
-@pytest.mark.parametrize("phase", Phase)
-def test_power_is_on_in_every_phase_and_the_brakes_are_off_in_all_but_the_last(phase):
-    rig = Rig(CONFIG)
-    drive = command_actuators(CONFIG, move_by(0.1, phase), rig.state.joints, rig.state.drive)
-    assert drive.power_on.all()
-    assert (drive.brake_release == (phase is not Phase.BRAKE)).all()
-
-
 def test_set_points_are_the_counts_nearest_to_the_angle():
     rig = Rig(CONFIG)
     move = replace(move_by(0.1), setpoint=Setpoint(READY + 1e-4, np.zeros(5)))

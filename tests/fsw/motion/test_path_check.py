@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.collision.distance import compute_clearances
-from fsw.collision.geometry import GROUND
 from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
@@ -138,15 +137,6 @@ def test_the_first_look_misses_nothing_that_a_close_look_finds():
     assert 10 < refused < 40
 
 
-def test_a_move_down_into_the_ground_is_refused_in_words():
-    down = READY.copy()
-    down[Joint.ELEVATION] += 0.7
-    said = check_paths(CONFIG, JOINTS, way(READY, down), PADDING_M)
-    assert "meets the ground; " in said
-    share = float(said.rsplit("; ", 1)[1].split(" %")[0])
-    assert 10 < share < 95
-
-
 def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
     down = READY.copy()
     down[Joint.ELEVATION] += 0.7
@@ -157,20 +147,6 @@ def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
     for part, clear in ((share - 0.02, True), (share + 0.02, False)):
         there = READY + part * (down - READY)
         assert (check_paths(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear
-
-
-def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
-    down = READY.copy()
-    down[Joint.ELEVATION] += 0.7
-    paths = way(READY, down)
-    motor = sample_paths(CONFIG, paths, 1e-3)
-    height = compute_clearances(GEOMETRY, compute_deflected_frames(CONFIG, JOINTS, motor), MAX_CLEARANCE_M)[
-        :, GROUND
-    ].min(axis=0)
-    low = motor[:, np.flatnonzero(height < 0.6 * PADDING_M)[0]]
-    assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None
-    lower = low + np.array([0.0, 0.002, 0.0, 0.0, 0.0])
-    assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, lower),), PADDING_M) is not None
 
 
 @pytest.mark.parametrize(("touching", "free"), [("apxs", True), ("drill", False), (None, False)])

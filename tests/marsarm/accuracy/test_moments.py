@@ -68,7 +68,3 @@ def test_one_pose_after_the_other_is_like_all_at_once():
     together = pooled_quantile([squared_length([(u, "normal")])], COVERAGE)
     assert pooled_quantile(apart, COVERAGE) == pytest.approx(together)
     assert together <= max(float(one.quantile(COVERAGE)[0]) for one in apart)
-
-
-def test_no_error_stays_within_nothing():
-    assert pooled_quantile([squared_length([(np.zeros((3, 2, 5)), "uniform")])], COVERAGE) == 0.0

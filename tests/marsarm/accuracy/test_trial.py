@@ -15,6 +15,7 @@ from marsarm.accuracy.trial import (
     closed_loop_model,
     configure_believed,
     error_in_tool,
+    measure_placements,
     random_placements,
     sample_effects,
     sample_source,
@@ -168,3 +169,19 @@ def test_the_same_seed_draws_the_same_arm():
     one, same, other = (sample_effects(MODEL, case, TOOL, np.random.default_rng(k)) for k in (1, 1, 2))
     assert one == same
     assert one != other
+
+
+def errors_m(seed, count):
+    """Compute the total errors of the APXS of an arm at placements in the workspace, shape (count,)."""
+    arm = arm_named(f"as-built:{seed}")
+    believed = configure_believed(arm)
+    places = random_placements(believed, "apxs", count, np.random.SeedSequence(seed))
+    found = measure_placements(statics_model(arm, believed, "on"), places)
+    return np.array([np.linalg.norm(one.error[3:]) for one in found])
+
+
+@pytest.mark.slow
+def test_as_built_arms_are_10_to_20_mm_off():
+    """Use 100 arms at two placements each, so that a few good arms cannot decide."""
+    errors = np.concatenate([errors_m(seed, 2) for seed in range(100)])
+    assert 10e-3 < np.sqrt(np.mean(errors**2)) < 20e-3

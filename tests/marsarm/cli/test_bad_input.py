@@ -12,9 +12,11 @@ from pathlib import Path
 import pytest
 import typer
 
+from marsarm.telemetry.format import FORMAT
+from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
 from simgap.common.verb import VerbResult, verb
-from tests.marsarm.command import call, largest_file, marsarm
+from tests.marsarm.command import SHORT_RUN, call, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
 LIBRARY_WORDS = re.compile(
@@ -37,19 +39,6 @@ class Boom(Effect):
 
     def on_hardware(self, hardware):
         return hardware / 0
-"""
-SHORT_RUN = """\
-title = "A short move"
-summary = "Turn the turret a little."
-start = "ready"
-
-[[command]]
-type = "MOVE_JOINT"
-joint = "turret"
-angle_deg = 95
-
-[[check]]
-type = "done"
 """
 FAR_PLACE = """\
 type = "PLACE_TOOL"
@@ -122,6 +111,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pass
     data = (folder / "run.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(data[:40])
+    begin, _ = read_records(data).chunks[0]
+    (folder / "flipped.mcap").write_bytes(
+        data[: begin + 80] + bytes([data[begin + 80] ^ 8]) + data[begin + 81 :]
+    )
+    version = b"version\x01\0\0\0" + FORMAT.encode()
+    (folder / "later.mcap").write_bytes(data.replace(version, version[:-1] + b"9"))
+    with Recorder(folder / "old.mcap", {"marsarm": "0.2.0"}) as recorder:
+        recorder.write(cycle_at(0))
     (folder / "full").mkdir()
     (folder / "full" / "a.txt").write_text("something")
     return folder
@@ -161,6 +158,7 @@ CASES = {
     f"arm --build {300 * 'a'}": "is not known; there are m2020, msl",
     "log info run.mcap --from 3 --to 2": "from: 3.0 s is not before --to 2.0 s",
     "log info run.mcap --from nan": "is no log time",
+    "log info run.mcap --to -1": "is no log time",
     "log info run.mcap --from 100": "has nothing in the time",
     "place --target 9 9 9": "out of reach",
     "place --target 1.3 -1 -0.1 --normal 0 1 0": "joint elevation: about 12",
@@ -213,6 +211,10 @@ CASES = {
     "monte-carlo --built borrowed": "built: 'borrowed' is not known; there are sampled, calibrated, as-built",
     "calibrate --arm as-new:1": "not known",
     "place --effect flex-cabel": "did you mean flex-cable?",
+    "run short_run.toml --effect warming:warming_K=9e9": "warming_K: 9e+09 is outside -200 .. 200",
+    "hardstop --effect coulomb-friction:elbo:torque_Nm=1": "place: joint 'elbo' is not known",
+    "gap record --out new --effect rusty-gear": "'rusty-gear' is not known",
+    "gap record --out new --sessions poses-levl-*": "sessions: nothing is called 'poses-levl-*'",
     # parameters
     "place --params nosuch.toml": "nosuch.toml: cannot be read (No such file or directory)",
     "place --params half.toml": "is not TOML",
@@ -266,6 +268,13 @@ CASES = {
     "log info empty.mcap": "an empty file",
     "log info text.mcap": "not an MCAP file",
     "log info cut.mcap": "cut short before its header",
+    "log info flipped.mcap": "a chunk does not match its CRC",
+    "log info later.mcap --json": "log format 9",
+    "log recover later.mcap good.mcap": "log format 9",
+    "log info old.mcap": "marsarm 0.2, which reads it; this marsarm reads logs of 0.3",
+    "log recover old.mcap good.mcap": "a log of marsarm 0.2, which reads it",
+    "log recover empty.mcap good.mcap": "nothing can be saved",
+    "log info run.mcap /joint.motor_rad[5]": "has no channel /joint.motor_rad[5]",
     "log info folder.mcap": "is not a regular file",
     "log info pipe.mcap": "is not a regular file",
     "replay loop.mcap": "cannot be read (Too many levels of symbolic links)",
@@ -279,6 +288,8 @@ CASES = {
     "diagnose nosuch": "there is no such file or folder",
     "diagnose full": "holds no .mcap file",
     "diagnose run.mcap run.mcap": "is the same as",
+    "diagnose run.mcap --held-out run.mcap": "is log run.mcap too",
+    "diagnose run.mcap --patch one.toml --new-params one.toml": "this is the file of patch too",
     "diagnose run.mcap": "log run.mcap",
     "diagnose run.mcap --catalogue nosuch": "is not known",
     # tables
@@ -319,6 +330,15 @@ CASES = {
     "monte-carlo --results pipe.jsonl --arms 1": "is not a regular file",
     "budget --report folder.toml": "its name must end in .html",
     "log export run.mcap out.xyz --topic /joint": "must end in .parquet or .csv",
+    "log export run.mcap out.tsv": "must end in .parquet or .csv, or be a folder",
+    "log export run.mcap out.csv": "one file holds one table",
+    "log export run.mcap a.parquet --topic /joint --csv": "with --csv its name must end in .csv",
+    f"log export run.mcap {300 * 'a'}": "cannot be written (File name too long)",
+    "log export run.mcap /proc/tables": "this folder cannot be made",
+    "log recover run.mcap good.txt": "must end in .mcap",
+    "log plot run.mcap /joint/mode --out p.pdf": "must end in .png",
+    "log plot run.mcap '*' --out p.png": "room for 12; name fewer, such as /",
+    "diagnose run.mcap --report gap.pdf": "must end in .html",
 }
 """Part of the sentence, by command."""
 

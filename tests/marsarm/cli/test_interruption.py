@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marsarm.common.pool import local_runner
 from marsarm.ik.solve import IkModel
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
@@ -171,20 +170,6 @@ def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_
     with Recorder(tmp_path / "whole.mcap", {}) as whole:
         whole.write(cycle_at(0))
     assert read_log(tmp_path / "whole.mcap").end == "closed"
-
-
-def wait_long(_: int) -> None:
-    """Take much longer than any test."""
-    time.sleep(100.0)
-
-
-def test_workers_end_with_the_command() -> None:
-    began_s = time.monotonic()
-    with signals_raise(), pytest.raises(Interrupted):  # noqa: PT012
-        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
-        signal.setitimer(signal.ITIMER_REAL, 1.0)
-        list(local_runner(2)(wait_long, range(4)))
-    assert time.monotonic() - began_s < 50.0  # not the duration of a job
 
 
 def test_a_file_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:

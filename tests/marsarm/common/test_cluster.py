@@ -1,15 +1,12 @@
 """The pool on a real Ray cluster of two nodes on the loopback; skipped where Ray is not installed."""
 
 import json
-import os
 import platform
-import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +18,9 @@ from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, r
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
+from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
 from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
 from validation.joints import hardstops
@@ -31,10 +30,6 @@ pytestmark = [
     pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed: no cluster is tried"),
     pytest.mark.filterwarnings("default"),  # ray's own
 ]
-
-
-def quiet(*_) -> None:
-    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +50,6 @@ def one_process() -> str:
 
 def test_two_hundred_arms_are_those_of_one_process_bit_for_bit(run, one_process):
     assert measure_arms(run, list_arms(200, 7)) == one_process
-
-
-def square(x: int) -> int:
-    return x * x
-
-
-def power(x: int, y: int) -> int:
-    return x**y
 
 
 def test_every_job_is_done_once_and_results_can_come_in_order(run):
@@ -86,21 +73,8 @@ def node_id(_: int) -> str:
     return str(ray.get_runtime_context().get_node_id())
 
 
-def die_once(folder: Path) -> int:
-    try:
-        (folder / "died").mkdir()
-    except FileExistsError:
-        return os.getpid()
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
-
-
 def test_a_worker_that_dies_costs_its_jobs_only(run, tmp_path):
     assert len(list(run(die_once, [tmp_path] * 20))) == 20
-
-
-def die(_: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_job_at_which_every_worker_dies_ends_the_run(run):
@@ -126,10 +100,6 @@ def test_a_node_with_other_software_is_refused(run, monkeypatch):
         list(run(square, [1]))
 
 
-def rest(_: int) -> None:
-    time.sleep(60)
-
-
 @pytest.mark.parametrize("again", [False, True])
 def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
     from ray.exceptions import NodeDiedError, OutOfDiskError
@@ -151,21 +121,9 @@ def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
             list(run(square, [3]))
 
 
-class Stop(BaseException):
-    """Interruption."""
-
-
 def test_an_interruption_ends_the_run_within_two_seconds(run):
-    def interrupt(*_) -> None:
-        raise Stop
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, 3.0)
-    try:
-        with pytest.raises(Stop):
-            list(run(rest, range(4)))
-    finally:
-        signal.signal(signal.SIGALRM, before)
+    with interrupted_after(3.0):
+        list(run(rest, range(4)))
     assert list(run(square, [3])) == [9]  # a worker is free again
 
 
@@ -176,7 +134,7 @@ def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
     assert rows == list(range(1, 62))
     there = sorted(map(json.loads, path.read_text().splitlines()[1:]), key=lambda record: record["arm"])
     alone = tmp_path / "alone.jsonl"
-    run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), quiet)
+    run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), no_progress)
     assert there == [json.loads(line) for line in alone.read_text().splitlines()[1:]]
 
 
@@ -185,9 +143,9 @@ def test_a_batch_of_inverse_kinematics_is_that_of_one_process(nodes, tmp_path):
     position = np.array([2.1, 0.0, -0.3]) + rng.uniform(-0.3, 0.3, (20_000, 3))
     np.savez(tmp_path / "in.npz", position_m=position, approach=np.tile([0.5, 0.0, 0.85], (20_000, 1)))
     request = IkRequest(batch=tmp_path / "in.npz", out=tmp_path / "out.npz")
-    solve(request, quiet)
+    solve(request, no_progress)
     one = request.out.read_bytes()
-    solve(replace(request, cluster=nodes.address), quiet)
+    solve(replace(request, cluster=nodes.address), no_progress)
     assert request.out.read_bytes() == one
 
 

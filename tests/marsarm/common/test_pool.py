@@ -6,22 +6,13 @@ import subprocess
 import sys
 import time
 from multiprocessing import active_children
-from pathlib import Path
 
 import pytest
 
 from marsarm.common.pool import WorkersDied, cluster_runner, in_order, local_runner
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT
-
-
-def square(x: int) -> int:
-    return x * x
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_every_job_is_done_once(workers):
-    assert sorted(local_runner(workers)(square, range(7))) == [0, 1, 4, 9, 16, 25, 36]
+from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 
 
 def process(_: int) -> int:
@@ -52,25 +43,11 @@ def test_short_jobs_go_in_larger_tasks_and_each_is_done_once():
     assert sorted(local_runner(2)(square, range(20_000))) == [x * x for x in range(20_000)]
 
 
-def power(x: int, y: int) -> int:
-    return x**y
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_can_come_in_the_order_of_their_jobs(workers):
     assert list(in_order(local_runner(workers), power, [(x, 2) for x in range(50)])) == [
         x * x for x in range(50)
     ]
-
-
-def die_once(folder: Path) -> int:
-    """Kill the worker that does this first."""
-    try:
-        (folder / "died").mkdir()
-    except FileExistsError:
-        return os.getpid()
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError
 
 
 def test_a_worker_that_dies_costs_the_jobs_under_way_only(tmp_path, capfd):
@@ -114,10 +91,6 @@ def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
     assert (process.returncode, errors) == (130, "interrupted by SIGINT before the end\n")
 
 
-def die(_: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def test_a_job_at_which_every_worker_dies_ends_the_run():
     with pytest.raises(WorkersDied, match="3 of them died one after the other"):
         list(local_runner(2)(die, [1]))
@@ -136,23 +109,7 @@ def test_results_before_an_error_are_kept():
     assert len(set(found)) >= 900 - 1000 // 4  # the other worker may still have a task, a quarter at most
 
 
-def rest(_: int) -> None:
-    time.sleep(60)
-
-
-class Stop(BaseException):
-    """Interruption."""
-
-
 def test_an_interruption_kills_the_workers():
-    def interrupt(*_) -> None:
-        raise Stop
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, 2.0)
-    try:
-        with pytest.raises(Stop):
-            list(local_runner(2)(rest, range(4)))
-    finally:
-        signal.signal(signal.SIGALRM, before)
+    with interrupted_after(2.0):
+        list(local_runner(2)(rest, range(4)))
     assert not active_children()

@@ -132,23 +132,6 @@ def test_a_patch_without_content_is_not_written(diagnose, results, tmp_path):
     assert not (tmp_path / "found.toml").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--catalogue", "gear-stifness"], "did you mean gear-stiffness"),
-        (["--held-out", "a.mcap"], "is log a.mcap too"),
-        (["--report", "gap.pdf"], "must end in .html"),
-        (["--patch", "one.toml", "--new-params", "one.toml"], "this is the file of patch too"),
-        (["--params", "none.toml"], "none.toml: cannot be read"),
-    ],
-)
-def test_bad_input_ends_with_2_and_writes_nothing(diagnose, results, tmp_path, words, said):
-    done = diagnose(results["named"], *words, "--json")
-    assert done.exit_code == 2
-    assert said in json.loads(done.stdout)["error"]
-    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
-
-
 def test_a_log_that_cannot_be_diagnosed_ends_with_2_and_writes_nothing(diagnose, tmp_path):
     done = diagnose(NotForDiagnosis("log a.mcap: has no /drive"), "--report", "gap.html")
     assert done.exit_code == 2

@@ -74,7 +74,3 @@ def test_a_channel_is_found_in_either_spelling(pattern: str) -> None:
     (packet,) = json.loads(out(pattern, "--json"))["packets"]
     assert packet["name"] == "/joint"
     assert "motor_rad" in [one["name"] for one in packet["fields"]]
-
-
-def test_json_and_markdown_exclude_each_other() -> None:
-    assert "give one of the two" in out("--json", "--markdown", status=2)

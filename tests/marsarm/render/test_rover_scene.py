@@ -8,7 +8,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from marsarm.render.picture import PictureError, PictureResult
+from marsarm.render.picture import PictureResult
 from marsarm.render.rays import Rays
 from marsarm.render.rover_scene import save_collision_picture, tilt_rover
 from marsarm.runs import execution
@@ -28,11 +28,6 @@ def test_the_shapes_of_arm_and_rover_are_in_the_picture(tmp_path: Path) -> None:
     if drawn.renderer == "opengl":  # rays do not hit transparent geoms
         bluish = image[..., 2] > image[..., 0] + 30
         assert 0.005 < bluish.mean() < 0.5
-
-
-def test_a_camera_that_there_is_not_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PictureError, match="there is no camera 'nowhere'"):
-        save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", "nowhere", (16, 9))
 
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))

@@ -11,35 +11,11 @@ from tests.replay.runs import RUNS
 LOG = str(FOLDER / "fault.mcap")
 SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
 
-BAD = {
-    "no such file": (("none.mcap",), "none.mcap: cannot be read"),
-    "no log": (("other.toml",), "other.toml: not an MCAP file"),
-    "no such channel": ((LOG, "--channel", "/motor*"), "channel: nothing is called '/motor*'"),
-    "no such parameters": ((LOG, "--params", "none.toml"), "none.toml: cannot be read"),
-    "parameters of another kind": ((LOG, "--params", "wrong.toml"), "speed: is not known"),
-}
-
 
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "other.toml").write_text(SLOWER)
-    (tmp_path / "wrong.toml").write_text("[joints.turret]\nspeed = 1\n")
     return tmp_path
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_a_sentence_and_status_2(folder, case):
-    words, message = BAD[case]
-    done = marsarm(folder, "replay", *words)
-    assert done.returncode == 2
-    assert message in " ".join(done.stderr.split())
-    assert (done.stdout, "Traceback" in done.stderr) == ("", False)
-
-
-def test_bad_input_with_json_is_still_one_document(folder):
-    done = marsarm(folder, "replay", "other.toml", "--json")
-    assert done.returncode == 2
-    assert "not an MCAP file" in json.loads(done.stdout)["error"]
 
 
 def test_the_same_is_status_0(folder):

@@ -6,29 +6,16 @@ import pytest
 
 from marsarm.telemetry.read import read_log
 from sim.scenario.file import built_in_scenarios
-from tests.marsarm.command import largest_file, marsarm
+from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 
-SHORT = """\
-title = "A short move"
-summary = "Turn the turret a little."
-start = "ready"
-
-[[command]]
-type = "MOVE_JOINT"
-joint = "turret"
-angle_deg = 95
-
-[[check]]
-type = "done"
-"""
-REFUSED = SHORT + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
-MISSED = SHORT + '\n[[check]]\ntype = "stowed"\n'
-CUT = SHORT + '\n[[fault]]\ntype = "POWER_LOSS"\nduring = 1\nafter_s = 1\n'
+REFUSED = SHORT_RUN + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
+MISSED = SHORT_RUN + '\n[[check]]\ntype = "stowed"\n'
+CUT = SHORT_RUN + '\n[[fault]]\ntype = "POWER_LOSS"\nduring = 1\nafter_s = 1\n'
 
 
 @pytest.fixture
 def folder(tmp_path):
-    for name, text in (("short", SHORT), ("refused", REFUSED), ("missed", MISSED), ("cut", CUT)):
+    for name, text in (("short", SHORT_RUN), ("refused", REFUSED), ("missed", MISSED), ("cut", CUT)):
         (tmp_path / f"{name}.toml").write_text(text)
     return tmp_path
 

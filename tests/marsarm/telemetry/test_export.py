@@ -15,13 +15,10 @@ from marsarm.telemetry.inspection import NoSuchChannel, range_of, select_channel
 from marsarm.telemetry.read import Log, read_log
 from sim.record import CycleRecord
 from simgap.common.errors import BadOutput
+from simgap.common.progress import no_progress
 
 HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
 """A signalling NaN with a payload; as an integer a large one, as a flag true."""
-
-
-def quiet(*_: Any) -> None:
-    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +41,14 @@ def assert_same_bits(log: Log, topic: str, path: Path) -> None:
 
 
 def test_parquet_keeps_every_bit_of_every_topic(log: Log, tmp_path: Path) -> None:
-    files = export(log, tmp_path / "tables", [], quiet)
+    files = export(log, tmp_path / "tables", [], no_progress)
     assert files.keys() == log.time_ns.keys()
     for topic in log.packets:
         assert_same_bits(log, topic, files[topic])
 
 
 def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
-    (path,) = export(log, tmp_path / "joint.parquet", ["/joint"], quiet).values()
+    (path,) = export(log, tmp_path / "joint.parquet", ["/joint"], no_progress).values()
     schema = pq.read_schema(path)
     assert json.loads(schema.metadata[b"marsarm.header"]) == dict(log.header)
     assert schema.metadata[b"marsarm.topic"] == b"/joint"
@@ -61,12 +58,12 @@ def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
 
 
 def test_the_truth_stays_marked(log: Log, tmp_path: Path) -> None:
-    (path,) = export(log, tmp_path / "truth.parquet", ["/truth"], quiet).values()
+    (path,) = export(log, tmp_path / "truth.parquet", ["/truth"], no_progress).values()
     assert b"marsarm.truth" in pq.read_schema(path).metadata
 
 
 def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:
-    (path,) = export(log, tmp_path / "sensors.csv", ["/sensors"], quiet).values()
+    (path,) = export(log, tmp_path / "sensors.csv", ["/sensors"], no_progress).values()
     with path.open(newline="") as file:
         names, *rows = csv.reader(file)
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
@@ -79,7 +76,7 @@ def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:
 
 
 def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
-    files = export(log, tmp_path / "tables", ["/evr", "/command"], quiet)
+    files = export(log, tmp_path / "tables", ["/evr", "/command"], no_progress)
     evrs = pq.read_table(files["/evr"]).to_pylist()
     assert (evrs[0]["name"], evrs[0]["severity"]) == ("Booted", "ACTIVITY_HI")
     assert json.loads(evrs[0]["fields_json"]) == {"params_sha256": "ééé"}
@@ -102,10 +99,10 @@ def test_where_nothing_can_be_written_nothing_is(
     (tmp_path / "file.txt").write_text("mine")
     if why == "no such":
         with pytest.raises(NoSuchChannel, match="has no topic /jiont; it has /command, /drive"):
-            export(log, tmp_path / out, ["/jiont"], quiet)
+            export(log, tmp_path / out, ["/jiont"], no_progress)
     else:
         with pytest.raises(BadOutput, match=why):
-            export(log, tmp_path / out, topics, quiet)
+            export(log, tmp_path / out, topics, no_progress)
     assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
 
 

@@ -188,13 +188,6 @@ def test_every_evr_goes_into_a_log(kind: Any) -> None:
     )
 
 
-@pytest.mark.parametrize("kind", get_args(Command), ids=lambda kind: kind.__name__)
-def test_every_command_goes_into_a_log(kind: Any) -> None:
-    entry = command_entry(7, some_event(kind))
-    assert type(entry).decode(entry.encode()) == entry
-    assert list(entry.fields) == [f.name for f in fields(kind)]
-
-
 def test_a_field_without_a_json_type_is_refused() -> None:
     with pytest.raises(SchemaError, match="object in a command or EVR"):
         record_to_json(object())

@@ -4,12 +4,9 @@ import json
 
 import pytest
 
-from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
 from tests.marsarm.command import marsarm, marsarm_process
-from tests.marsarm.telemetry.conftest import cycle_at
 from validation.speed import record_log
 
 CYCLES = 130
@@ -28,13 +25,6 @@ def folder(tmp_path, written):
     broken[begin + 80] ^= 8
     (tmp_path / "broken.mcap").write_bytes(broken)
     (tmp_path / "cut.mcap").write_bytes(written[: begin + 50])
-    (tmp_path / "empty.mcap").write_bytes(b"")
-    (tmp_path / "foreign.mcap").write_text("tick,angle_rad\n0,0.5\n")
-    version = b"version\x01\0\0\0" + FORMAT.encode()
-    assert version in written
-    (tmp_path / "later.mcap").write_bytes(written.replace(version, version[:-1] + b"9"))
-    with Recorder(tmp_path / "old.mcap", {"marsarm": "0.2.0"}) as recorder:
-        recorder.write(cycle_at(0))
     return tmp_path
 
 
@@ -125,55 +115,6 @@ def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
         ran = marsarm(folder, "log", verb[0], name, *verb[1:], name)
         assert ran.returncode == 2
         assert (folder / name).read_bytes() == written
-
-
-BAD = {
-    "no file": (("info", "none.mcap"), "none.mcap: cannot be read"),
-    "empty": (("info", "empty.mcap"), "an empty file; nothing was written to it"),
-    "foreign": (("info", "foreign.mcap"), "not an MCAP file"),
-    "flipped": (("info", "broken.mcap"), "a chunk does not match its CRC"),
-    "later": (("info", "later.mcap"), "log format 9"),
-    "later, recovered": (("recover", "later.mcap", "g.mcap"), "log format 9"),
-    "of 0.2": (
-        ("info", "old.mcap"),
-        "marsarm 0.2, which reads it; this marsarm reads logs of 0.3",
-    ),
-    "of 0.2, recovered": (("recover", "old.mcap", "g.mcap"), "a log of marsarm 0.2, which reads it"),
-    "empty, recovered": (("recover", "empty.mcap", "g.mcap"), "nothing can be saved"),
-    "recovered into no log": (("recover", "broken.mcap", "g.txt"), "must end in .mcap"),
-    "no such channel": (
-        ("plot", "run.mcap", "/joint/moter", "--out", "p.png"),
-        "has no channel /joint/moter",
-    ),
-    "no such number": (("info", "run.mcap", "/joint.motor_rad[5]"), "has no channel /joint.motor_rad[5]"),
-    "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "room for 12; name fewer, such as /"),
-    "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
-    "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
-    "several in one": (("export", "run.mcap", "out.csv"), "one file holds one table"),
-    "csv into parquet": (
-        ("export", "run.mcap", "a.parquet", "--topic", "/joint", "--csv"),
-        "with --csv its name must end in .csv",
-    ),
-    "another kind of table": (
-        ("export", "run.mcap", "out.tsv"),
-        "must end in .parquet or .csv, or be a folder",
-    ),
-    "a long name": (("export", "run.mcap", "a" * 300), "cannot be written (File name too long)"),
-    "a folder nowhere": (("export", "run.mcap", "/proc/tables"), "this folder cannot be made"),
-    "time from nan": (("info", "run.mcap", "--from", "nan"), "is no log time"),
-    "time to minus": (("info", "run.mcap", "--to", "-1"), "is no log time"),
-    "time after the end": (("info", "run.mcap", "--from", "99"), "nothing in the time"),
-}
-
-
-@pytest.mark.parametrize(("words", "why"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_said_and_nothing_is_written(folder, words, why):
-    before = {path.name for path in folder.iterdir()}
-    ran = marsarm(folder, "log", *words, "--json")
-    assert ran.returncode == 2
-    assert why in json.loads(ran.stdout)["error"]
-    assert len(ran.stderr.splitlines()) == 1
-    assert {path.name for path in folder.iterdir()} == before
 
 
 def test_one_channel_is_one(folder):

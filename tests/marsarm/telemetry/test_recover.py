@@ -10,7 +10,6 @@ from marsarm.telemetry.errors import LogDamaged, LogNotReadable, LostMessages
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
-from simgap.common.errors import BadRequest
 from validation.broken_logs import CUT_EVERY, flip_bits, is_part, original, truncate_file
 
 N_CYCLES = 12
@@ -156,13 +155,6 @@ def test_a_later_format_cannot_be_recovered(tmp_path: Path, data: bytes) -> None
     later[data.index(b"version") + len(b"version") + 4] = ord("9")
     with pytest.raises(LogNotReadable, match="log format 9"):
         saved(tmp_path, bytes(later))
-
-
-def test_a_log_is_not_recovered_into_itself(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "run.mcap").write_bytes(data)
-    with pytest.raises(BadRequest, match="is the file of BAD too"):
-        recover(tmp_path / "run.mcap", tmp_path / "run.mcap", lambda *_: None)
-    assert (tmp_path / "run.mcap").read_bytes() == data
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])

@@ -194,6 +194,7 @@ def test_derived_channels_are_marked_and_a_reader_of_ours_has_no_array_of_them(p
     assert summary is not None
     derived = {c.topic for c in summary.channels.values() if "derived" in c.metadata}
     assert derived == {"/joint_states", "/tf", "/tf_static", "/arm_markers", "/rosout", "/robot_description"}
+    assert {c.topic for c in summary.channels.values() if "truth" in c.metadata} == {"/truth"}
     log = read_log(path)
     assert not derived & log.packets.keys()
     channels = json.loads(log.header["channels"])

@@ -112,25 +112,6 @@ def test_the_same_records_give_the_same_messages(make: Any, tmp_path: Path) -> N
     assert messages("long.mcap", 64) == messages("short.mcap", 1)
 
 
-def test_the_stock_reader_counts_the_same_messages_and_sees_the_truth_marked(
-    make: Any, tmp_path: Path
-) -> None:
-    path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(10)))
-    with path.open("rb") as file:
-        summary = make_reader(file, validate_crcs=True).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    topics = {c.topic: c for c in summary.channels.values()}
-    counted = summary.statistics.channel_message_counts
-    counts = {topic: counted[channel.id] for topic, channel in topics.items() if channel.id in counted}
-    log = read_log(path)
-    assert {topic: counts[topic] for topic in log.time_ns} == {t: len(v) for t, v in log.time_ns.items()}
-    assert counts == dict.fromkeys(("/sensors", "/drive", "/joint", "/tool", "/truth"), 10) | dict.fromkeys(
-        ("/evr", "/command", "/rosout"), 20
-    )
-    assert [topic for topic, channel in topics.items() if "truth" in channel.metadata] == ["/truth"]
-
-
 def test_a_run_that_ends_in_an_exception_leaves_a_whole_log(make: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with pytest.raises(TypeError):

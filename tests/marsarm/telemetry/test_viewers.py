@@ -15,26 +15,10 @@ from mcap.reader import NonSeekingReader, make_reader
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import recover
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import SHORT_RUN, marsarm
 from tests.tools import TOOLS
 
-SCENARIO = """\
-title = "A short move"
-summary = "Turn the turret a little."
-start = "ready"
-
-[world.surface]
-position_m = [2.05, 0.1, -0.25]
-normal = [-0.5, 0.1, -0.85]
-
-[[command]]
-type = "MOVE_JOINT"
-joint = "turret"
-angle_deg = 95
-
-[[check]]
-type = "done"
-"""
+ROCK = "[world.surface]\nposition_m = [2.05, 0.1, -0.25]\nnormal = [-0.5, 0.1, -0.85]\n\n[[command]]"
 KINDS = ["run", "recovered"]
 
 needs_pymcap = pytest.mark.skipif(
@@ -55,7 +39,7 @@ BLUEPRINT = Path(__file__).parents[3] / "docs" / "marsarm.rbl"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a log, a copy with a broken chunk, and the log recovered from it."""
     made = tmp_path_factory.mktemp("viewers")
-    (made / "short.toml").write_text(SCENARIO)
+    (made / "short.toml").write_text(SHORT_RUN.replace("[[command]]", ROCK))
     ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
     assert ran.returncode == 0, ran.stderr
     data = bytearray((made / "run.mcap").read_bytes())

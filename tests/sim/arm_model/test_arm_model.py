@@ -110,12 +110,6 @@ WRONG = {
         "portion has no contact switch",
     ),
     "a shape that is none": ("radius_m = 0.056", "turn_rad = 0.1", "shapes.link3.0: is no shape"),
-    "a pose beyond a limit": (
-        "ready_rad = [0.0,",
-        "ready_rad = [3.0,",
-        "poses.ready_rad: joint azimuth: 3.0 is outside",
-    ),
-    "a short link": ("a_m = 0.785", "a_m = 0.1", "links.arm4.transform.a_m: 0.1 is below"),
     "a number that is none": (
         "resistance_Ohm = 2.0",
         "resistance_Ohm = nan",

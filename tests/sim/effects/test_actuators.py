@@ -133,7 +133,6 @@ def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(fact
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor: float) -> None:
-    joint = Joint.AZIMUTH
     """Added friction loads the motor."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
     rubs = CoulombFriction(joint, 20.0)

@@ -16,14 +16,13 @@ from fsw.dictionary.commands import (
     MoveTool,
     PlaceTool,
     Preload,
-    Process,
     Retract,
 )
 from fsw.dictionary.enums import Joint
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
 from sim.params import nominal_params
-from sim.scenario.data import Check, Docked, GravityHeld, Injection, Placed, Scenario, TaughtPoint
+from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
 from sim.scenario.file import built_in_scenarios, load_scenario, parse_scenario
 from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake
 from sim.scenario.tables import (
@@ -34,9 +33,9 @@ from sim.scenario.tables import (
     read_command,
 )
 from sim.world import Surface
+from tests.sim.scenario.bad import GOOD
 from tests.tools import TOOLS
 
-HEAD = 'title = "T"\nsummary = "S."\nstart = "ready"\n'
 SAMPLES = {
     "tool": "apxs",
     "first_tool": "drill",
@@ -52,10 +51,6 @@ SAMPLES = {
     "sensor": "current_A",
     "kind": "biased",
 }
-
-
-def scenario(text: str) -> Scenario:
-    return parse_scenario(HEAD + text, "test", "test.toml")
 
 
 def command(**table: object) -> Command:
@@ -179,76 +174,21 @@ def test_degrees_and_millimetres_are_read_as_radians_and_metres():
 
 
 def test_a_whole_file_says_a_whole_scenario():
-    found = scenario(
-        """
-arm = "as-built:3"
-[world]
-scene = "earth"
-tilt_roll_deg = 10
-tilt_pitch_deg = -5
-temperature_degC = -40
-[world.surface]
-position_m = [2.0, 0.0, -0.2]
-normal = [0, 0, -1]
-[[teach]]
-name = "box"
-tool = "drill"
-position_mm = [940, 280, -860]
-approach = [-1, 0, 0]
-branch = "shoulder-out elbow-up wrist-down"
-[[command]]
-type = "PLACE_TOOL"
-tool = "apxs"
-position_m = [2.0, 0.0, -0.2]
-approach = [0, 0, 1]
-[[command]]
-type = "RETRACT"
-tool = "apxs"
-distance_mm = 50
-[[command]]
-type = "PROCESS"
-tool = "portion"
-gravity = [1, 0, 0]
-duration_s = 5
-[[fault]]
-type = "POWER_LOSS"
-during = 3
-after_s = 2.5
-[[fault]]
-type = "POWER_LOSS"
-at_s = 900
-[[check]]
-type = "placed"
-after = 1
-tool = "apxs"
-lateral_mm = 7
-[[check]]
-type = "docked"
-after = 2
-point = "box"
-[[check]]
-type = "gravity_held"
-during = 3
-tool = "portion"
-gravity = [1, 0, 0]
-angle_deg = 2
-[[check]]
-type = "faulted"
-evr = "FollowingErrorHigh"
-"""
+    found = parse_scenario(
+        GOOD.replace('start = "ready"', 'start = "ready"\narm = "as-built:3"')
+        .replace("[world]", '[world]\nscene = "earth"\ntilt_pitch_deg = -5\ntemperature_degC = -40')
+        .replace("[[check]]", '[[fault]]\ntype = "POWER_LOSS"\nduring = 4\nafter_s = 2.5\n[[check]]', 1),
+        "test",
+        "test.toml",
     )
     assert (found.arm, found.start, found.temperature_C) == ("as-built:3", "ready", -40.0)
     assert found.world.scene == "earth"
-    assert np.degrees([found.world.tilt_roll_rad, found.world.tilt_pitch_rad]) == pytest.approx([10, -5])
+    assert np.degrees([found.world.tilt_roll_rad, found.world.tilt_pitch_rad]) == pytest.approx([5, -5])
     assert found.world.surface == Surface((2.0, 0.0, -0.2), (0.0, 0.0, -1.0))
-    (point,) = found.taught
-    assert point.p_N_m == pytest.approx((0.94, 0.28, -0.86))
-    assert (point.name, point.tool, point.approach_N) == ("box", "drill", (-1.0, 0.0, 0.0))
-    assert isinstance(point, TaughtPoint)
-    assert found.commands[2] == Process("portion", (1.0, 0.0, 0.0), 5.0)
-    assert found.faults == (Injection(PowerLoss(2.5), 3), Injection(PowerLoss(900.0)))
-    assert found.checks[:2] == (Placed(1, "apxs", 7.0 * 1e-3), Docked(2, "box"))
-    assert found.checks[2] == GravityHeld(3, "portion", (1.0, 0.0, 0.0), 2.0 * pi / 180)
+    assert found.taught == (TaughtPoint("inlet", "portion", (0.62, 0.05, -1.175), (0.0, 0.0, 1.0)),)
+    assert found.commands[2] == Retract("apxs", 0.1)
+    assert found.faults == (Injection(PowerLoss(100.0)), Injection(PowerLoss(2.5), 4))
+    assert found.checks == (Done(), Placed(2, "apxs"))
 
 
 @pytest.mark.parametrize("name", built_in_scenarios())

@@ -13,10 +13,6 @@ def problems(text: str) -> tuple[str, ...]:
     return refused.value.problems
 
 
-def test_the_file_that_is_spoilt_here_is_good():
-    assert len(parse_scenario(GOOD, "test", "test.toml").commands) == 4
-
-
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_with_its_key_and_what_would_be_right(case):
     right, wrong, expected = BAD[case]

@@ -6,7 +6,7 @@ import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoint, Preload, Stop
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, FaultResponse
+from fsw.dictionary.evrs import CommandAccepted, CommandRefused
 from fsw.dictionary.faults import SensorNotFinite
 from sim.arms import arm_named
 from sim.effects.environment import PowerLoss
@@ -69,14 +69,6 @@ def test_a_fault_during_a_command_comes_so_long_after_it_began():
     result = run(scenario(A_LITTLE, BACK, faults=(Injection(deaf, during=2),)))
     found_s = next(time_s for time_s, evr in result.evrs if isinstance(evr, SensorNotFinite))
     assert found_s == pytest.approx(begins_s + 0.5, abs=1.5 / 64)
-
-
-def test_a_sequence_that_clears_its_fault_goes_on():
-    cut = Injection(PowerLoss(0.5))
-    result = run(scenario(A_LITTLE, ClearFault(), Stop(), faults=(cut,)))
-    kinds = [type(evr) for _, evr in result.evrs]
-    assert kinds.index(FaultResponse) < kinds.index(FaultCleared)
-    assert (result.outcome, result.command) == (Outcome.DONE, 3)
 
 
 def test_a_fault_that_is_not_cleared_ends_the_scenario_before_the_next_command():

@@ -70,12 +70,6 @@ def encoders_at(rig, joint, angle_rad):
     return {"encoder_count": np.where(np.arange(5) == joint, count, rig.count)}
 
 
-def toward(joint, sign):
-    """In the middle of a move of this joint, upward or downward."""
-    pose = START + 0.1 * sign * (np.arange(5) == joint)
-    return moving(MoveJoints(floats(pose)))
-
-
 def resolver_off(rig, joint, off_rad):
     return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}
 

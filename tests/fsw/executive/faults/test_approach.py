@@ -89,11 +89,3 @@ def test_in_free_space_a_force_is_an_unexpected_contact():
     assert rig.state.mode is Mode.FAULTED
     assert rig.state.fault.may_touch
     assert braked(rig)
-
-
-def test_what_grows_slowly_is_no_touch():
-    rig = in_guarded_motion()
-    wound = wind_up_rad_N(rig, "apxs")
-    for cycle in range(400):
-        rig.cycle(resolver_rad=rig.resolver_rad() + 0.1 * cycle * wound)
-    assert not found(rig, Fault)

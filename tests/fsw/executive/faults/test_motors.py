@@ -5,30 +5,22 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted
 from fsw.dictionary.faults import (
     Fault,
     MotorStalled,
     NotSettled,
-    SoftLimitPassed,
-    UnderTemperature,
 )
-from fsw.motion.move import Phase
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
     REFUSED,
     START,
-    STOPPED,
     braked,
-    encoders_at,
     found,
     in_guarded_motion,
     moving,
     off_set_point,
     resolver_off,
-    toward,
-    windings,
 )
 from tests.fsw.rig import Rig, floats
 
@@ -85,58 +77,6 @@ def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
     assert not found(rig, Fault)
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_a_cold_winding_stops_a_move_after_exactly_its_persistence_without_a_standing_fault(joint):
-    rig, cold = moving(), windings(joint, BOUNDS.winding_min_C - 0.1)
-    for _ in range(BOUNDS.winding_persistence - 1):
-        rig.cycle(**cold)
-    assert not found(rig, UnderTemperature)
-    rig.cycle(**cold)
-    said = UnderTemperature(joint, BOUNDS.winding_min_C - 0.1, BOUNDS.winding_min_C)
-    assert rig.evrs == [said, STOPPED]
-    rig.run(**cold)
-    assert CommandAborted("MoveJoints") in rig.evrs
-    assert len(found(rig, UnderTemperature)) == 1
-    assert rig.state.mode is Mode.DEPLOYED
-    assert not rig.outputs.drive.power_on.any()
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_a_joint_moving_outward_beyond_soft_limit_and_margin_faults_at_once_and_within_it_does_not(
-    joint, end
-):
-    outward = 1 if end == "max" else -1
-    limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    for beyond, faulted in ((-1e-5, False), (1e-5, True)):
-        rig = toward(joint, outward)
-        angle = limit + outward * (BOUNDS.soft_limit_margin_rad + beyond)
-        rig.cycle(**encoders_at(rig, joint, angle))
-        assert (rig.state.mode is Mode.FAULTED) is faulted
-        if faulted:
-            (evr,) = found(rig, SoftLimitPassed)
-            assert evr.joint is joint
-            assert evr.limit_rad == limit
-            assert evr.angle_rad == pytest.approx(angle, abs=CONFIG.rad_per_count[joint])
-            assert REFUSED in rig.evrs
-            assert braked(rig)
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_a_joint_beyond_its_limit_may_move_back_or_rest(joint, end):
-    outward = 1 if end == "max" else -1
-    angle = getattr(CONFIG.arm, f"soft_{end}_rad")[joint] + outward * 0.05
-    rig = toward(joint, -outward)
-    rig.cycle(**encoders_at(rig, joint, angle))
-    assert not found(rig, SoftLimitPassed)
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(5):
-        rig.cycle(**encoders_at(rig, joint, angle))
-    assert not found(rig, SoftLimitPassed)
-    assert rig.state.mode is Mode.DEPLOYED
-
-
 def test_joints_that_are_not_calibrated_rest_beyond_any_soft_limit_without_a_fault():
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     for _ in range(5):
@@ -157,16 +97,3 @@ def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
     assert REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
     assert cycles > CONFIG.settle_timeout_ticks
-
-
-def test_calm_is_counted_in_whole_cycles_in_a_row():
-    rig = moving(MoveJoints(floats(START + 0.002)))
-    while rig.state.move.phase is not Phase.SETTLE:
-        rig.cycle()
-    for k in range(5 * CONFIG.settle_ticks):
-        far = k % CONFIG.settle_ticks == 0
-        rig.cycle(**(off_set_point(rig, Joint.TURRET, 1e-3) if far else {}))
-    assert rig.outputs.drive.brake_release.all()
-    for _ in range(CONFIG.settle_ticks + CONFIG.brake_ticks + 3):
-        rig.cycle()
-    assert CommandCompleted("MoveJoints") in rig.evrs

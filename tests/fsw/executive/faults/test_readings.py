@@ -4,51 +4,32 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
-from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandRefused, CyclesSkipped, FaultResponse, ModeChanged
 from fsw.dictionary.faults import (
-    CycleCountWrong,
     CyclesMissed,
     Fault,
     GravityImplausible,
-    ResolverDisagrees,
     SensorFrozen,
     SensorNotFinite,
-    TiltChanged,
 )
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
-    REFUSED,
     START,
     STOPPED,
     braked,
     found,
     moving,
-    resolver_off,
 )
+from tests.fsw.protect.test_readings import BAD, PLACES, QUIET, corrupted
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats, made_once
 
-QUIET = {
-    "resolver_rad": np.zeros(5),
-    "current_A": np.zeros(5),
-    "winding_C": np.full(5, -40.0),
-    "gravity_R_m_s2": MARS_R_m_s2,
-    "structure_C": np.full(1, 20.0),
-}
-BAD = [float("nan"), float("inf"), float("-inf")]
-PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
 MOVES = {
     "joints": lambda rig: MoveJoints(floats(START + 0.05)),
     "guarded": lambda rig: rig.touch("apxs", 0.1),
     "retract": lambda rig: Retract("apxs", 0.1),
 }
-
-
-def corrupted(name, place, value):
-    values = QUIET[name].copy()
-    values[place] = value
-    return {name: values}
 
 
 @made_once
@@ -110,15 +91,6 @@ def test_the_aborted_move_is_reported_and_later_moves_are_refused_until_cleared(
     assert rig.evrs == [CommandRefused("MoveJoints", "a fault stands; clear it first")]
     rig.cycle(ClearFault())
     assert rig.state.mode is (Mode.DEPLOYED if kind == "joints" else Mode.GUARDED)
-
-
-def test_a_standing_fault_is_said_once():
-    rig = moving()
-    rig.evrs.clear()
-    for _ in range(20):
-        rig.cycle(**corrupted("gravity_R_m_s2", 1, BAD[0]))
-    assert sum(isinstance(evr, SensorNotFinite) for evr in rig.evrs) == 1
-    assert sum(isinstance(evr, FaultResponse) for evr in rig.evrs) == 1
 
 
 def test_clearing_while_the_reading_is_still_bad_faults_again():
@@ -251,21 +223,6 @@ def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
     assert rig.state.mode is Mode.DEPLOYED
 
 
-@pytest.mark.parametrize("back", [0, 1, 50])
-def test_a_count_of_cycles_that_repeats_or_goes_back_stops_the_move_which_may_be_commanded_again(back):
-    rig = moving()
-    last = rig.cycles
-    rig.cycles -= back + 1
-    rig.cycle()
-    assert rig.evrs == [CycleCountWrong(last - back, last), STOPPED]
-    rig.run()
-    assert CommandAborted("MoveJoints") in rig.evrs
-    assert rig.state.mode is Mode.DEPLOYED
-    rig.evrs.clear()
-    rig.run(MoveJoints(floats(START)))
-    assert not found(rig, Fault)
-
-
 def test_cycles_are_counted_while_readings_are_bad():
     rig = moving()
     for _ in range(10):
@@ -284,22 +241,6 @@ def turned(angle_rad, about):
     return np.linalg.norm(MARS_R_m_s2) * (np.cos(angle_rad) * down + np.sin(angle_rad) * level)
 
 
-@pytest.mark.parametrize("about", [1.0, 4.0])
-def test_gravity_that_turns_during_a_move_by_more_than_its_bound_stops_the_arm(about):
-    for share, said in ((0.98, False), (1.05, True)):
-        rig = moving(LONG)
-        for k in range(600):
-            rig.cycle(gravity_R_m_s2=turned(share * BOUNDS.tilt_rad, about) + alive(k))
-        assert bool(found(rig, Fault)) is said
-        if said:
-            (evr,) = found(rig, TiltChanged)
-            assert BOUNDS.tilt_rad < evr.turned_rad < share * BOUNDS.tilt_rad
-            assert evr.bound_rad == BOUNDS.tilt_rad
-            assert REFUSED in rig.evrs
-            assert rig.state.mode is Mode.FAULTED
-            assert braked(rig)
-
-
 def test_gravity_may_turn_between_moves_and_the_next_move_begins_from_there():
     rig = Rig(CONFIG, start_rad=START)
     rig.run(MoveJoints(floats(START + 0.01)))
@@ -309,20 +250,3 @@ def test_gravity_may_turn_between_moves_and_the_next_move_begins_from_there():
     while rig.outputs.joint.busy:
         rig.cycle(gravity_R_m_s2=turned(0.2, 0.3) + alive(rig.cycles))
     assert not found(rig, Fault)
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize(("sign", "start"), [(1, moving), (-1, lambda: Rig(CONFIG, start_rad=START))])
-def test_a_resolver_may_be_off_by_its_bound_and_what_is_unknown_of_the_gap_and_no_more(joint, sign, start):
-    for more_rad, said in ((-2e-4, False), (2e-4, True)):
-        rig = start()
-        for _ in range(300):
-            bound = BOUNDS.resolver_error_rad + rig.state.joints.uncertainty_rad[joint]
-            rig.cycle(**resolver_off(rig, joint, sign * (bound + more_rad)))
-        assert bool(found(rig, ResolverDisagrees)) is said
-        if said:
-            (evr,) = found(rig, ResolverDisagrees)
-            assert evr.joint is joint
-            assert sign * evr.error_rad > evr.bound_rad >= BOUNDS.resolver_error_rad
-            assert REFUSED in rig.evrs
-            assert rig.state.mode is Mode.FAULTED

@@ -32,12 +32,6 @@ def test_a_contact_in_free_space_faults_at_once(switch):
     assert braked(rig)
 
 
-def test_a_contact_while_the_arm_stands_deployed_faults():
-    rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(**closed("drt_2"))
-    assert ContactInFreeSpace("drt_2") in rig.evrs
-
-
 @pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
 def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
     for switch in TOOL_SWITCHES[tool]:
@@ -121,14 +115,6 @@ def test_the_travel_at_contact_is_how_far_the_tool_went():
     (evr,) = found(rig, ContactMade)
     went = np.linalg.norm(rig.tool_pose("apxs").p - start)
     assert evr.travel_m == pytest.approx(went, abs=3e-4)
-
-
-@pytest.mark.parametrize("switch", [s for s in SWITCHES if s not in TOOL_SWITCHES["apxs"]])
-def test_the_contact_of_another_tool_in_a_guarded_move_is_a_fault(switch):
-    rig = in_guarded_motion("apxs")
-    rig.cycle(**closed(switch))
-    assert ContactInFreeSpace(switch) in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
 
 
 def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():

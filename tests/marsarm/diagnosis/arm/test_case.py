@@ -30,6 +30,7 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, LinkLength
 from sim.effects.joints import ResolverBias
 from sim.initialisation import true_reference
+from simgap.common.progress import no_progress
 
 pytestmark = pytest.mark.slow
 
@@ -43,14 +44,10 @@ Logs = tuple[list[Path], list[Path]]
 CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
 
 
-def silent(*_: object) -> None:
-    """No progress."""
-
-
 def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
     arm = arm_named("nominal").with_effects(effects)
     chosen = [one for one in campaign_sessions(arm.params) if one.name in FITTED + APART]
-    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, silent)
+    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, no_progress)
     return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
 
 
@@ -63,7 +60,7 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
 @pytest.fixture(scope="module")
 def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> CampaignModel:
     """Load the campaign model."""
-    return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
+    return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), no_progress, KINDS)
 
 
 def loaded(folder: Path, *effects: Effect) -> tuple[list[Recording], list[Recording]]:
@@ -153,7 +150,7 @@ def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel)
 def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
     job = DiagnoseJob(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
-        diagnose_logs(job, silent)
+        diagnose_logs(job, no_progress)
 
 
 def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
@@ -165,7 +162,9 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
     found = [against.model.sensitivities]
     monkeypatch.setattr(campaign_sensitivities, "_difference_all", computed)
     whole, part = (
-        campaign_sensitivities.compute_sensitivities(nominal[0], tmp_path, local_runner(1), silent, kinds)
+        campaign_sensitivities.compute_sensitivities(
+            nominal[0], tmp_path, local_runner(1), no_progress, kinds
+        )
         for kinds in (None, KINDS[:1])
     )
     assert not found

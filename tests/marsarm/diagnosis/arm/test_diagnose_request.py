@@ -49,25 +49,16 @@ def test_no_log_counts_as_its_own_repeat(folder):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (
-            {"catalogue": "coulomb-frictoin"},
-            r"'coulomb-frictoin' is not known; did you mean coulomb-friction",
-        ),
-        ({"catalogue": ""}, "'' is not known"),
         ({"catalogue": "sensor-fault"}, "sensor-fault is an effect"),
-        ({"seed": -1}, "is below 0"),
         ({"campaign": "none"}, "campaign .*none: there is no such folder"),
-        ({"effects": ("rusty-gear",)}, "'rusty-gear' is not known"),
-        ({"params": "other.mcap"}, "is not TOML"),
         ({"held_out": ["none.mcap"]}, "held-out log .*none.mcap: there is no such file or folder"),
         ({"held_out": ["n" * 300]}, "there is no such file or folder"),
         ({"held_out": ["/dev/null"]}, "held-out log /dev/null: this is neither a regular file nor a folder"),
     ],
 )
 def test_what_is_wrong_is_refused(folder, options, said):
-    for name in ("campaign", "params"):
-        if name in options:
-            options = {name: folder / options[name]}
+    if "campaign" in options:
+        options = {"campaign": folder / options["campaign"]}
     if "held_out" in options:
         options = {"held_out": tuple(folder / path for path in options["held_out"])}
     with pytest.raises(BadRequest, match=said):

@@ -6,20 +6,17 @@ from typing import Any
 import pytest
 
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from validation.campaigns import Context
 from validation.cases.arm import NoDiagnosis, leave_out, list_clear_cases
 from validation.cases.arm_features import load_classes
 from validation.cases.sealed import solve_cases
 
 
-def quiet(*_: object) -> None:
-    """No progress."""
-
-
 @pytest.mark.slow
 def test_an_effect_that_the_catalogue_lacks_is_not_named(folder) -> None:
     context = Context(out=folder.path)
-    solve_cases(folder.path, folder.maker, context.run, quiet)
+    solve_cases(folder.path, folder.maker, context.run, no_progress)
     found = leave_out(context, folder.maker, 5)
     single = [case for case in folder.truth.cases if case.kind == "single"]
     assert 0 < found["named"]["of"] <= min(5, len(single))

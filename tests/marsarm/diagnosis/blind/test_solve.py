@@ -10,6 +10,7 @@ import pytest
 
 from marsarm.common.pool import local_runner
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from validation.cases.arm import ArmCases, NoDiagnosis, features_path
 from validation.cases.arm_features import (
     CLASSES_FILE,
@@ -36,10 +37,6 @@ pytestmark = pytest.mark.slow
 RUN = local_runner(1)
 
 
-def quiet(*_: object) -> None:
-    pass
-
-
 def said(folder: Path) -> dict[str, Any]:
     found = {path.name: json.loads(path.read_text()) for path in sorted((folder / SOLVED_FOLDER).iterdir())}
     for document in found.values():
@@ -51,7 +48,7 @@ def said(folder: Path) -> dict[str, Any]:
 def solved(folder, results: dict[str, bytes]):
     """Return a folder whose cases are solved; all folders are alike, so they are solved once."""
     if not results:
-        solve_cases(folder.path, folder.maker, RUN, quiet)
+        solve_cases(folder.path, folder.maker, RUN, no_progress)
         results |= {path.name: path.read_bytes() for path in (folder.path / SOLVED_FOLDER).iterdir()}
     (folder.path / SOLVED_FOLDER).mkdir(exist_ok=True)
     for name, content in results.items():
@@ -71,24 +68,24 @@ def test_the_truth_is_not_needed_to_solve_and_changes_nothing(solved) -> None:
     (solved.path / SEALED_FOLDER / TRUTH).unlink()
     for path in (solved.path / SOLVED_FOLDER).iterdir():
         path.unlink()
-    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (10, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, no_progress) == (10, 10)
     assert said(solved.path) == with_it
 
 
 def test_what_is_solved_stays_and_the_rest_is_solved(solved) -> None:
     whole = said(solved.path)
     result_path(solved.path, "case-009").unlink()
-    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (1, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, no_progress) == (1, 10)
     assert said(solved.path) == whole
-    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (0, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, no_progress) == (0, 10)
 
 
 def test_the_campaign_is_known_once_and_before_any_case(solved, monkeypatch: pytest.MonkeyPatch) -> None:
     result_path(solved.path, "case-009").unlink()
     prepared: list[Path] = []
     monkeypatch.setattr(type(solved.maker), "prepare", lambda _, folder, *more: prepared.append(folder))
-    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (1, 10)
-    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (0, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, no_progress) == (1, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, no_progress) == (0, 10)
     assert prepared == [solved.path]
 
 
@@ -102,10 +99,10 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
     monkeypatch.setattr(type(folder.maker), "diagnose", mute)
-    assert solve_cases(folder.path, folder.maker, RUN, quiet) == (10, 10)
+    assert solve_cases(folder.path, folder.maker, RUN, no_progress) == (10, 10)
     result = load_results(folder.path, folder.maker)["case-003"]
     assert (result["verdict"], result["refused"][:19]) == ("unknown", "case-003 has no log")
-    found = score_cases(folder.path, folder.maker, False, quiet).document
+    found = score_cases(folder.path, folder.maker, False, no_progress).document
     assert found["false_alarm"]["share"] == 1.0
     assert found["found"]["reported"]["hits"] == 0
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
@@ -113,7 +110,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
 
 
 def test_solved_cases_are_scored(solved) -> None:
-    score = score_cases(solved.path, solved.maker, False, quiet)
+    score = score_cases(solved.path, solved.maker, False, no_progress)
     found = score.document
     assert (found["cases"], found["false_alarm"]["of"], found["outside"]["wrong_place"]["of"]) == (10, 2, 4)
     assert (found["related"]["wrong_place"]["of"], found["unrelated"]["wrong_place"]["of"]) == (0, 4)
@@ -128,8 +125,8 @@ def test_cases_that_are_not_solved_are_counted(solved) -> None:
     for number in (2, 5, 7):
         result_path(solved.path, f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        score_cases(solved.path, solved.maker, False, quiet)
-    assert score_cases(solved.path, solved.maker, True, quiet).document["cases"] == 7
+        score_cases(solved.path, solved.maker, False, no_progress)
+    assert score_cases(solved.path, solved.maker, True, no_progress).document["cases"] == 7
 
 
 GOOD = {
@@ -183,7 +180,7 @@ def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
     finding = GOOD["effects"][0] | {"name": one.name, "place": one.place, "parameters": [size]}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "found", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        score_cases(solved.path, solved.maker, False, quiet)
+        score_cases(solved.path, solved.maker, False, no_progress)
     path.write_bytes(before)
 
 
@@ -240,7 +237,7 @@ def test_an_effect_of_another_version_is_refused(solved) -> None:
     cases[at] = replace(cases[at], effects=(replace(cases[at].effects[0], name="old-wobble"),))
     seal(solved.path, replace(solved.truth, cases=tuple(cases)))
     with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
-        score_cases(solved.path, solved.maker, False, quiet)
+        score_cases(solved.path, solved.maker, False, no_progress)
 
 
 def contradict(case: TrueCase) -> Iterator[TrueCase]:
@@ -270,13 +267,6 @@ def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
         load_classes(tmp_path)
 
 
-def test_a_changed_truth_is_not_scored_against(solved) -> None:
-    text = (solved.path / SEALED_FOLDER / TRUTH).read_text()
-    (solved.path / SEALED_FOLDER / TRUTH).write_text(text.replace('"none"', '"single"', 1))
-    with pytest.raises(BadRequest, match="is not what was sealed"):
-        score_cases(solved.path, solved.maker, True, quiet)
-
-
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
     with pytest.raises(BadRequest, match="no folder of cases"):
-        solve_cases(tmp_path / "none", folder.maker, RUN, quiet)
+        solve_cases(tmp_path / "none", folder.maker, RUN, no_progress)
