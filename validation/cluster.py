@@ -1,17 +1,15 @@
-"""Benchmark of a Ray cluster of two nodes on the loopback: equal bits, a killed node, overhead, cost.
+"""Benchmark of a Ray cluster of two nodes on the loopback: equal bits, a killed node, overhead.
 
 The same arms run in one process, on the cluster, and on the cluster while a node is killed half way.
-The overhead is the median ratio of times on the cluster and in as many local processes, measured alternately;
-that of processor time counts Ray's own processes, and suits a machine that is not idle.
+The overhead is the median ratio of times on the cluster and in as many local processes, measured alternately.
 """
 
 import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 from typing import Final
 
@@ -28,7 +26,6 @@ LOOPBACK: Final = "127.0.0.1"
 STORE_BYTES: Final = 80 * 2**20
 MOST_OVERHEAD: Final = 0.05
 NODES: Final = 2
-COST_ARMS: Final = (10_000, 1_000_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +93,8 @@ def compare(jobs: Sequence[ArmJob], pairs: int) -> Document:
     one_process = measure_arms(local_runner(1), jobs)
     local = local_runner(NODES)
     with start_two_nodes() as cluster:
-        began = time.perf_counter()
         there = cluster_runner(cluster.address)
         equal = measure_arms(there, jobs) == one_process
-        first_s = time.perf_counter() - began
         measure_arms(local, jobs)  # its processes start
         times = [(_time(there, jobs), _time(local, jobs)) for _ in range(pairs)]
 
@@ -108,66 +103,31 @@ def compare(jobs: Sequence[ArmJob], pairs: int) -> Document:
                 cluster.kill_node()
 
         equal_after = measure_arms(there, jobs, kill_half_way) == one_process
-    overhead, cpu_overhead = (median(remote[k] / here[k] for remote, here in times) - 1.0 for k in range(2))
+    overhead = median(remote / here for remote, here in times) - 1.0
     return {
         "arms": len(jobs),
         "equal": equal,
         "equal_though_a_node_was_killed": equal_after,
-        "first_run_s": first_s,
         "pairs_s": times,
         "overhead": overhead,
-        "cpu_overhead": cpu_overhead,
         "in_bounds": equal and equal_after and overhead <= MOST_OVERHEAD,
     }
 
 
-def _time(run: Runner, jobs: Sequence[ArmJob]) -> tuple[float, float]:
-    """Measure the time of a run, and the processor time of this process and all that it has started."""
-    began_s, began_cpu_s = time.perf_counter(), _cpu_s()
+def _time(run: Runner, jobs: Sequence[ArmJob]) -> float:
+    began_s = time.perf_counter()
     measure_arms(run, jobs)
-    return time.perf_counter() - began_s, _cpu_s() - began_cpu_s
+    return time.perf_counter() - began_s
 
 
-def _cpu_s() -> float:
-    """Add up the processor times of this process and its living descendants, as Linux counts them."""
-    parent, ticks = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # a process has ended
-            fields = path.read_text().rpartition(")")[2].split()
-            parent[int(path.parent.name)] = int(fields[1])
-            ticks[int(path.parent.name)] = int(fields[11]) + int(fields[12])
-
-    def is_ours(process: int) -> bool:
-        return process == os.getpid() or (process in parent and is_ours(parent[process]))
-
-    return sum(ticks[process] for process in ticks if is_ours(process)) / os.sysconf("SC_CLK_TCK")
-
-
-def measure_cost(count: int, seed: int) -> Document:
-    """Measure the processor time of an arm in this process, and extrapolate it."""
-    found = {}
-    for model in ("statics", "closed-loop"):
-        jobs = list_arms(count + 1, seed, model)
-        run_job(jobs[0])  # what is loaded once does not count
-        began = time.process_time()
-        for job in jobs[1:]:
-            run_job(job)
-        arm_s = (time.process_time() - began) / count
-        hours = {f"core_hours_of_{arms}": arm_s * arms / 3600 for arms in COST_ARMS}
-        found[model] = {"arms": count, "cpu_s_of_an_arm": arm_s, **hours}
-    return found
-
-
-def campaign(context: Context, arms: int = 200, pairs: int = 25, cost: int = 20) -> Document:
+def campaign(context: Context, arms: int = 200, pairs: int = 25) -> Document:
     """Compare two nodes with one process.
 
     Args:
         context: Gives the seed.
         arms: Arms of each run.
         pairs: Pairs of times.
-        cost: Arms of each kind, to measure the cost.
     """
-    if min(arms, pairs, cost) < 1:
-        raise BadRequest("set: arms, pairs and cost are 1 or more")
-    found = compare(list_arms(arms, context.seed), pairs)
-    return {**found, "cost": measure_cost(cost, context.seed)}
+    if min(arms, pairs) < 1:
+        raise BadRequest("set: arms and pairs are 1 or more")
+    return compare(list_arms(arms, context.seed), pairs)
