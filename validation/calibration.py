@@ -7,7 +7,6 @@ The real arm is a UR10: measured poses of two series, with held-out parts and ac
 """
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,6 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array, Integers
 from marsarm.calibration.calibrate import (
-    Calibration,
     calibrate,
     calibrated_params,
     rms_m,
@@ -33,7 +31,7 @@ from marsarm.calibration.verify import (
     zero_errors_rad,
 )
 from marsarm.common.rates import clopper_pearson
-from sim.arms import arm_named
+from sim.arms import BuiltArm, arm_named
 from sim.params import nominal_params
 from simgap.command.diagnosis import calibration_json
 from simgap.common.errors import BadRequest
@@ -47,32 +45,27 @@ INTERVAL: Final = 1.645
 """Half width of a 90 % interval, in standard deviations."""
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationTrial:
-    """Calibration of one arm."""
-
-    seed: int
-    closed_loop: bool
-    files: Path | None = None
-    """Folder for its parameter file."""
-
-
-def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
+def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Array]:
     """Measure an arm.
 
     Returns:
         The campaign, and the errors of the motor zeros, shape (5,), in rad.
     """
-    arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
-    if not trial.closed_loop:
+    plan = CampaignPlan(seed=seed)
+    if not closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
     reference = earth_reference(arm, no_progress)
     return run_campaign(arm, reference, plan, no_progress), zero_errors_rad(arm, reference)
 
 
-def run(trial: CalibrationTrial) -> dict[str, Any]:
-    """Measure an arm, calibrate it, and compare the result with the truth."""
-    (campaign, zero_error_rad), nominal = measure(trial), nominal_params()
+def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
+    """Measure an arm, calibrate it, and compare the result with the truth.
+
+    Args:
+        files: Folder for its parameter file.
+    """
+    arm, nominal = arm_named(f"as-built:{seed}"), nominal_params()
+    campaign, zero_error_rad = measure(arm, seed, closed_loop)
     check_data(nominal, campaign)
     found = calibrate(nominal, campaign)
     refused = ""
@@ -80,15 +73,16 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
         check_fit(found)
     except BadData as error:
         refused = str(error)
-    if trial.files is not None:
-        _save(found, trial)
+    if files is not None:
+        params = calibrated_params(found, register_tools(arm, seed))
+        save_parameter_file(found, params, files / f"{seed}.toml")
     before, held = found.before[:, found.held_out_poses], found.held_out_error
-    comparison = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, zero_error_rad)
+    comparison = compare_with_truth(arm, found, zero_error_rad)
     state = residual_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)
     return {
-        "seed": trial.seed,
+        "seed": seed,
         "poses": campaign.count,
         "outliers": list(found.rejection.outliers),
         "refused": refused,
@@ -123,8 +117,7 @@ def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Doc
     files = context.out and context.out.absolute()  # a worker may be in another folder
     if files is not None:
         files.mkdir(exist_ok=True)
-    trials = [CalibrationTrial(context.seed + k, closed_loop, files) for k in range(arms)]
-    results = context.each(run, ((trial,) for trial in trials), "arms")
+    results = context.each(run, ((context.seed + k, closed_loop, files) for k in range(arms)), "arms")
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {
@@ -146,12 +139,6 @@ def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Doc
         "checks": checks,
         "in_bounds": all(checks.values()),
     }
-
-
-def _save(found: Calibration, trial: CalibrationTrial) -> None:
-    tools = register_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
-    assert trial.files is not None
-    save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
 
 
 FILES = Path(__file__).parents[1] / "models" / "robots" / "ur10"

@@ -177,11 +177,7 @@ def save_figure(
 
 
 def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
-    """Draw a figure, and return the bytes of a PNG.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
+    """Draw a figure, and return the bytes of a PNG; ImportError if matplotlib is not installed."""
     os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -97,11 +97,7 @@ class HardstopJob:
 
 
 def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
-    """Find hardstops.
-
-    Raises:
-        BadRequest: the request is wrong; nothing moved and nothing was written.
-    """
+    """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_hardstop(request)
     title = f"hardstops of {job.arm.name} arm"
     with open_view(request.view, title, job.world, job.arm, job.effects) as view:

@@ -114,11 +114,7 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportedLog:
 
 
 def convert_table(table: Path, mapping: Path) -> ImportedLog:
-    """Convert a table to a log in memory.
-
-    Raises:
-        RobotError: the table or the mapping is wrong.
-    """
+    """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
     parsed = read_mapping(mapping)
     time = parsed.file.time
     numbers = [n for one in parsed.channels if one.target.members is None for n in one.columns]

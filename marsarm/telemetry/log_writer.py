@@ -152,11 +152,7 @@ class Packer:
         return data
 
     def check(self, cycle: Any) -> None:
-        """Check every field against the layout.
-
-        Raises:
-            SchemaError: a field differs; the message names it.
-        """
+        """Check every field against the layout; SchemaError if a field differs; the message names it."""
         for name, field in self._fields:
             given, dtype = attrgetter(name)(cycle), np.dtype(field.kind)
             if field.shape is None:

@@ -94,11 +94,7 @@ def _open_above_stdio(path: str, flags: int) -> int:
 
 
 def _resolve_path(path: Path) -> Path:
-    """Return the path with links resolved.
-
-    Raises:
-        LogNotWritable: no file can be written there.
-    """
+    """Return the path with links resolved; LogNotWritable if no file can be written there."""
     try:
         if path.is_dir():
             raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")

@@ -69,11 +69,7 @@ class Surroundings:
     """Unit vector out of the surface in the rover frame, shape (3,)."""
 
     def frames(self, samples: Samples) -> ViewFrames:
-        """Compute the frames of samples.
-
-        Raises:
-            BadRequest: no sample has angles of all joints.
-        """
+        """Compute the frames of samples; BadRequest if no sample has angles of all joints."""
         return compute_frames(self.scene, samples, self.believed_arm, self.true_arm, self.surface_normal_R)
 
 
