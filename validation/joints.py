@@ -166,12 +166,10 @@ def _mean_difference(results: Sequence[TrialResult], joints: Sequence[Joint]) ->
 def _by_arm(results: Sequence[TrialResult], name: str = "zero_error_mrad") -> np.ndarray:
     """Arrange a value of the results in an array, shape (arms, repetitions)."""
     arms = sorted({r.trial.arm for r in results})
-    rows = [sorted((r for r in results if r.trial.arm == arm), key=_repetition) for arm in arms]
+    rows = [
+        sorted((r for r in results if r.trial.arm == arm), key=lambda r: r.trial.repetition) for arm in arms
+    ]
     return np.array([[getattr(r, name) for r in row] for row in rows])
-
-
-def _repetition(result: TrialResult) -> int:
-    return result.trial.repetition
 
 
 def _three_sigma(by_arm: np.ndarray) -> float:

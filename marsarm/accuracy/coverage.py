@@ -146,7 +146,8 @@ def check_coverage(
     used = [tool for tool in config.params.tool_names if any(m.tool == tool for m in placements)]
     by_tool = {tool: [m for m in placements if m.tool == tool] for tool in used}
     sensitivity = {
-        tool: _tool_sensitivity(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()
+        tool: compute_sensitivity(config, _measured_poses(tool, found), gravity_R_m_s2)
+        for tool, found in by_tool.items()
     }
     budgets = {
         tool: compute_tool_budget(model, model.case[case], _measured_poses(tool, found), sensitivity[tool])
@@ -195,12 +196,6 @@ def _variant_totals_m(model: ErrorModel, case: str, sensitivity: Iterable[Sensit
 def _measured_poses(tool: str, found: Sequence[MeasuredPlacement]) -> Poses:
     output = np.array([m.output_rad for m in found]).T
     return Poses(tool, output, np.full((3, len(found)), np.nan))
-
-
-def _tool_sensitivity(
-    config: Config, gravity_R_m_s2: Array, tool: str, found: Sequence[MeasuredPlacement]
-) -> Sensitivity:
-    return compute_sensitivity(config, _measured_poses(tool, found), gravity_R_m_s2)
 
 
 def _join_bounds(budgets: Mapping[str, ToolBudget], rule: str, name: str) -> Array:

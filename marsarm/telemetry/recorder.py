@@ -12,8 +12,6 @@ from types import TracebackType
 from typing import Final, Self
 from weakref import finalize
 
-from mcap.records import Metadata
-
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.dictionary.validity import Wrong, read_arguments
@@ -25,12 +23,9 @@ from marsarm.telemetry.format import (
     CHUNK_CYCLES,
     COMMAND_TOPIC,
     EVR_TOPIC,
-    FORMAT,
-    FORMAT_RECORD,
-    HEADER_RECORD,
     TICK_NS,
     end_metadata,
-    header_crc32,
+    header_records,
 )
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
@@ -68,9 +63,7 @@ def create_log(
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
     target = _resolve_path(path)
-    header = {**header, CHANNELS_KEY: encode_topics(channels)}
-    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-    metadata = [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)]
+    metadata = header_records({**header, CHANNELS_KEY: encode_topics(channels)})
     try:
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
