@@ -41,7 +41,7 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "said"),
     [
         (["dance"], "dance: is no campaign; `python -m validation` lists them"),
-        (["kinematics", "--set", "speed=3"], "set closed_loop: is not known; there are targets, vectors"),
+        (["kinematics", "--set", "speed=3"], "set speed: is not known; there are targets, vectors"),
         (["kinematics", "--set", "targets=none"], "set targets: 'none' is not int"),
         (["kinematics", "--set", "targets=-1"], "set targets: -1 is below 0"),
         (["calibration", "--set", "closed_loop=2"], "set closed_loop: '2' is not bool"),
