@@ -196,12 +196,7 @@ def _children_s() -> float:
 
 
 def judge_cost(both_us: float, write_ms: float) -> dict[str, Any]:
-    """Compare the cost of recording with its bounds.
-
-    Args:
-        both_us: Processor time of truth and recorder in a cycle.
-        write_ms: 99.9th percentile of the processor time of a write.
-    """
+    """Compare with the bounds: truth and recorder in a cycle, and the 99.9th percentile of a write."""
     return {
         "truth_and_recorder_us": both_us,
         "write_p99.9_ms": write_ms,

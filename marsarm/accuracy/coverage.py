@@ -75,13 +75,9 @@ def _covered_m(shifts: list[Array]) -> float:
 
 
 def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> Array:
-    """Compute the tool motion by backlash over the sum of the largest motions by each joint.
+    """Compute the tool motion by backlash over the sum of the largest motions by each joint, (n,).
 
-    Args:
-        side: Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5, n).
-
-    Returns:
-        Ratios, shape (n,).
+    Outputs are at positions in their backlash, (5, n), that are -1 and +1 at the flanks.
     """
     by_joint = sensitivity.errors(model.source["backlash"])[TOTAL][:, : len(Joint)]
     motion = np.einsum("ikn,kn->in", by_joint, side)
@@ -90,15 +86,7 @@ def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> 
 
 
 def paper_rule_variants(u: Array, at_limit: Flags) -> dict[str, Array]:
-    """Combine errors by the paper's rule, and by variants that add less.
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-        at_limit: Flags of sources at their limits, shape (sources,).
-
-    Returns:
-        Components [rad, m] by name of the variant, shape (6, n).
-    """
+    """Combine errors (sources, 6, 7, n) by the paper's rule and by variants that add less: (6, n) by name."""
     rooted = np.sqrt((u**2).sum(axis=2, keepdims=True))
     no_source = np.zeros_like(at_limit)
     return {

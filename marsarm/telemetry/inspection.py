@@ -121,10 +121,6 @@ def summarize_log(log: Log) -> LogInfo:
 def bound_ns(option: str, time_s: float | None) -> int | None:
     """Convert a bound of log time to nanoseconds; None stays None.
 
-    Args:
-        option: Name of the bound, for the message.
-        time_s: Log time.
-
     Raises:
         NoSuchChannel: no log has this time.
     """
