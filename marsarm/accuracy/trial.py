@@ -136,10 +136,7 @@ def error_in_tool(commanded: Pose, true: Pose) -> Array:
 
 
 def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMode) -> TrueMove:
-    """Build the move model of plant and flight software in free air.
-
-    The model raises RuntimeError if a move fails.
-    """
+    """Build the move model of plant and flight software in free air; RuntimeError if a move fails."""
 
     def move(place: PlannedMove) -> tuple[Pose, Array]:
         loop = free_air_loop(Setup(arm, World(), joints5(place.start_rad), place.seed, reference))

@@ -261,10 +261,7 @@ def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
 
 
 def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
-    """Save the figure of the first run of each joint as PNG.
-
-    Returns:
-        None, or the reason why there is no figure: matplotlib is missing.
+    """Save the figure of the first run of each joint as PNG; return the reason if there is none.
 
     Raises:
         BadOutput: the file cannot be written.

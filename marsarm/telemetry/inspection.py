@@ -212,10 +212,7 @@ class TooManyChannels(BadRequest):
 
 
 def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
-    """Save the figure as PNG.
-
-    Returns:
-        None, or why there is no figure: matplotlib is not installed.
+    """Save the figure as PNG; return the reason if there is none, as matplotlib is missing.
 
     Raises:
         TooManyChannels: there are more channels than panels.

@@ -238,14 +238,7 @@ def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:
 def record_commands(
     path: Path | str, loop: ClosedLoop, *commands: Command, stop_when: Callable[[CycleRecord], bool] = never
 ) -> SequenceResult:
-    """Run commands as `run_commands` does, and write the log of the run.
-
-    Args:
-        path: Log.
-        loop: Run that has not begun.
-        *commands: Commands; each starts when the last is done.
-        stop_when: Monitor of every cycle; if it returns true, the arm is stopped instead of the remaining
-            commands.
+    """Run commands as `run_commands` does, and write the log of a run that has not begun.
 
     Raises:
         LogNotWritable: the file cannot be written.

@@ -207,10 +207,7 @@ def find_losses(
 ) -> tuple[LostMessages, ...]:
     """Find breaks in the sequence numbers of channels, and what may be missing without such a break.
 
-    Args:
-        heads: Heads of the messages, type MESSAGE_DTYPE, shape (n,), n > 0.
-        specs: Channels of the log.
-        is_end_known: Whether nothing is missing after the last message.
+    There is at least one message. Without a known end, what follows the last one may be missing.
     """
     lost = list[LostMessages]()
     last_ns = dict[str, int]()

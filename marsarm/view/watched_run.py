@@ -90,11 +90,7 @@ class WatchedRun:
 def build_surroundings(
     world: World, params: Params, effects: Sequence[Effect], drawing: ArmModel
 ) -> Surroundings:
-    """Build the surroundings of a run.
-
-    Args:
-        effects: All effects of arm and run; those that a parameter describes change the true arm.
-    """
+    """Build the surroundings of a run; effects of arm and run that are parameters change the true arm."""
     normal = None if world.surface is None else normalize(world.surface.normal_N)
     true_params = params_with_effects(effects, drawing.params)
     has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)
