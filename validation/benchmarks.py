@@ -22,14 +22,11 @@ from marsarm.accuracy.request import BudgetRequest
 from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
-from validation import kinematics
 from validation.campaigns import Context, Document
-from validation.kinematics_trials import Trial, arm_of, claimed_roots
-from validation.oracle import KINDS, Eaik, distinct_poses, interface_poses, random_targets
+from validation.kinematics_trials import arm_of
+from validation.oracle import KINDS, random_targets
 from validation.speed import closed_loop, log_reading, recording
 
-CAMPAIGN_TARGETS: Final = 20_000
-"""Number of targets, and of vectors; the campaign of the kinematics runs ten million of each."""
 FROM_CYCLE: Final = 2_000
 BY_CYCLE: Final = 10_000
 MOST_GROWTH_MB: Final = 20.0
@@ -41,12 +38,11 @@ IK_SINGLE_TARGETS: Final = 100
 IK_REPEATS: Final = 5
 IK_TOOL: Final = "apxs"
 MARS_R_m_s2: Final = np.array([0.0, 0.0, 3.711])
-RIGID: Final = Trial("nominal", arm_of("nominal"), IK_TOOL, None)
 ARMS: Final = ("nominal", "calibrated:3")
 
 
 def campaign(context: Context) -> Document:
-    """Measure everything, kinematics also for its failures."""
+    """Measure everything."""
     results: Document = {
         "machine": {"python": platform.python_version(), "machine": platform.machine()},
         "closed_loop": closed_loop(),
@@ -55,7 +51,6 @@ def campaign(context: Context) -> Document:
         "log_reading": log_reading(),
         "budget": budget_speed(),
         "memory": memory(),
-        "kinematics_campaign": kinematics.campaign(Context(context.seed), CAMPAIGN_TARGETS, CAMPAIGN_TARGETS),
     }
     return {**results, "in_bounds": all(one.get("in_bounds", True) for one in results.values())}
 
@@ -119,52 +114,12 @@ def _us(job: Callable[[], Any], count: int) -> float:
     return 1e6 * (time.perf_counter() - began) / count
 
 
-def _time_rigid(p_m: Array, approach: Array) -> Document:
-    """Measure a batch of targets, and the calls of EAIK that find the same roots."""
-
-    def ours() -> None:
-        inverse_kinematics(RIGID.arm, IK_TOOL, p_m, approach)
-
-    try:
-        eaik = Eaik()
-    except ImportError:
-        return {
-            "us": median(_us(ours, IK_TARGETS) for _ in range(IK_REPEATS)),
-            "eaik": "not installed, not measured",
-        }
-    poses = _distinct_root_poses(p_m, approach)
-
-    def one_by_one() -> None:
-        for X_1F in poses:
-            solution = eaik.robot.IK(X_1F)
-            solution.Q, solution.is_LS  # noqa: B018  reading the attributes copies the roots from C++
-
-    def batched() -> None:
-        eaik.robot.IK_batched(poses, 1)
-
-    times = np.array(
-        [[_us(job, IK_TARGETS) for job in (ours, one_by_one, batched)] for _ in range(IK_REPEATS)]
+def _time_rigid(p_m: Array, approach: Array) -> float:
+    """Measure a batch of targets."""
+    arm = arm_of("nominal")
+    return median(
+        _us(lambda: inverse_kinematics(arm, IK_TOOL, p_m, approach), IK_TARGETS) for _ in range(IK_REPEATS)
     )
-    us = np.median(times, axis=0)
-    return {
-        "us": us[0],
-        "eaik_calls_per_target": len(poses) / IK_TARGETS,
-        "eaik_us": us[1],
-        "eaik_batched_us": us[2],
-        "ratio_to_eaik": float(np.median(times[:, 0] / times[:, 1])),
-        "ratio_to_eaik_batched": float(np.median(times[:, 0] / times[:, 2])),
-    }
-
-
-def _distinct_root_poses(p_m: Array, approach: Array) -> list[Array]:
-    """Collect the distinct full poses of the roots of each target, for which EAIK must be called."""
-    answers = inverse_kinematics(RIGID.arm, IK_TOOL, p_m, approach)
-    claimed = claimed_roots(answers)
-    poses = []
-    for k in range(p_m.shape[1]):
-        of_target = interface_poses(RIGID, answers.output_rad[:, claimed[:, k], k])
-        poses += list(of_target[distinct_poses(of_target)])
-    return poses
 
 
 def _time_compensated(name: str, kind: str) -> Document:

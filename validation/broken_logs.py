@@ -108,13 +108,7 @@ def is_part(log: Log, written: Log) -> bool:
 def is_loss_reported(
     here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]
 ) -> bool:
-    """Check that every missing message is within a reported time span.
-
-    Args:
-        here_ns: Log times of the messages that are present, shape (n,), by topic.
-        written: The undamaged log.
-        lost: The reported spans.
-    """
+    """Check that every message is here, by its log time, (n,) by topic, or within a reported span."""
     for topic, times in written.time_ns.items():
         here = here_ns.get(topic, np.zeros(0, np.uint64))
         spans = [one for one in lost if one.topic in (topic, None)]
@@ -130,11 +124,7 @@ def is_loss_reported(
 
 
 def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
-    """Judge a strict read of a damaged file.
-
-    Args:
-        made: The undamaged file.
-        cut_ns: Log time up to which a truncated file holds complete chunks.
+    """Judge a strict read of a damaged file, of which `cut_ns` is the log time of its last complete chunk.
 
     Returns:
         "harmless", "detected", "refused" or "cut", or a description of the error that begins with "WRONG".
@@ -159,12 +149,7 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
 
 
 def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
-    """Judge the recovery of a damaged file.
-
-    Args:
-        made: The undamaged file.
-        is_hit: True for each damaged chunk.
-        folder: Folder for temporary files.
+    """Judge the recovery of a damaged file, with a flag for each chunk that is damaged.
 
     Returns:
         "saved" or "nothing to save", or a description of the error that begins with "WRONG".
@@ -331,13 +316,7 @@ def kill_at(child: int, at_s: float) -> None:
 
 
 def judge_kill(path: Path, recorded: int, whole: Log) -> Kill:
-    """Check the log of a killed run.
-
-    Args:
-        path: The log.
-        recorded: Number of cycles that were recorded.
-        whole: Log of the complete run.
-    """
+    """Check the log of a killed run by the number of recorded cycles and the log of the complete run."""
     if not path.exists():
         return Kill("not begun")
     try:

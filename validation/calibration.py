@@ -1,24 +1,19 @@
 """Campaigns of calibrations: as-built arms, and a real one.
 
-As-built arms: accuracy, coverage of confidence intervals, and speed. Each arm is measured at equilibria of
+As-built arms: accuracy, and coverage of confidence intervals. Each arm is measured at equilibria of
 the equations or by flight software in the plant. The truth is the noise-free equilibrium of the sampled arm.
 
 The real arm is a UR10: measured poses of two series, with held-out parts and across series.
 """
 
 import os
-import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from fsw.kinematics.transforms import Array, Integers
-from marsarm.calibration.arm_parameters import arm_parameters
 from marsarm.calibration.calibrate import (
-    Calibration,
     calibrate,
     calibrated_params,
     rms_m,
@@ -36,55 +31,41 @@ from marsarm.calibration.verify import (
     zero_errors_rad,
 )
 from marsarm.common.rates import clopper_pearson
-from sim.arms import arm_named
+from sim.arms import BuiltArm, arm_named
 from sim.params import nominal_params
 from simgap.command.diagnosis import calibration_json
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from simgap.serial_arm.calibrate import periodic_error_rad
 from simgap.serial_arm.files import read_arm, read_series
-from simgap.serial_arm.fit import fit
 from simgap.serial_arm.tracker import TrackerFit, fit_tracker
 from validation.campaigns import Context, Document
 
 INTERVAL: Final = 1.645
 """Half width of a 90 % interval, in standard deviations."""
-NUMERIC: Final[dict[str, Any]] = {
-    "method": "lm",
-    "diff_step": 1e-4,
-    "xtol": 1e-10,
-    "ftol": 1e-10,
-    "gtol": 1e-10,
-}
-"""Options of scipy; the equilibrium is accurate to 1e-11, so smaller steps give worse derivatives."""
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationTrial:
-    """Calibration of one arm."""
-
-    seed: int
-    closed_loop: bool
-    files: Path | None = None
-    """Folder for its parameter file."""
-
-
-def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
+def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Array]:
     """Measure an arm.
 
     Returns:
         The campaign, and the errors of the motor zeros, shape (5,), in rad.
     """
-    arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
-    if not trial.closed_loop:
+    plan = CampaignPlan(seed=seed)
+    if not closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
     reference = earth_reference(arm, no_progress)
     return run_campaign(arm, reference, plan, no_progress), zero_errors_rad(arm, reference)
 
 
-def run(trial: CalibrationTrial) -> dict[str, Any]:
-    """Measure an arm, calibrate it, and compare the result with the truth."""
-    (campaign, zero_error_rad), nominal = measure(trial), nominal_params()
+def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
+    """Measure an arm, calibrate it, and compare the result with the truth.
+
+    Args:
+        files: Folder for its parameter file.
+    """
+    arm, nominal = arm_named(f"as-built:{seed}"), nominal_params()
+    campaign, zero_error_rad = measure(arm, seed, closed_loop)
     check_data(nominal, campaign)
     found = calibrate(nominal, campaign)
     refused = ""
@@ -92,15 +73,16 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
         check_fit(found)
     except BadData as error:
         refused = str(error)
-    if trial.files is not None:
-        _save(found, trial)
+    if files is not None:
+        params = calibrated_params(found, register_tools(arm, seed))
+        save_parameter_file(found, params, files / f"{seed}.toml")
     before, held = found.before[:, found.held_out_poses], found.held_out_error
-    comparison = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, zero_error_rad)
+    comparison = compare_with_truth(arm, found, zero_error_rad)
     state = residual_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)
     return {
-        "seed": trial.seed,
+        "seed": seed,
         "poses": campaign.count,
         "outliers": list(found.rejection.outliers),
         "refused": refused,
@@ -122,61 +104,20 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
     }
 
 
-def measure_speed(campaign: Campaign) -> dict[str, Any]:
-    """Time the calibration, its fit, and scipy's least squares with numeric derivatives on its residual."""
-    nominal, parameters = nominal_params(), arm_parameters()
-    model = residual_model(nominal, campaign)
-    prior = np.array([parameter.prior_sigma for parameter in parameters])
-
-    def residual(shifted: np.ndarray) -> np.ndarray:
-        scaled = shifted - 1.0  # numeric derivatives use relative steps, so the start is at 1
-        error = model.errors(scaled * prior)
-        return np.concatenate([np.einsum("nij,jn->ni", model.whitener, error).ravel(), scaled])
-
-    _best_time(lambda: model(np.zeros(prior.size)))  # warm-up
-    whole_s, _ = _best_time(lambda: calibrate(nominal, campaign))
-    ours_s, ours = _best_time(lambda: fit(parameters, model))
-    theirs_s, theirs = _best_time(lambda: least_squares(residual, np.ones(prior.size), **NUMERIC))
-    cost = np.sum(ours.at.residual**2) + np.sum((ours.values / prior) ** 2)
-    return {
-        "calibration_s": whole_s,
-        "fit_s": ours_s,
-        "least_squares_s": theirs_s,
-        "ratio": theirs_s / ours_s,
-        "largest_difference_sigma": float(
-            np.abs((ours.values - (theirs.x - 1.0) * prior) / ours.sigma).max()
-        ),
-        "cost_ours_over_theirs": float(cost / (2 * theirs.cost)),
-    }
-
-
-def _best_time(work: Any) -> tuple[float, Any]:
-    """Return the shortest of three times, and the result; other processes only add time."""
-    spent = []
-    for _ in range(3):
-        start = time.perf_counter()
-        result = work()
-        spent.append(time.perf_counter() - start)
-    return min(spent), result
-
-
-def campaign(context: Context, arms: int = 20, closed_loop: bool = False, speed: bool = True) -> Document:
+def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Document:
     """Calibrate all arms, and check the results.
 
     Args:
         context: Its folder takes the parameter files of the arms, SEED.toml each.
         arms: Number of as-built arms.
         closed_loop: Measure in the closed loop: three minutes an arm, not ten seconds.
-        speed: Check the speed too, on a machine that is idle.
     """
     if arms < 1:
         raise BadRequest("set: arms are 1 or more")
     files = context.out and context.out.absolute()  # a worker may be in another folder
     if files is not None:
         files.mkdir(exist_ok=True)
-    trials = [CalibrationTrial(context.seed + k, closed_loop, files) for k in range(arms)]
-    results = context.each(run, ((trial,) for trial in trials), "arms")
-    fast = measure_speed(measure(CalibrationTrial(context.seed, False))[0]) if speed else None
+    results = context.each(run, ((context.seed + k, closed_loop, files) for k in range(arms)), "arms")
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {
@@ -189,28 +130,15 @@ def campaign(context: Context, arms: int = 20, closed_loop: bool = False, speed:
         ),
         "rank 26 of 42": all(r["rank_frames"] == 26 for r in results),
     }
-    if fast is not None:
-        checks |= {
-            "under 2 s": fast["calibration_s"] < 2,
-            "five times faster than least_squares": fast["ratio"] >= 5,
-            "to the same optimum": fast["largest_difference_sigma"] < 0.01,
-        }
     return {
         "arms": arms,
         "seed": context.seed,
         "closed_loop": closed_loop,
         "intervals": {"inside": int(inside), "of": int(of), "share": inside / of, "interval_95": [low, high]},
-        "speed": fast,
         "results": results,
         "checks": checks,
         "in_bounds": all(checks.values()),
     }
-
-
-def _save(found: Calibration, trial: CalibrationTrial) -> None:
-    tools = register_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
-    assert trial.files is not None
-    save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
 
 
 FILES = Path(__file__).parents[1] / "models" / "robots" / "ur10"

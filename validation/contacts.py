@@ -87,10 +87,6 @@ class Encounter:
     """True if the first fault is the unexpected contact, with torque."""
     true_N: float
     """Largest true force."""
-    at_report_N: float
-    """True force when it was reported."""
-    delay_s: float
-    """Time from the first touch to the report."""
 
     @property
     def in_bounds(self) -> bool:
@@ -141,11 +137,7 @@ def _across_the_turn(arm: Arm, start: Array, turn: Array, attempt: int) -> tuple
 
 
 def meet(seed: int, index: int) -> Encounter:
-    """Fly the first drawn move that is possible and meets its obstacle.
-
-    Raises:
-        RuntimeError: there is none.
-    """
+    """Fly the first drawn move that is possible and meets its obstacle; RuntimeError if there is none."""
     for attempt in range(MOST_DRAWS):
         met = _fly(draw(seed, index, attempt), index)
         if met is not None:
@@ -184,8 +176,6 @@ def _fly(one: Obstacle, seed: int) -> Encounter | None:
         report="; ".join(evr.message for evr in faults),
         reported=bool(faults) and isinstance(faults[0], UnexpectedContact) and touched <= reported,
         true_N=max(force_N),
-        at_report_N=force_N[reported],
-        delay_s=(reported - touched) / CYCLE_HZ,
     )
 
 

@@ -286,11 +286,7 @@ def _fault_name(fault: InjectedFault) -> str:
 
 
 def summary(cases: list[FaultOutcome]) -> Document:
-    """Summarize outcomes by fault and scenario, with the largest forces and angles."""
-    table: dict[str, dict[str, dict[str, int]]] = {}
-    for case in cases:
-        cell = table.setdefault(case.fault, {}).setdefault(case.scenario, {})
-        cell[case.end] = cell.get(case.end, 0) + 1
+    """Summarize outcomes, with the largest forces and angles."""
     unexpected = [asdict(case) for case in cases if case.end not in EXPECTED_ENDS]
     over = [
         asdict(c)
@@ -307,9 +303,7 @@ def summary(cases: list[FaultOutcome]) -> Document:
         "max_hull_N": max(case.hull_N for case in cases),
         "max_beyond_limits_rad": max(case.beyond_rad for case in cases),
         "found": dict(Counter(case.found for case in cases)),
-        "table": {fault: table[fault] for fault in sorted(table)},
         "over": over,
-        "tolerated": sorted({(case.fault, case.mode) for case in cases if case.end == "tolerated"}),
         "in_bounds": not unexpected and not over,
     }
 

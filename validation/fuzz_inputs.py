@@ -13,11 +13,11 @@ import pyarrow as pa
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Chunk, Metadata
+from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC
 from pyarrow import csv, parquet
 
-from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from marsarm.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_records
 from marsarm.telemetry.import_table import convert_table, write_table_log
 from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
 from marsarm.telemetry.mcap_columns import PARSE_ERRORS, unpack_chunk
@@ -141,9 +141,7 @@ def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, in
     name = names[int(random.integers(len(names)))]
     old = text.partition(name)[2][4:]
     header = {name: mutate_bytes(random, old.encode()).decode("latin-1")}
-    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-    changed = encode_records(Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header))
-    return data[:begin] + changed + data[end:]
+    return data[:begin] + encode_records(*header_records(header)) + data[end:]
 
 
 BETWEEN: Final = b"\n#---\n"

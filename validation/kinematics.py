@@ -65,8 +65,6 @@ class Tally:
     valid_outside_limits: int = 0
     missed: Counter[str] = field(default_factory=Counter)
     """Regular vectors that are no solution of their targets, by kind of the nearest double root."""
-    near: Counter[str] = field(default_factory=Counter)
-    """All vectors, by kind of the double root nearby."""
     not_called_valid: int = 0
     """Vectors found and inside the limits, but called something else than valid."""
     indistinct: int = 0
@@ -75,8 +73,6 @@ class Tally:
     """Indistinct vectors of exact arms whose target has neither a solution nor a branch named as singular."""
     workspace: int = 0
     workspace_at_most_four: int = 0
-    verdicts: Counter[str] = field(default_factory=Counter)
-    """Verdicts of all branches of the targets, without those of the vectors."""
     exceptions: int = 0
     examples: list[dict[str, Any]] = field(default_factory=list)
 
@@ -85,7 +81,7 @@ class Tally:
         self.worst_error = max(self.worst_error, other.worst_error)
         for example in other.examples:
             self._keep(example)
-        for name in ("missed", "near", "unanswered", "verdicts"):
+        for name in ("missed", "unanswered"):
             getattr(self, name).update(getattr(other, name))
         for name in COUNTS:
             setattr(self, name, getattr(self, name) + getattr(other, name))
@@ -172,8 +168,6 @@ def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
     valid = (answers.verdict == BranchVerdict.VALID).sum(axis=0)[aim == Aim.WORKSPACE]
     tally.workspace += valid.size
     tally.workspace_at_most_four += int((valid <= 4).sum())
-    codes, counts = np.unique(answers.verdict, return_counts=True)
-    tally.verdicts.update({BranchVerdict(int(c)).name: int(k) for c, k in zip(codes, counts, strict=True)})
 
 
 def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
@@ -182,7 +176,6 @@ def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
     answers = _solve(trial, X_RT.p, X_RT.R[:, 0])
     names = [near_name(k) for k in near]
     tally.vectors += n
-    tally.near.update(names)
     error = _check_roots(tally, trial, chunk, answers, X_RT.p, X_RT.R[:, 0], names)
     distance = root_distances(answers, q)
     _check_verdicts(tally, trial, answers, q, distance, names)

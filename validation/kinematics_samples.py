@@ -75,11 +75,6 @@ def log_distances(rng: np.random.Generator, n: int) -> Array:
 def draw_vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
     """Draw joint vectors inside the soft limits, most of them near double roots or limits.
 
-    Args:
-        trial: Arm, tool and gravity.
-        rng: Source of randomness.
-        n: Number of vectors.
-
     Returns:
         Output angles in rad, shape (5, n), and flags of Near, shape (n,).
     """
@@ -169,14 +164,8 @@ def _put_near_limits(q: Array, flagged: Kinds, low: Array, high: Array, rng: np.
 def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Kinds]:
     """Draw targets in the workspace, near its faces, near double roots, and anywhere in reach.
 
-    Args:
-        trial: Arm, tool and gravity.
-        rng: Source of randomness.
-        n: Number of targets.
-
     Returns:
-        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each, and values of
-        Aim, shape (n,).
+        Positions [m] and unit approach vectors in the rover frame, (3, n) each, and values of Aim, (n,).
     """
     aim = rng.choice(4, n, p=[0.6, 0.15, 0.15, 0.1])
     p_m, approach = _workspace(rng, n, aim == Aim.EDGE)
@@ -190,15 +179,7 @@ def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array,
 
 
 def workspace_targets(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Draw targets uniformly in the primary workspace.
-
-    Args:
-        rng: Source of randomness.
-        n: Number of targets.
-
-    Returns:
-        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each.
-    """
+    """Draw targets uniformly in the workspace: positions [m] and unit approach vectors, (3, n) each."""
     return _workspace(rng, n, np.zeros(n, bool))
 
 

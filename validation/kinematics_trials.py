@@ -126,10 +126,7 @@ def arm_of(name: str) -> Arm:
 def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
     """Build the nominal arm with a random tool, whose boresight misses the turret axis.
 
-    Args:
-        seed: Seed of the tool.
-        offset_m: Largest distance of the tool from the radial direction.
-        tilt_rad: Largest tilt of the tool.
+    The tool is at most `offset_m` from the radial direction, and tilted by at most `tilt_rad`.
     """
     rng = np.random.default_rng(seed)
     arm = arm_of("nominal")
@@ -161,16 +158,9 @@ def claimed_roots(answers: IkResult) -> Flags:
 
 
 def root_errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) -> Array:
-    """Compute the pose error of each claimed root.
+    """Compute the pose error of each claimed root: the larger of metres and radians, (S, n); else NaN.
 
-    Args:
-        trial: Arm, tool and gravity.
-        answers: Result of the inverse kinematics.
-        p_m: Target positions in the rover frame, shape (3, n).
-        approach: Target unit approach vectors in the rover frame, shape (3, n).
-
-    Returns:
-        The larger of the errors in metres and radians, shape (S, n); NaN for other roots.
+    Targets are positions and unit approach vectors in the rover frame, (3, n) each.
     """
     roots = claimed_roots(answers)
     worst = np.full(roots.shape, np.nan)
@@ -182,14 +172,9 @@ def root_errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) ->
 
 
 def root_distances(answers: IkResult, q: Array) -> Array:
-    """Compute the distance of each claimed root from the joint vector of its target, modulo full turns.
+    """Compute the largest joint difference [rad] of each claimed root from a vector, modulo full turns.
 
-    Args:
-        answers: Result of the inverse kinematics.
-        q: Joint vectors in rad, shape (5, n).
-
-    Returns:
-        Largest joint difference in rad, shape (S, n); infinite for other roots.
+    The vectors, (5, n), are those of the targets. The result is (S, n), and infinite for other roots.
     """
     distance = np.abs(wrap_angle(answers.output_rad - q[:, None])).max(axis=0)
     return np.where(claimed_roots(answers), distance, np.inf)
@@ -198,13 +183,8 @@ def root_distances(answers: IkResult, q: Array) -> Array:
 def task_jacobian(trial: Trial, q: Array) -> Array:
     """Compute the Jacobian of position and approach by central differences, with the change of deflection.
 
-    Args:
-        trial: Arm, tool and gravity.
-        q: Joint vectors in rad, shape (5, n).
-
-    Returns:
-        Derivatives of the position in m/rad, and of the approach along the other two tool axes, shape
-        (5, 5, n).
+    For joint vectors, (5, n), it has derivatives of the position in m/rad, and of the approach along the
+    other two tool axes, (5, 5, n).
     """
     n = q.shape[1]
     steps = STEP_RAD * np.stack([np.eye(5), -np.eye(5)], axis=-1)

@@ -53,16 +53,10 @@ class Eaik:
         return str(self.robot.getKinematicFamily())
 
     def roots(self, X_1F: Array) -> Array:
-        """Find the roots of a pose.
+        """Find the roots [rad], (5, k), of a pose of the turret interface in the Arm1 frame, (4, 4).
 
         EAIK marks approximate solutions as least squares. If two azimuths nearly coincide, it also marks
         roots with errors of only 1e-12. Its own forward kinematics identifies these.
-
-        Args:
-            X_1F: Pose of the turret interface in the Arm1 frame, shape (4, 4).
-
-        Returns:
-            Output angles of the roots, shape (5, k), in rad.
         """
         solution = self.robot.IK(X_1F)
         marked = zip(solution.Q, solution.is_LS, strict=True)
@@ -74,15 +68,7 @@ class Eaik:
 
 
 def interface_poses(trial: Trial, output_rad: Array) -> Array:
-    """Compute the pose of the turret interface in the Arm1 frame.
-
-    Args:
-        trial: Arm and tool.
-        output_rad: Output angles, shape (5, n).
-
-    Returns:
-        Homogeneous transforms, shape (n, 4, 4).
-    """
+    """Compute homogeneous transforms of the turret interface in Arm1, (n, 4, 4), at output angles, (5, n)."""
     ends = forward(trial.arm, output_rad).X_RF
     R_R1, p_R1 = ends.R[:, :, 0, 0], ends.p[:, 0, 0]
     X = np.zeros((output_rad.shape[1], 4, 4))
@@ -126,13 +112,9 @@ class Comparison:
 
 
 def compare(eaik: Eaik, tool: str, p_m: Array, approach: Array) -> Comparison:
-    """Compare our roots of targets with the oracle's, modulo full turns.
+    """Compare our roots with the oracle's, modulo full turns.
 
-    Args:
-        eaik: The oracle.
-        tool: Tool at the targets.
-        p_m: Positions in the rover frame, shape (3, n).
-        approach: Unit approach vectors in the rover frame, shape (3, n).
+    Targets are positions and unit approach vectors in the rover frame, (3, n) each.
     """
     trial = Trial("nominal", arm_of("nominal"), tool, None)
     answers = inverse_kinematics(trial.arm, tool, p_m, approach)
@@ -158,16 +140,10 @@ def compare(eaik: Eaik, tool: str, p_m: Array, approach: Array) -> Comparison:
 
 
 def random_targets(tool: str, kind: str, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Draw random targets.
-
-    Args:
-        tool: Tool at the targets.
-        kind: `workspace` for the primary workspace, `vectors` for poses of random joint vectors.
-        rng: Source of randomness.
-        n: Number of targets.
+    """Draw targets of the workspace, or those of random joint vectors if the kind is `vectors`.
 
     Returns:
-        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each.
+        Positions [m] and unit approach vectors in the rover frame, (3, n) each.
     """
     if kind == "workspace":
         return workspace_targets(rng, n)

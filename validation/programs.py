@@ -175,15 +175,7 @@ COMMANDS: Final = {
     "gap record": "gap record --out logs",
 }
 """Long commands, by name."""
-OF_A_LOG: Final = {
-    "replay": "replay long.mcap",
-    "log export": "log export long.mcap tables --csv",
-    "log recover": "log recover long.mcap saved.mcap",
-}
-"""Commands that need the log of `log`."""
-OF_A_CAMPAIGN: Final = {"diagnose": "diagnose logs --report gap.html --patch found.toml"}
-"""Commands that need the logs of `logs`."""
-LEFT: Final = {"run.mcap", "arms.jsonl", "long.mcap", "targets.npz", "logs", ".cache"}
+LEFT: Final = {"run.mcap", "arms.jsonl", "targets.npz", "logs", ".cache"}
 """Files that may be there after an interruption: logs, results to continue from, and inputs."""
 
 
@@ -192,7 +184,6 @@ class Interruption:
     """Command that was interrupted once."""
 
     name: str
-    signal: str
     after_s: float
     outcome: str
     """ "in bounds", "too late" if the command had ended before the signal, or what was wrong."""
@@ -200,27 +191,10 @@ class Interruption:
     """Time from the signal to the end of the command and of all processes that hold its output."""
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
-    """Files that commands read."""
-
-    targets: Path
-    long_log: Path | None
-    campaign: Path | None
-
-    def put_into(self, folder: Path) -> None:
-        """Link the inputs into the folder of a command."""
-        (folder / "targets.npz").symlink_to(self.targets)
-        if self.long_log is not None:
-            (folder / "long.mcap").symlink_to(self.long_log.resolve())
-        if self.campaign is not None:
-            (folder / "logs").symlink_to(self.campaign.resolve())
-
-
-def interrupt(name: str, words: str, number: signal.Signals, after_s: float, inputs: Inputs) -> Interruption:
+def interrupt(name: str, words: str, after_s: float, targets: Path) -> Interruption:
     """Start a command in a new folder, interrupt its process group, and check what it did."""
     with TemporaryDirectory() as folder:
-        inputs.put_into(Path(folder))
+        (Path(folder) / "targets.npz").symlink_to(targets)
         env = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(Path(folder) / ".cache")}
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, *shlex.split(words)], cwd=folder, env=env, text=True,
@@ -229,27 +203,25 @@ def interrupt(name: str, words: str, number: signal.Signals, after_s: float, inp
         time.sleep(after_s)
         if process.poll() is not None:
             process.communicate()
-            return Interruption(name, number.name, after_s, "too late")
+            return Interruption(name, after_s, "too late")
         began_s = time.monotonic()
-        os.killpg(process.pid, number)
+        os.killpg(process.pid, signal.SIGINT)
         try:
             _, errors = process.communicate(timeout=LONGEST_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-            return Interruption(name, number.name, after_s, f"runs on after {LONGEST_S:g} s")
+            return Interruption(name, after_s, f"runs on after {LONGEST_S:g} s")
         ended_in_s = time.monotonic() - began_s
-        problem = find_problem(Path(folder), process.returncode, errors, number, ended_in_s)
-        return Interruption(name, number.name, after_s, problem or "in bounds", ended_in_s)
+        problem = find_problem(Path(folder), process.returncode, errors, ended_in_s)
+        return Interruption(name, after_s, problem or "in bounds", ended_in_s)
 
 
-def find_problem(
-    folder: Path, status: int, errors: str, number: signal.Signals, ended_in_s: float
-) -> str | None:
+def find_problem(folder: Path, status: int, errors: str, ended_in_s: float) -> str | None:
     """Return what is wrong with an interrupted command; None if nothing is."""
     if status == 0:
         return "too late"  # it had printed its result when the signal came
-    if status != 128 + number:
+    if status != 128 + signal.SIGINT:
         return f"status {status}: {errors[-300:]}"
     if SENTENCE.fullmatch(PROGRESS.sub("", errors)) is None:
         return f"says {errors[-300:]!r}"
@@ -286,43 +258,26 @@ def summarize(found: Sequence[Interruption]) -> Document:
         "too_late": sum(one.outcome == "too late" for one in found),
         "wrong": wrong,
         "longest_s": max((one.ended_in_s for one in in_time), default=None),
-        "longest_by_command": {
-            name: max((one.ended_in_s for one in in_time if one.name == name), default=None)
-            for name in dict.fromkeys(one.name for one in found)
-        },
         "bound_s": BOUND_S,
-        "load_average": os.getloadavg()[0],
         "in_bounds": bool(in_time) and not wrong,
     }
 
 
-def interruptions(
-    context: Context,
-    moments: str = "0.8,2,5,12,25",
-    only: str = "",
-    signal_name: str = "SIGINT",
-    log: Path | None = None,
-    logs: Path | None = None,
-) -> Document:
+def interruptions(context: Context, moments: str = "0.8,2,5,12,25", only: str = "") -> Document:
     """Interrupt every command at every moment; in bounds if all that came in time were right.
 
     Args:
         context: Told of the progress.
         moments: Times of the signal after the start [s], with commas.
         only: Names of commands, with commas; empty for all.
-        signal_name: SIGINT or SIGTERM.
-        log: Log for replay, export and recovery.
-        logs: Folder of logs for diagnose.
     """
-    commands = COMMANDS | (OF_A_LOG if log else {}) | (OF_A_CAMPAIGN if logs else {})
-    chosen = only.split(",") if only else list(commands)
-    if unknown := set(chosen) - set(commands):
-        raise BadRequest(f"set only: {', '.join(sorted(unknown))}: there are {', '.join(commands)}")
+    chosen = only.split(",") if only else list(COMMANDS)
+    if unknown := set(chosen) - set(COMMANDS):
+        raise BadRequest(f"set only: {', '.join(sorted(unknown))}: there are {', '.join(COMMANDS)}")
     found: list[Interruption] = []
     with TemporaryDirectory() as folder:
-        inputs = Inputs(write_targets(Path(folder) / "targets.npz", 2_000_000), log, logs)
+        targets = write_targets(Path(folder) / "targets.npz", 2_000_000)
         for name, after in product(chosen, moments.split(",")):
-            number = signal.Signals[signal_name]
-            found.append(interrupt(name, commands[name], number, float(after), inputs))
+            found.append(interrupt(name, COMMANDS[name], float(after), targets))
             context.progress(len(found), len(chosen) * len(moments.split(",")), name)
     return summarize(found)

@@ -93,13 +93,9 @@ def fitted_delay_s(robot: Robot, motions: Sequence[Motion], found: Diagnosis) ->
 def make_twin(
     motions: Sequence[Motion], model: ResidualModel, found: Diagnosis, seed: int
 ) -> tuple[Motion, ...]:
-    """Return motions as the fitted model makes them, with resampled residuals.
+    """Return motions as the model makes them with the effects and sizes of a diagnosis of other motions.
 
-    Args:
-        motions: Motions of the model.
-        model: Residuals of these motions.
-        found: Diagnosis of other motions, whose effects and sizes are simulated.
-        seed: Seed of the resampling.
+    Resampled residuals are added.
     """
     named = {(one.place, one.effect) for one in found.findings}
     kept = [(effect.place, effect.name) not in named for effect in found.effects]

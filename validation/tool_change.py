@@ -19,7 +19,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
-from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
@@ -31,7 +31,7 @@ from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
-from sim.effects.geometry import FrameError, Warming
+from sim.effects.geometry import Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
 from sim.frames import FLIP
@@ -64,12 +64,6 @@ class ToolChangeErrors:
     """Second tool, placed by the tool change, from the true contact of the first."""
     absolute_mm: float
     """Second tool, placed by its coordinates, from the target."""
-    twice_absolute_mm: float
-    """Second tool, placed by its coordinates, from the true contact of the first, placed likewise."""
-    tool_frames_mm: float
-    """Contribution of the errors of both tool frames to `from_spot_mm`."""
-    residual_mm: float
-    """Lateral distance of `from_spot_mm` without this contribution."""
 
 
 def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
@@ -120,14 +114,8 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if isinstance(absolute, str):
         return NotChanged("absolute not placed", absolute)
-    (spot, R_1), (second, R_2) = first, relative
-    frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
     return ToolChangeErrors(
-        from_spot_mm=_lateral_mm(second - spot, axis),
-        absolute_mm=_lateral_mm(absolute[0] - target, axis),
-        twice_absolute_mm=_lateral_mm(absolute[0] - spot, axis),
-        tool_frames_mm=_lateral_mm(frames, axis),
-        residual_mm=_lateral_mm(second - spot - frames, axis),
+        from_spot_mm=_lateral_mm(relative - first, axis), absolute_mm=_lateral_mm(absolute - target, axis)
     )
 
 
@@ -148,29 +136,14 @@ def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
     return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
 
 
-def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
-    """Run commands; return true position and rotation of the touching tool, or the warning of a failure."""
+def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> Array | str:
+    """Run commands; return the true position of the touching tool, or the warning of a failure."""
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
     problem = not_completed(commands[-1], evrs)
     if problem is not None:
         return problem
-    truth, tool = loop.plant.truth(), loop.plant.tools.index(loop.state.tool)
-    return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
-
-
-def _tool_shift(arm: BuiltArm, tool: str) -> Array:
-    """Return the position error of a tool on the turret, in tool axes, shape (3,), in metres.
-
-    It is relative to the nominal parameters.
-    """
-    return sum(
-        (
-            np.array(effect.screw[3:])
-            for effect in arm.effects
-            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool == tool
-        ),
-        np.zeros(3),
-    )
+    touching: Array = loop.plant.truth().p_RoTo_R_m[loop.plant.tools.index(loop.state.tool)]
+    return touching
 
 
 def _lateral_mm(difference_m: Array, axis: Array) -> float:

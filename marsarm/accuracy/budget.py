@@ -268,12 +268,7 @@ def compute_budgets(
     seed: int,
     progress: Progress,
 ) -> dict[str, Budget]:
-    """Compute the budgets of several cases.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        count: Number of poses in all, shared evenly by the tools.
-    """
+    """Compute the budgets of several cases at so many poses in all, shared evenly by the tools."""
     found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
         progress(k, len(tools), tool)
@@ -324,8 +319,7 @@ def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivi
     """Compute the errors of a case by source.
 
     Returns:
-        Absolute errors [rad, m], shape (sources, 6, 7, n), and flags of sources that are at their limits,
-        shape (sources,).
+        Absolute errors [rad, m], (sources, 6, 7, n), and flags of sources at their limits, (sources,).
     """
     u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
     return np.array(u), np.array([model.source[name].at_limit for name in case.sources])

@@ -189,10 +189,7 @@ def _poses(report: BudgetReport) -> str:
 
 
 def save_budget_picture(report: BudgetReport, path: Path) -> str | None:
-    """Save the rows beside the paper's and the shares of the sources as PNG.
-
-    Returns:
-        The reason why there is no picture, or None.
+    """Save the rows beside the paper's and the shares of the sources as PNG; return why there is none.
 
     Raises:
         BadOutput: The file cannot be written.

@@ -103,14 +103,10 @@ class Coverage:
 
 
 def estimate_coverage(error: Array, bound: Array, wanted: float, arms: int) -> Coverage:
-    """Estimate coverage and width of bounds.
+    """Estimate coverage and width of bounds, (n,), of errors at the same poses.
 
     Errors of one arm are not independent, so the intervals count arms: exact for one error an arm, too wide
     for more.
-
-    Args:
-        error: Measured errors [m or rad], shape (n,).
-        bound: Bounds at the same poses, same unit, shape (n,).
     """
     normed = error / bound
     share = float(np.mean(normed <= 1))
@@ -129,15 +125,9 @@ def min_sample_size(share: float) -> int:
 
 
 def quantile_interval(values: Array, share: float, count: int) -> Interval:
-    """Compute a confidence interval of a quantile from the ranks of independent values.
+    """Compute a confidence interval of a quantile by the ranks of values, (n,), `count` of them independent.
 
-    Args:
-        values: Values, shape (n,).
-        share: Probability of the quantile.
-        count: Number of independent values.
-
-    Returns:
-        Lower and upper end around the quantile of these values; the upper one is infinite for too few values.
+    The interval is around the quantile of these values; its upper end is infinite for too few of them.
     """
     tail = (1 - CONFIDENCE) / 2
     below, most = (int(binom.ppf(p, count, share)) for p in (tail, 1 - tail))

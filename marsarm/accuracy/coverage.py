@@ -75,13 +75,9 @@ def _covered_m(shifts: list[Array]) -> float:
 
 
 def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> Array:
-    """Compute the tool motion by backlash over the sum of the largest motions by each joint.
+    """Compute the tool motion by backlash over the sum of the largest motions by each joint, (n,).
 
-    Args:
-        side: Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5, n).
-
-    Returns:
-        Ratios, shape (n,).
+    Outputs are at positions in their backlash, (5, n), that are -1 and +1 at the flanks.
     """
     by_joint = sensitivity.errors(model.source["backlash"])[TOTAL][:, : len(Joint)]
     motion = np.einsum("ikn,kn->in", by_joint, side)
@@ -90,15 +86,7 @@ def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> 
 
 
 def paper_rule_variants(u: Array, at_limit: Flags) -> dict[str, Array]:
-    """Combine errors by the paper's rule, and by variants that add less.
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-        at_limit: Flags of sources at their limits, shape (sources,).
-
-    Returns:
-        Components [rad, m] by name of the variant, shape (6, n).
-    """
+    """Combine errors (sources, 6, 7, n) by the paper's rule and by variants that add less: (6, n) by name."""
     rooted = np.sqrt((u**2).sum(axis=2, keepdims=True))
     no_source = np.zeros_like(at_limit)
     return {
@@ -146,7 +134,8 @@ def check_coverage(
     used = [tool for tool in config.params.tool_names if any(m.tool == tool for m in placements)]
     by_tool = {tool: [m for m in placements if m.tool == tool] for tool in used}
     sensitivity = {
-        tool: _tool_sensitivity(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()
+        tool: compute_sensitivity(config, _measured_poses(tool, found), gravity_R_m_s2)
+        for tool, found in by_tool.items()
     }
     budgets = {
         tool: compute_tool_budget(model, model.case[case], _measured_poses(tool, found), sensitivity[tool])
@@ -195,12 +184,6 @@ def _variant_totals_m(model: ErrorModel, case: str, sensitivity: Iterable[Sensit
 def _measured_poses(tool: str, found: Sequence[MeasuredPlacement]) -> Poses:
     output = np.array([m.output_rad for m in found]).T
     return Poses(tool, output, np.full((3, len(found)), np.nan))
-
-
-def _tool_sensitivity(
-    config: Config, gravity_R_m_s2: Array, tool: str, found: Sequence[MeasuredPlacement]
-) -> Sensitivity:
-    return compute_sensitivity(config, _measured_poses(tool, found), gravity_R_m_s2)
 
 
 def _join_bounds(budgets: Mapping[str, ToolBudget], rule: str, name: str) -> Array:

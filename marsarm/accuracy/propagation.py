@@ -34,11 +34,7 @@ class Poses:
 
 
 def workspace_poses(arm: Arm, tool: str, gravity_R_m_s2: Array, count: int, seed: int) -> Poses:
-    """Draw poses of a tool over the workspace; the result depends only on the arguments.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-    """
+    """Draw poses of a tool over the workspace; the result depends only on the arguments."""
     rng = np.random.default_rng([seed, list(arm.X_FT).index(tool)])
     outputs, targets = np.zeros((5, 0)), np.zeros((3, 0))
     while outputs.shape[1] < count:
@@ -84,11 +80,7 @@ class Sensitivity:
 
 
 def compute_sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:
-    """Compute the sensitivity of the tool of the deflected arm.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-    """
+    """Compute the sensitivity of the tool of the deflected arm."""
     arm = config.arm
     deflected = settle_output(arm, poses.output_rad, gravity_R_m_s2)
     X_RT = tool_pose(arm, deflected.frames, poses.tool)
@@ -153,12 +145,9 @@ class SquaredLength:
         return np.asarray(8 / np.clip(skewness, MIN_SKEWNESS, MAX_SKEWNESS) ** 2)
 
     def quantile(self, coverage: float) -> Array:
-        """Compute the error length that is not exceeded with this probability.
+        """Compute the error lengths, (n,), that are not exceeded with this probability.
 
         A shifted and scaled chi-square distribution matches the three cumulants.
-
-        Returns:
-            Lengths, shape (n,).
         """
         degrees_of_freedom = self._degrees_of_freedom
         normed = (chi2.ppf(coverage, degrees_of_freedom) - degrees_of_freedom) / np.sqrt(
@@ -181,7 +170,7 @@ def squared_length(errors: Sequence[tuple[Array, Distribution]], known: Array | 
 
     Args:
         errors: Independent errors at their magnitudes, shape (m, k, n), with their distributions.
-        known: Known error to add, shape (m, n); zero by default.
+        known: Known error to add, shape (m, n).
     """
     m, _, n = errors[0][0].shape
     c = np.zeros((m, n)) if known is None else known
@@ -225,67 +214,35 @@ class Bounds:
 
 
 def bounds(u: Array) -> Bounds:
-    """Compute the bounds from components.
-
-    Args:
-        u: Absolute errors [rad, m], shape (6, n).
-    """
+    """Compute the bounds from components, (6, n) [rad, m]."""
     return Bounds(*(np.linalg.norm(u[part], axis=0) for part in PARTS))
 
 
 def worst_case(u: Array) -> Array:
-    """Add all errors (paper equation 10).
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-
-    Returns:
-        Components [rad, m], shape (6, n).
-    """
+    """Add all errors (sources, 6, 7, n) to components (6, n) [rad, m]: paper equation 10."""
     return np.asarray(u.sum(axis=(0, 2)))
 
 
 def root_sum_square(u: Array) -> Array:
-    """Combine all errors as independent (paper equation 11).
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-
-    Returns:
-        Components [rad, m], shape (6, n).
-    """
+    """Combine all errors (sources, 6, 7, n) as independent, to components (6, n): paper equation 11."""
     return np.asarray(np.sqrt((u**2).sum(axis=(0, 2))))
 
 
 def paper_rule(u: Array, at_limit: Flags) -> Array:
-    """Combine errors by the paper's rule (equations 12 and 13).
+    """Combine errors (sources, 6, 7, n) by the paper's rule, to components (6, n): equations 12 and 13.
 
     Frames of a source are added. Sources at their limits are added, the others combined as root sum square.
     This follows the text of the paper: its printed root covers the added sources too.
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-        at_limit: Flags of sources at their limits, shape (sources,).
-
-    Returns:
-        Components [rad, m], shape (6, n).
     """
     source = u.sum(axis=2)
     return np.asarray(source[at_limit].sum(axis=0) + np.sqrt((source[~at_limit] ** 2).sum(axis=0)))
 
 
 def shares(u: Array, at_limit: Flags) -> Array:
-    """Divide the total error by the paper's rule among sources and frames.
+    """Divide the total error by the paper's rule among sources and frames, to shares [m], (sources, 7, n).
 
     An added source has the weight one; a source under the root has its own value over the root. A component
     has the weight of its value over the length of the error. So the shares add up to the total.
-
-    Args:
-        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
-        at_limit: Flags of sources at their limits, shape (sources,).
-
-    Returns:
-        Shares [m], shape (sources, 7, n).
     """
     source = u.sum(axis=2)
     root = np.sqrt((source[~at_limit] ** 2).sum(axis=0))
@@ -297,11 +254,7 @@ def shares(u: Array, at_limit: Flags) -> Array:
 
 
 def moments_rule(lengths: Sequence[SquaredLength], worst: Bounds, coverage: float) -> Bounds:
-    """Compute the bounds that hold with this probability, at most the worst case.
-
-    Args:
-        lengths: Distributions of squared lengths in the order of PARTS.
-    """
+    """Compute the bounds that hold with this probability, at most the worst case; lengths are as PARTS."""
     within = [length.quantile(coverage) for length in lengths]
     most = (getattr(worst, field.name) for field in fields(Bounds))
     return Bounds(*(np.minimum(a, b) for a, b in zip(within, most, strict=True)))

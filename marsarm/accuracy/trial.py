@@ -130,20 +130,13 @@ def measure_placements(move: TrueMove, places: Sequence[PlannedMove]) -> list[Me
 
 
 def error_in_tool(commanded: Pose, true: Pose) -> Array:
-    """Compute the tool error.
-
-    Returns:
-        Screw [rad, m] from commanded to true pose in tool axes without the rotation about x, shape (6,).
-    """
+    """Compute the screw [rad, m], (6,), from commanded to true pose in tool axes, without turns about x."""
     turn = true.R.T @ np.cross(commanded.R[:, 0], true.R[:, 0])
     return np.concatenate([turn, true.R.T @ (true.p - commanded.p)])
 
 
 def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMode) -> TrueMove:
-    """Build the move model of plant and flight software in free air.
-
-    The model raises RuntimeError if a move fails.
-    """
+    """Build the move model of plant and flight software in free air; RuntimeError if a move fails."""
 
     def move(place: PlannedMove) -> tuple[Pose, Array]:
         loop = free_air_loop(Setup(arm, World(), joints5(place.start_rad), place.seed, reference))
@@ -251,11 +244,7 @@ def sample_source(
 
 
 def sample_errors(distribution: Distribution, count: int, rng: np.random.Generator) -> Array:
-    """Sample errors of magnitude 1.
-
-    Returns:
-        Errors, shape (count,).
-    """
+    """Sample errors of magnitude 1, (count,)."""
     match distribution:
         case "normal":
             return rng.standard_normal(count) / 3

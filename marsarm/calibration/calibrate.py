@@ -209,11 +209,7 @@ def provenance(found: Calibration) -> tuple[str, ...]:
 
 
 def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
-    """Write the parameter file.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Write the parameter file; BadOutput if the file cannot be written."""
     with atomic_write(path, "out") as file:
         file.write(parameter_text(found, params).encode())
 

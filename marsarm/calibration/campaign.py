@@ -335,11 +335,7 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
 
 
 def run_campaign(arm: BuiltArm, reference: Reference, plan: CampaignPlan, progress: Progress) -> Campaign:
-    """Run every pose of a plan in the closed loop.
-
-    Raises:
-        CampaignFailed: A move failed.
-    """
+    """Run every pose of a plan in the closed loop; CampaignFailed if a move failed."""
     total, rows = sum(group.count for group in plan.groups), []
     for k in range(len(plan.groups)):
         for row in group_rows(arm, reference, plan, k):

@@ -150,11 +150,7 @@ def save_campaign(campaign: Campaign, path: Path) -> None:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """Read a table.
-
-    Raises:
-        BadData: The file cannot be read or is too large, or columns or values are wrong.
-    """
+    """Read a table; BadData if the file cannot be read or is too large, or columns or values are wrong."""
     try:
         data = BytesIO(read_table_file(path))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)

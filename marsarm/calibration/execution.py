@@ -67,11 +67,7 @@ MAX_PRIOR_SIGMAS: Final = 5.0
 
 
 def check_data(nominal: Params, campaign: Campaign) -> None:
-    """Check the data before the fit.
-
-    Raises:
-        BadData: The data are wrong; the message lists every reason.
-    """
+    """Check the data before the fit; BadData if the data are wrong; the message lists every reason."""
     _refuse(_check_poses(campaign))
     _refuse(_check_units(campaign))
     _refuse(_check_tracker(campaign))

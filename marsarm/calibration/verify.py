@@ -42,9 +42,9 @@ from sim.effects.effect import Effect, params_with_effects
 from sim.effects.environment import Ambient
 from sim.effects.joints import HardstopAngle
 from sim.effects.structure import params_with_stand_in
-from sim.frames import approach_from, p_R_from_N, random_targets
+from sim.frames import Workspace, approach_from, p_R_from_N, random_targets
 from sim.initialisation import true_reference
-from sim.loop import Setup
+from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.tracker import Tracker
@@ -283,9 +283,8 @@ def verify_calibration(
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
     places = []
     for k, (name, world, effects) in enumerate(where):
-        run = VerificationRun(known, reference, world, effects, seed)
         found = []
-        for one in run.tool_errors(targets):
+        for one in _tool_errors(known, reference, world, effects, targets, seed):
             found.append(one)
             moving(k * targets + len(found), len(where) * targets, name)
         tools, errors = zip(*found, strict=True)
@@ -293,41 +292,34 @@ def verify_calibration(
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
-class VerificationRun:
-    """Closed loop in one environment, which moves the full turret from target to target."""
+def _tool_errors(
+    arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], targets: int, seed: int
+) -> Iterator[tuple[str, Array]]:
+    """Move the full turret from target to target in the closed loop of one environment.
 
-    def __init__(
-        self, arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], seed: int
-    ):
-        ready = arm.params.poses.ready_rad
-        self._loop = free_air_loop(Setup(arm, world, ready, seed, reference, effects))
-        self._rng = np.random.default_rng([seed, 4])
-        self._workspace = arm.model.workspace
+    Yields:
+        The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
+    """
+    loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, effects))
+    rng = np.random.default_rng([seed, 4])
+    for k in range(targets):
+        tool = loop.plant.tools[k % len(loop.plant.tools)]
+        yield tool, _visit_target(loop, tool, arm.model.workspace, rng)
 
-    def tool_errors(self, targets: int) -> Iterator[tuple[str, Array]]:
-        """Move to targets and measure the tool errors.
 
-        Yields:
-            The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
-        """
-        for k in range(targets):
-            tool = self._loop.plant.tools[k % len(self._loop.plant.tools)]
-            yield tool, self._visit_target(tool)
+def _visit_target(loop: ClosedLoop, tool: str, workspace: Workspace, rng: np.random.Generator) -> Array:
+    for _ in range(MOST_TRIES):
+        p_N_m, angles = random_targets(rng, 1, workspace)
+        target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
+        problem = run_and_rest(loop, MoveTool(tool, vector3(target), vector3(approach)))
+        if problem is None:
+            return _tool_error(loop.plant, tool, target, approach)
+    raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
 
-    def _visit_target(self, tool: str) -> Array:
-        for _ in range(MOST_TRIES):
-            p_N_m, angles = random_targets(self._rng, 1, self._workspace)
-            target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
-            problem = run_and_rest(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
-            if problem is None:
-                return self._tool_error(tool, target, approach)
-        raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
 
-    def _tool_error(self, tool: str, target: Array, approach: Array) -> Array:
-        truth = self._loop.plant.truth()
-        index = self._loop.plant.tools.index(tool)
-        miss, axis = truth.p_RoTo_R_m[index] - target, truth.R_RT[index][:, 0]
-        along = float(miss @ approach)
-        lateral = float(np.linalg.norm(miss - along * approach))
-        turned = angle_between(axis, approach)
-        return np.array([np.linalg.norm(miss), lateral, along, turned])
+def _tool_error(plant: Plant, tool: str, target: Array, approach: Array) -> Array:
+    truth, index = plant.truth(), plant.tools.index(tool)
+    miss, axis = truth.p_RoTo_R_m[index] - target, truth.R_RT[index][:, 0]
+    along = float(miss @ approach)
+    lateral = float(np.linalg.norm(miss - along * approach))
+    return np.array([np.linalg.norm(miss), lateral, along, angle_between(axis, approach)])

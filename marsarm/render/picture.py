@@ -154,11 +154,7 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
 
 
 def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -> None:
-    """Write images as an MP4 with H.264, which every browser plays.
-
-    Args:
-        frames: Images, each of shape (height, width, 3), 0 to 255, of even height and width.
-        path: The MP4 file.
+    """Write images, (height, width, 3), even and 0 to 255, as an MP4 with H.264, which every browser plays.
 
     Raises:
         PictureError: there is no frame.

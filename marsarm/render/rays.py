@@ -206,16 +206,10 @@ class Rays:
     def cast(
         self, data: mujoco.MjData, origin: Floats, direction: Floats
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
-        """Cast rays from one point.
-
-        Args:
-            data: State of the scene.
-            origin: Point in world axes, shape (3,), in metres.
-            direction: Unit vectors in world axes, shape (n, 3).
+        """Cast rays from one point [m] in world axes along unit vectors, (n, 3).
 
         Returns:
-            Geom index of the first hit, -1 for none, shape (n,); its distance in metres, shape (n,); and its
-            normal, shape (n, 3).
+            Index of the first geom hit, -1 for none, (n,); its distance [m], (n,); and its normal, (n, 3).
         """
         count = len(direction)
         geom, distance, normal = np.full(count, -1, np.int32), np.zeros(count), np.zeros((count, 3))
@@ -241,13 +235,7 @@ class Rays:
     def brightness(self, data: mujoco.MjData, point: Floats, normal: Floats) -> Floats:
         """Compute the light on surface points: skylight from above, and the sun where nothing casts a shadow.
 
-        Args:
-            data: State of the scene.
-            point: Points in world axes, shape (n, 3), in metres.
-            normal: Unit normals there, shape (n, 3).
-
-        Returns:
-            Factors on red, green and blue, shape (n, 3).
+        Points [m] and unit normals are in world axes, (n, 3); the factors on red, green and blue too.
         """
         sun = data.light_xdir[0] if self._model.nlight else np.array([0.0, 0.0, -1.0])
         sunlight = np.maximum(0.0, -(normal @ sun))

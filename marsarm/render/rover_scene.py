@@ -119,11 +119,7 @@ def _add_shapes(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tup
 
 
 def project_outlines(boxes: RoundedBoxes, X_RS: Pose, axes: tuple[int, int]) -> Iterator[Array]:
-    """Yield the outline of each shape, seen along the third axis.
-
-    Args:
-        X_RS: Their poses in the rover frame, batch (m).
-        axes: Axes of the plane, 0 to 2 for x, y, z of the rover frame.
+    """Yield the outline of each shape, seen along the axis that is not among these of the rover frame.
 
     Yields:
         Corners [m] of a convex polygon, shape (n, 2).

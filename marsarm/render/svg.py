@@ -74,12 +74,9 @@ class ReportFigure:
 
 
 def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str:
-    """Draw a figure, and return the SVG element; the same figure gives the same text.
+    """Draw a figure of the common width, and return the SVG element; the same figure gives the same text.
 
-    Args:
-        alt: Description for readers who do not see the figure; unique on the page.
-        height_inch: Height; the width is that of all figures.
-        draw: Function that draws on a matplotlib figure.
+    The description is for readers who do not see the figure; it is unique on the page.
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -96,14 +93,7 @@ def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str
 
 
 def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], None]) -> str | None:
-    """Draw a figure of a page, and save it as PNG in the colours of the light page.
-
-    Returns:
-        None, or the reason why there is no picture: matplotlib is missing.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Draw a figure of a page, and save it in the colours of the light page; else as `save_figure`."""
 
     def draw_in_colours(figure: Any) -> None:
         import matplotlib
@@ -153,16 +143,7 @@ def _embed(svg: str, alt: str) -> str:
 def save_figure(
     path: Path, size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]
 ) -> str | None:
-    """Draw a figure and save it as PNG.
-
-    Args:
-        path: The PNG file.
-        size_inch: Width and height.
-        dpi: Pixels per inch.
-        draw: Function that draws on a matplotlib figure.
-
-    Returns:
-        None, or the reason why there is no picture: matplotlib is missing.
+    """Draw a figure and save it as PNG; return the reason if there is none, as matplotlib is missing.
 
     Raises:
         BadOutput: the file cannot be written.
@@ -177,11 +158,7 @@ def save_figure(
 
 
 def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
-    """Draw a figure, and return the bytes of a PNG.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
+    """Draw a figure, and return the bytes of a PNG; ImportError if matplotlib is not installed."""
     os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

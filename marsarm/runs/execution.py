@@ -74,10 +74,7 @@ class Artifacts:
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
-    """Find the hardstop of every joint, one after the other; stop at the first joint that fails.
-
-    Returns:
-        The result of each joint; only the last one may have failed.
+    """Find the hardstop of every joint in turn, until one fails; return the result of each.
 
     Raises:
         Exception: the one that ended flight software.
@@ -150,11 +147,7 @@ class RunLog:
 def open_log(
     path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel | None
 ) -> RunLog:
-    """Open the log of a run.
-
-    Args:
-        path: The log; None for a log that records nothing.
-        arm: Drawing of the arm; None for the default one.
+    """Open the log of a run, one that records nothing if there is no path.
 
     Raises:
         BadRequest: the file cannot be opened.
@@ -195,11 +188,7 @@ class StoppableRun(Protocol[Result_co]):
 def record_cycles(
     run: StoppableRun[Result], log: RunLog, when_disk_full: WhenDiskFull
 ) -> Iterator[CycleRecord]:
-    """Run and record cycle by cycle.
-
-    Args:
-        when_disk_full: Reaction to a log that can no longer be written: continue, or stop the arm.
-    """
+    """Run and record cycle by cycle; if the log can no longer be written, go on or stop the arm."""
     for record in run:
         log.write(record)
         yield record
@@ -269,11 +258,7 @@ class Execution(Generic[Result]):
 
 
 def check_files(files: RunFiles) -> None:
-    """Refuse a movie that this machine cannot write, before anything moves.
-
-    Raises:
-        PictureError: the movie cannot be written.
-    """
+    """Refuse a movie that this machine cannot write by a PictureError, before anything moves."""
     if files.movie is not None:
         check_movie_path(files.movie)
 

@@ -97,11 +97,7 @@ class HardstopJob:
 
 
 def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
-    """Find hardstops.
-
-    Raises:
-        BadRequest: the request is wrong; nothing moved and nothing was written.
-    """
+    """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_hardstop(request)
     title = f"hardstops of {job.arm.name} arm"
     with open_view(request.view, title, job.world, job.arm, job.effects) as view:
@@ -265,10 +261,7 @@ def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
 
 
 def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
-    """Save the figure of the first run of each joint as PNG.
-
-    Returns:
-        None, or the reason why there is no figure: matplotlib is missing.
+    """Save the figure of the first run of each joint as PNG; return the reason if there is none.
 
     Raises:
         BadOutput: the file cannot be written.

@@ -63,12 +63,8 @@ class LostMessages:
         """Sentence: how many messages of which topic were lost, and when."""
         count = "an unknown number of" if self.count is None else str(self.count)
         messages = "message" if self.count == 1 else "messages"
-        return f"{count} {messages} of {self.topic or 'all topics'} lost, {self.when}"
-
-    @property
-    def when(self) -> str:
-        """Span of log time as text."""
-        return span_text(self.after_ns, self.before_ns)
+        when = span_text(self.after_ns, self.before_ns)
+        return f"{count} {messages} of {self.topic or 'all topics'} lost, {when}"
 
 
 def span_text(after_ns: int | None, before_ns: int | None) -> str:

@@ -70,6 +70,12 @@ def interruption_in(record: Mapping[str, str]) -> str:
     return cause
 
 
+def header_records(header: Mapping[str, str]) -> list[Metadata]:
+    """Return the format and the header, which begin a log."""
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    return [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, dict(header))]
+
+
 def header_crc32(header: Mapping[str, str]) -> str:
     """Compute the CRC of a header; MCAP has none for metadata in a truncated file."""
     return str(zlib.crc32(json.dumps(dict(header), sort_keys=True).encode()))

@@ -65,16 +65,7 @@ def run_header(
     effects: Sequence[Effect] = (),
     world: World | None = None,
 ) -> dict[str, str]:
-    """Return the header of a run that has not begun.
-
-    Args:
-        loop: Flight software and plant at tick 0.
-        arm: Name of the arm.
-        seed: Seed of the run.
-        request: Request that the run carries out.
-        commands: Commands of the run.
-        effects: Effects that are switched on in addition to those of the arm.
-        world: World of the run; None if it is not recorded.
+    """Return the header of a run that has not begun; effects are those beyond the arm's.
 
     Raises:
         ValueError: the run has begun, so the start conditions are no longer known.
@@ -118,13 +109,7 @@ def versions_header() -> dict[str, str]:
 
 
 def start_header(params: Params, mode: Mode, reference: Reference | None) -> dict[str, str]:
-    """Return the start conditions of flight software: all that replay needs besides sensors and commands.
-
-    Args:
-        params: Parameters.
-        mode: First mode.
-        reference: Stored reference of the joints; None if there is none.
-    """
+    """Return the start conditions of flight software: all that replay needs besides sensors and commands."""
     boot = {"mode": mode.name, "reference": None if reference is None else record_to_json(reference)}
     return {
         "params": json.dumps(record_to_json(params)),

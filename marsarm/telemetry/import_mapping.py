@@ -194,11 +194,7 @@ class TableMapping:
 
 
 def read_mapping(path: Path) -> TableMapping:
-    """Read a mapping.
-
-    Raises:
-        RobotError: it cannot be read, or a key or a value is wrong.
-    """
+    """Read a mapping; RobotError if it cannot be read, or a key or a value is wrong."""
     file = parse_record(MappingFile, read_toml(path), path)
     try:
         params = params_over_nominal(path.parent / file.params) if file.params else nominal_params()

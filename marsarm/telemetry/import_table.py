@@ -10,20 +10,14 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import (
-    CHANNELS_KEY,
-    FORMAT,
-    FORMAT_RECORD,
-    HEADER_RECORD,
     LAYOUT_KEY,
     TICK_NS,
     TRUTH_KEY,
     TRUTH_TEXT,
-    header_crc32,
 )
 from marsarm.telemetry.header import IMPORT, SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.import_mapping import (
@@ -46,7 +40,7 @@ from marsarm.telemetry.import_times import (
     row_times,
 )
 from marsarm.telemetry.schema import ENCAPSULATION, Layout, ros_definition
-from marsarm.telemetry.topics import TopicSpec, encode_topics, schema_name
+from marsarm.telemetry.topics import TopicSpec, begin_log, schema_name
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output
@@ -57,7 +51,6 @@ from simgap.files.log_file import open_log
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
-CHUNK_BYTES: Final = 1 << 18
 MAX_EXACT_INT: Final = 1 << 53
 """Limit up to which every integer is exact as a float."""
 
@@ -114,11 +107,7 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportedLog:
 
 
 def convert_table(table: Path, mapping: Path) -> ImportedLog:
-    """Convert a table to a log in memory.
-
-    Raises:
-        RobotError: the table or the mapping is wrong.
-    """
+    """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
     parsed = read_mapping(mapping)
     time = parsed.file.time
     numbers = [n for one in parsed.channels if one.target.members is None for n in one.columns]
@@ -306,15 +295,7 @@ def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
     Raises:
         OSError: the disk is full or gone.
     """
-    specs = tuple(one.spec for one in made.series)
-    header = {**made.header, CHANNELS_KEY: encode_topics(specs)}
-    writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-    writer.start(profile="", library="marsarm")
-    writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
-    writer.add_metadata(HEADER_RECORD, header)
-    for spec in specs:
-        schema = writer.register_schema(spec.schema, "ros2msg", spec.text)
-        writer.register_channel(spec.topic, "cdr", schema, dict(spec.metadata))
+    writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
     for tick, sequence, one in _in_order(made.series):
         time_ns = tick * TICK_NS
         writer.add_message(one.spec.id, time_ns, one.data[sequence].tobytes(), time_ns, sequence)

@@ -187,15 +187,7 @@ def pick_rows(times: RowTimes, time: GridTime, rows: Rows) -> RowSelection:
 
 
 def interpolate(values: NDArray[Any], chosen: RowSelection) -> NDArray[Any]:
-    """Return the values of the messages; flags keep the value of the last row.
-
-    Args:
-        values: Values of the rows that have one, shape (k, ...).
-        chosen: Rows of the m messages.
-
-    Returns:
-        Values, shape (m, ...).
-    """
+    """Interpolate values of rows, (k, ...), to messages, (m, ...); flags keep that of the last row."""
     found = values[chosen.rows]
     if chosen.fraction is None or values.dtype == np.bool_:
         return found

@@ -121,10 +121,6 @@ def summarize_log(log: Log) -> LogInfo:
 def bound_ns(option: str, time_s: float | None) -> int | None:
     """Convert a bound of log time to nanoseconds; None stays None.
 
-    Args:
-        option: Name of the bound, for the message.
-        time_s: Log time.
-
     Raises:
         NoSuchChannel: no log has this time.
     """
@@ -216,10 +212,7 @@ class TooManyChannels(BadRequest):
 
 
 def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
-    """Save the figure as PNG.
-
-    Returns:
-        None, or why there is no figure: matplotlib is not installed.
+    """Save the figure as PNG; return the reason if there is none, as matplotlib is missing.
 
     Raises:
         TooManyChannels: there are more channels than panels.

@@ -63,13 +63,7 @@ def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> by
 
 
 def number_messages(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
-    """Encode messages as MCAP records, one after the other, and number them by channel.
-
-    Args:
-        counts: Messages so far by channel; raised here.
-        time_ns: Log time of all messages.
-        messages: Channel and body of each message.
-    """
+    """Encode messages by channel as records of one time, numbered by the counts, which rise here."""
     records = []
     for channel, data in messages:
         records.append(message_record(channel, counts[channel], time_ns, data))
@@ -152,11 +146,7 @@ class Packer:
         return data
 
     def check(self, cycle: Any) -> None:
-        """Check every field against the layout.
-
-        Raises:
-            SchemaError: a field differs; the message names it.
-        """
+        """Check every field against the layout; SchemaError if a field differs; the message names it."""
         for name, field in self._fields:
             given, dtype = attrgetter(name)(cycle), np.dtype(field.kind)
             if field.shape is None:

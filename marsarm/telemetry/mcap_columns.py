@@ -206,11 +206,7 @@ class MessageBatch:
         return [self.data[begin:end].tobytes() for begin, end in zip(begins, ends, strict=True)]
 
     def same_size(self, rows: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
-        """Return the messages of some rows, shape (m,), which have one size, as bytes of shape (m, size).
-
-        Raises:
-            ValueError: a message has another size.
-        """
+        """Return the messages of rows, (m,), as bytes, (m, size); ValueError if one has another size."""
         # Checked first: a damaged layout could reserve any amount of memory.
         if (self.heads["length"][rows] != MESSAGE_OVERHEAD + size).any():
             raise ValueError(f"a message is not {size} bytes long")

@@ -119,14 +119,7 @@ class LogSelection:
         return last_ns >= self.start_ns and (self.end_ns is None or first_ns < self.end_ns)
 
     def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
-        """Return whether each message is of the selected time.
-
-        Args:
-            time_ns: Log times, shape (n,).
-
-        Returns:
-            Flags, shape (n,).
-        """
+        """Return whether each message is of the selected time, by log times, (n,)."""
         is_after_start = time_ns >= self.start_ns
         return is_after_start if self.end_ns is None else is_after_start & (time_ns < self.end_ns)
 

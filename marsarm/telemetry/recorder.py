@@ -12,8 +12,6 @@ from types import TracebackType
 from typing import Final, Self
 from weakref import finalize
 
-from mcap.records import Metadata
-
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.dictionary.validity import Wrong, read_arguments
@@ -25,12 +23,9 @@ from marsarm.telemetry.format import (
     CHUNK_CYCLES,
     COMMAND_TOPIC,
     EVR_TOPIC,
-    FORMAT,
-    FORMAT_RECORD,
-    HEADER_RECORD,
     TICK_NS,
     end_metadata,
-    header_crc32,
+    header_records,
 )
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
@@ -68,9 +63,7 @@ def create_log(
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
     target = _resolve_path(path)
-    header = {**header, CHANNELS_KEY: encode_topics(channels)}
-    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-    metadata = [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)]
+    metadata = header_records({**header, CHANNELS_KEY: encode_topics(channels)})
     try:
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
@@ -94,11 +87,7 @@ def _open_above_stdio(path: str, flags: int) -> int:
 
 
 def _resolve_path(path: Path) -> Path:
-    """Return the path with links resolved.
-
-    Raises:
-        LogNotWritable: no file can be written there.
-    """
+    """Return the path with links resolved; LogNotWritable if no file can be written there."""
     try:
         if path.is_dir():
             raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
@@ -249,14 +238,7 @@ def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:
 def record_commands(
     path: Path | str, loop: ClosedLoop, *commands: Command, stop_when: Callable[[CycleRecord], bool] = never
 ) -> SequenceResult:
-    """Run commands as `run_commands` does, and write the log of the run.
-
-    Args:
-        path: Log.
-        loop: Run that has not begun.
-        *commands: Commands; each starts when the last is done.
-        stop_when: Monitor of every cycle; if it returns true, the arm is stopped instead of the remaining
-            commands.
+    """Run commands as `run_commands` does, and write the log of a run that has not begun.
 
     Raises:
         LogNotWritable: the file cannot be written.

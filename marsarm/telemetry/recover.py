@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
-from mcap.writer import MCAP0_MAGIC, IndexType, Writer
+from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from marsarm.telemetry.errors import (
@@ -24,10 +24,8 @@ from marsarm.telemetry.errors import (
     trailing_bytes_text,
 )
 from marsarm.telemetry.format import (
-    CHANNELS_KEY,
     CHUNK_CYCLES,
     END_RECORD,
-    FORMAT,
     FORMAT_RECORD,
     HEADER_RECORD,
     TICK_NS,
@@ -47,7 +45,7 @@ from marsarm.telemetry.mcap_columns import (
     unpack_chunk,
 )
 from marsarm.telemetry.read import MAX_UNPACKED_BYTES, parse_log, read_log_bytes
-from marsarm.telemetry.topics import TopicSpec, decode_topics, encode_topics, spec_of_channel
+from marsarm.telemetry.topics import TopicSpec, begin_log, decode_topics, spec_of_channel
 from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
 
@@ -209,10 +207,7 @@ def find_losses(
 ) -> tuple[LostMessages, ...]:
     """Find breaks in the sequence numbers of channels, and what may be missing without such a break.
 
-    Args:
-        heads: Heads of the messages, type MESSAGE_DTYPE, shape (n,), n > 0.
-        specs: Channels of the log.
-        is_end_known: Whether nothing is missing after the last message.
+    There is at least one message. Without a known end, what follows the last one may be missing.
     """
     lost = list[LostMessages]()
     last_ns = dict[str, int]()
@@ -253,19 +248,9 @@ def _write(
 ) -> dict[str, int]:
     """Write the new messages of known channels, renumbered, and return their number by topic."""
     renumbered = {one.id: replace(one, id=number) for number, one in enumerate(specs, 1)}
-    channels = encode_topics(tuple(renumbered.values()))
-    header = {**metadata.get(HEADER_RECORD, {}), CHANNELS_KEY: channels}
-    # There are no attachments, and an empty index of them would point to nothing.
-    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
-    writer = Writer(file, index_types=indexes, enable_data_crcs=True)
-    writer.start(profile="", library="marsarm")
-    writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
-    writer.add_metadata(HEADER_RECORD, header)
-    writer.add_metadata(RECOVERED_RECORD, loss_metadata(lost))
-    schemas = {one.schema: one for one in specs}
-    ids = {name: writer.register_schema(name, "ros2msg", one.text) for name, one in schemas.items()}
-    for one in specs:
-        writer.register_channel(one.topic, "cdr", ids[one.schema], dict(one.metadata))
+    lost_record = Metadata(RECOVERED_RECORD, loss_metadata(lost))
+    header = metadata.get(HEADER_RECORD, {})
+    writer = begin_log(file, header, tuple(renumbered.values()), [lost_record])
     rows = np.flatnonzero(is_new & np.isin(batch.heads["channel"], list(renumbered)))
     counts, chunk = Counter[int](), 0
     for k, (head, body) in enumerate(zip(batch.heads[rows].tolist(), batch.bodies(rows), strict=True)):

@@ -85,12 +85,7 @@ def robot_description(
     turning: Sequence[TurningFrame],
     visuals: Mapping[str, Sequence[Visual]],
 ) -> str:
-    """Return the URDF of the frames of a log and the shapes in them.
-
-    Args:
-        turning: Frames that joints turn; together with the fixed ones they are a tree.
-        visuals: Shapes by frame.
-    """
+    """Return the URDF of the frames of a log, which together are a tree, and of the shapes in them."""
     robot = Element("robot", name=ROBOT_NAME)
     colours = list(dict.fromkeys(_numbers(one.rgba) for shapes in visuals.values() for one in shapes))
     for k, rgba in enumerate(colours):
@@ -141,13 +136,9 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Convert a rotation to roll, pitch and yaw: turns about fixed x, then y, then z.
+    """Convert a rotation matrix, (3, 3), to roll, pitch and yaw [rad]: turns about fixed x, then y, then z.
 
-    Args:
-        R: Rotation matrix, shape (3, 3).
-
-    Returns:
-        Angles in radians. At a pitch of a right angle only yaw less roll is defined; yaw is zero there.
+    At a pitch of a right angle only yaw less roll is defined; yaw is zero there.
     """
     (r00, _, _), (r10, r11, r12), (r20, r21, r22) = R.tolist()
     cosine = math.hypot(r00, r10)

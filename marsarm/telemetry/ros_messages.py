@@ -170,14 +170,7 @@ def transforms_template(names: Sequence[tuple[str, str]]) -> tuple[bytearray, li
 def fill_transforms(
     message: bytearray, places: Sequence[tuple[int, int]], time_ns: int, poses: Sequence[tuple[float, ...]]
 ) -> None:
-    """Write stamps and poses into a message.
-
-    Args:
-        message: Transforms from `transforms_template`.
-        places: Bytes where stamp and pose of each transform begin.
-        time_ns: Log time.
-        poses: Position, then quaternion x, y, z, w, of each transform.
-    """
+    """Write stamps and poses, position and quaternion x, y, z, w, into a message of `transforms_template`."""
     seconds = ros_time(time_ns)
     for (at, place), pose in zip(places, poses, strict=True):
         ROS_TIME.pack_into(message, at, *seconds)

@@ -189,11 +189,7 @@ def limits_of(hint: Any) -> Limits | None:
 
 
 def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
-    """Return the field that an annotation declares.
-
-    Raises:
-        SchemaError: the annotation has no fixed layout.
-    """
+    """Return the field that an annotation declares; SchemaError if the annotation has no fixed layout."""
     kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
     note, doc = note_of(name, hint, arm), " ".join(field_docs(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:

@@ -1,13 +1,14 @@
 """Topics of a log, derived from the annotations of CycleRecord, and their form in the header and in MCAP."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from fnmatch import fnmatchcase
 from operator import attrgetter
-from typing import Any, Final, get_origin, get_type_hints
+from typing import Any, BinaryIO, Final, get_origin, get_type_hints
 
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
+from mcap.writer import IndexType, Writer
 
 from marsarm.telemetry.events import CommandEntry, EvrEntry, LogEntry
 from marsarm.telemetry.format import (
@@ -18,6 +19,7 @@ from marsarm.telemetry.format import (
     LAYOUT_KEY,
     TRUTH_KEY,
     TRUTH_TEXT,
+    header_records,
 )
 from marsarm.telemetry.schema import (
     ArmNames,
@@ -311,6 +313,23 @@ def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Ch
         )
         for one in channels
     ]
+
+
+def begin_log(
+    file: BinaryIO, header: Mapping[str, str], channels: tuple[TopicSpec, ...], more: Sequence[Metadata] = ()
+) -> Writer:
+    """Write the beginning of a log by the library: header, more metadata, schemas and channels."""
+    # There are no attachments, and an empty index of them would point to nothing.
+    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
+    writer = Writer(file, index_types=indexes, enable_data_crcs=True)
+    writer.start(profile="", library="marsarm")
+    for one in (*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more):
+        writer.add_metadata(one.name, one.metadata)
+    texts = {one.schema: one.text for one in channels}
+    ids = {name: writer.register_schema(name, "ros2msg", text) for name, text in texts.items()}
+    for channel in channels:
+        writer.register_channel(channel.topic, "cdr", ids[channel.schema], dict(channel.metadata))
+    return writer
 
 
 def schema_name(name: str) -> str:

@@ -180,12 +180,7 @@ class ViewFrames:
     """True contact force on the tool, shape (n, 3)."""
 
     def arm_at(self, offset: NDArray[np.float32], time_s: float, factor: float) -> tuple[Array, Array]:
-        """Compute the poses of one arm at a time, between two frames, with its offsets times a factor.
-
-        Args:
-            offset: Offsets of the arm, `true` or `believed`.
-            time_s: Time since boot.
-            factor: Factor; 1 for the arm as it is.
+        """Compute the poses of one arm, `true` or `believed`, at a time, with its offsets times a factor.
 
         Returns:
             Positions, shape (b + 1, 3), and quaternions x, y, z, w, shape (b + 1, 4).

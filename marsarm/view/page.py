@@ -28,11 +28,7 @@ LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
 
 
 def save_page(run: WatchedRun, path: Path) -> int:
-    """Write a page, and return its size in bytes.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Write a page, and return its size in bytes; BadOutput if the file cannot be written."""
     page = make_page(run)
     with atomic_write(path, "html") as file:
         file.write(page)

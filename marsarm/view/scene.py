@@ -96,14 +96,7 @@ class Scene:
     """Rover frame in world axes, z up."""
 
     def carrier_poses(self, frames: Frames) -> Pose:
-        """Compute the poses of the carriers in world axes.
-
-        Args:
-            frames: Frames of the arm, batch (6, n).
-
-        Returns:
-            The poses, batch (b, n).
-        """
+        """Compute the poses of the carriers in world axes, batch (b, n), from frames of batch (6, n)."""
         near, far = frames.X_RL, frames.X_RL @ frames.X_LD
         R, p = (
             np.where(
@@ -121,11 +114,7 @@ def _fixed(X: Pose) -> Pose:
 
 
 def build_scene(world: World, drawing: ArmModel, has_turret: bool = True) -> Scene:
-    """Build the scene of a world with the drawing of an arm; gravity points down.
-
-    Args:
-        has_turret: False for an arm on which a mass stands in for the turret.
-    """
+    """Build the scene of a world with an arm, or one whose turret is another mass; gravity points down."""
     spec = build(world, drawing, for_pictures=True)
     if not has_turret:
         for geom in spec.body(TURRET).find_all(mujoco.mjtObj.mjOBJ_GEOM):

@@ -69,11 +69,7 @@ class Surroundings:
     """Unit vector out of the surface in the rover frame, shape (3,)."""
 
     def frames(self, samples: Samples) -> ViewFrames:
-        """Compute the frames of samples.
-
-        Raises:
-            BadRequest: no sample has angles of all joints.
-        """
+        """Compute the frames of samples; BadRequest if no sample has angles of all joints."""
         return compute_frames(self.scene, samples, self.believed_arm, self.true_arm, self.surface_normal_R)
 
 
@@ -94,11 +90,7 @@ class WatchedRun:
 def build_surroundings(
     world: World, params: Params, effects: Sequence[Effect], drawing: ArmModel
 ) -> Surroundings:
-    """Build the surroundings of a run.
-
-    Args:
-        effects: All effects of arm and run; those that a parameter describes change the true arm.
-    """
+    """Build the surroundings of a run; effects of arm and run that are parameters change the true arm."""
     normal = None if world.surface is None else normalize(world.surface.normal_N)
     true_params = params_with_effects(effects, drawing.params)
     has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)

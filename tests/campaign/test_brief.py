@@ -12,7 +12,7 @@ from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_r
 from validation.programs import BriefResult
 
 WITHOUT_A_BRIEF_FORM = {
-    *("benchmarks", "brief", "cluster", "examples", "mutants", "robot-baselines", "robot-engine", "so101"),
+    *("benchmarks", "brief", "examples", "mutants", "robot-baselines", "robot-engine", "so101"),
     *("rerun-blueprint", "view"),
 }
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
@@ -44,7 +44,7 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["kinematics", "--set", "speed=3"], "set speed: is not known; there are targets, vectors"),
         (["kinematics", "--set", "targets=none"], "set targets: 'none' is not int"),
         (["kinematics", "--set", "targets=-1"], "set targets: -1 is below 0"),
-        (["calibration", "--set", "speed=2"], "set speed: '2' is not bool"),
+        (["calibration", "--set", "closed_loop=2"], "set closed_loop: '2' is not bool"),
         (["robot-baselines"], "set robot: is missing"),
         (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
         (["ur10", "--set", "data=nowhere"], "there is no folder ur10-tracker"),

@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from pydantic import TypeAdapter
 
-from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -23,7 +22,6 @@ from marsarm.diagnosis.arm.blind_case import (
 )
 from marsarm.diagnosis.arm.case import (
     CampaignModel,
-    FittedCase,
     diagnose_fitted_case,
     fit_case,
     load_campaign_model,
@@ -31,7 +29,6 @@ from marsarm.diagnosis.arm.case import (
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from marsarm.diagnosis.problem import Hypothesis
 from marsarm.diagnosis.result import to_json as diagnosis_json
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
@@ -46,15 +43,10 @@ from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.arm_features import (
     CLASSES_FILE,
-    CampaignSensitivities,
-    CaseFeatures,
-    CaseResiduals,
     EquivalenceClasses,
     ResultFile,
     classes_json,
-    closure_of_truth,
     load_classes,
-    read_case_parts,
 )
 from validation.cases.arm_score import NAMED_LEVELS, make_tables, score
 from validation.cases.arm_truth import (
@@ -137,14 +129,8 @@ class ArmCases:
         """Load the model of the campaign."""
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
 
-    def sensitivities(self, folder: Path) -> CampaignSensitivities:
-        """Return the sensitivities of the campaign."""
-        found = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
-        assert found.held_out is not None  # `load_model` refuses a campaign without held-out logs
-        return CampaignSensitivities(found.model.sensitivities, found.held_out)
-
-    def diagnose(self, folder: Path, case: Path, without: str = "") -> tuple[Document, CaseFeatures]:
-        """Diagnose a case; return result and residuals.
+    def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
+        """Diagnose a case.
 
         Args:
             folder: Folder of the cases.
@@ -160,36 +146,24 @@ class ArmCases:
         try:
             fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
             fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
-            found = diagnosis_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
+            return diagnosis_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
-        return found, case_features(fitted_case)
 
     def solve(self, folder: Path, case: Path) -> Document:
-        """Diagnose a case and keep its residuals; "unknown" without effects if it cannot be diagnosed."""
+        """Diagnose a case; "unknown" without effects if it cannot be diagnosed."""
         try:
-            found, features = self.diagnose(folder, case)
+            return self.diagnose(folder, case)
         except NoDiagnosis as why:
-            return {"verdict": "unknown", "refused": str(why), "effects": [], "closure": None}
-        sealed.write_json(features_path(folder, case.name), features.document())
-        return found
+            return {"verdict": "unknown", "refused": str(why), "effects": []}
 
     def score(
         self, folder: Path, solved: Sequence[tuple[TrueCase, Document]], progress: Progress
     ) -> CaseScore:
         """Score solved cases; a small run is in bounds if no name is wrong and the truth is in each set."""
-        sensitivities, done = self.sensitivities(folder), 0
-
-        def true_closure(case: TrueCase) -> float:
-            nonlocal done
-            progress(done, len(solved), case.name)
-            done += 1
-            parts = read_case_parts(features_path(folder, case.name), sensitivities)
-            return closure_of_truth(*parts, true_values(sensitivities, case), DIAGNOSIS_SEED).share
-
         for case, result in solved:
             check_result(case, result)
-        found = score(load_classes(folder / CAMPAIGN_FOLDER), solved, true_closure)
+        found = score(load_classes(folder / CAMPAIGN_FOLDER), solved)
         is_right = found.found.covered.hits == found.found.reported.of
         in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
         return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
@@ -216,21 +190,6 @@ def load_model(
 def load_cached_model(campaign: Path, kinds: tuple[str, ...] | None) -> CampaignModel:
     """Load the campaign model once in each process."""
     return load_model(campaign, kinds, local_runner(1), no_progress)
-
-
-def case_features(fitted_case: FittedCase) -> CaseFeatures:
-    """Return the measured residuals of a case, as its diagnosis uses them."""
-    held_out = fitted_case.held_out
-    rows = np.zeros(0, np.intp) if held_out is None else held_out.rows
-    return CaseFeatures(
-        CaseResiduals(fitted_case.simulator.rows, fitted_case.residual),
-        CaseResiduals(rows, fitted_case.held_out_residual),
-    )
-
-
-def features_path(folder: Path, case: str) -> Path:
-    """Return the path of the residuals of a solved case."""
-    return sealed.result_path(folder, case).with_suffix(".features.json")
 
 
 def draw_truth(
@@ -276,21 +235,6 @@ def check_result(case: TrueCase, result: Document) -> None:
             )
 
 
-def true_values(sensitivities: CampaignSensitivities, case: TrueCase) -> dict[Hypothesis, Array]:
-    """Return the values of the true effects, by hypothesis of the campaign; BadRequest if one has none."""
-    known = {(one.effect, one.place): one for one in sensitivities.fitted.hypotheses}
-    found = {}
-    for effect in case.effects:
-        one = known.get((effect.name, effect.place))
-        if one is None or {p.name for p in one.parameters} - effect.values.keys():
-            raise BadRequest(
-                f"{case.name}: {effect.name} at {effect.place} is not in today's catalogue as it was sealed; "
-                f"score it with the marsarm that made it"
-            )
-        found[one] = np.array([effect.values[p.name] for p in one.parameters])
-    return found
-
-
 def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
     """Diagnose solved cases with one clear effect again, with a catalogue that lacks it.
 
@@ -325,7 +269,7 @@ def list_clear_cases(cases: Sequence[TrueCase], classes: EquivalenceClasses) -> 
 def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
     """Diagnose a case without its effect in the catalogue."""
     try:
-        return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)[0]
+        return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)
     except NoDiagnosis:
         return {"verdict": "unknown", "effects": []}
 

@@ -11,8 +11,6 @@ from validation.cases.arm_features import EquivalenceClasses
 from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
 from validation.cases.sealed import Table
 
-SIZE_BINS: Final = ((0.5, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 4.0))
-"""Bins of true amplitudes in detection limits; the last bin includes its upper end."""
 NAMED_LEVELS: Final = ("size", "effect")
 """Levels at which effects are named."""
 BOOTSTRAP_DRAWS: Final = 2000
@@ -53,47 +51,22 @@ class OutsideRates:
 
 
 @dataclass(frozen=True, slots=True)
-class Bin:
-    """Rates for true effects within a range of detection limits."""
-
-    least: float
-    most: float
-    found: DetectionRates
-
-
-@dataclass(frozen=True, slots=True)
 class Score:
     """Rates over cases."""
 
     cases: int
     false_alarm: Rate
     """No-effect cases with a verdict other than "none"."""
-    related: OutsideRates
-    unrelated: OutsideRates
     outside: OutsideRates
-    """Both together."""
     found: DetectionRates
     """Of effects from the detection limit of the selection on."""
-    set_size: float
-    """Mean number of effects in a set that names effects; NaN if there is none."""
-    most_members: int
-    """Largest set of places, families or effects."""
     spurious: Rate
     """Named effects that are not effects of the case, in cases with effects of the catalogue."""
     interval: Rate
     """True amplitudes within their 90 % intervals, where the effect itself is named."""
-    closure: Median
-    """Closure of reported effects on held-out motion."""
-    true_closure: Median
-    """Closure of the true effects of the same cases."""
-    closure_lost: Median
-    """Difference of the two, case by case."""
     seconds: Median
     """CPU seconds for a case."""
     max_seconds: float
-    bins: tuple[Bin, ...]
-    levels: Mapping[str, Mapping[str, int]]
-    """Number of cases by kind and the coarsest level of their findings, or the verdict without one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,50 +78,23 @@ class _Assigned:
     finding: FindingDocument | None
 
 
-def score(
-    classes: EquivalenceClasses, solved: Sequence[SolvedCase], true_closure: Callable[[TrueCase], float]
-) -> Score:
-    """Score all cases.
-
-    Args:
-        classes: Equivalence classes of the campaign.
-        solved: Cases with their results.
-        true_closure: Function that returns the closure of a case's true effects.
-    """
+def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
+    """Score all cases by the equivalence classes of their campaign."""
     nothing = [result for true, result in solved if true.kind == "none"]
     outside = [(true, result) for true, result in solved if true.kind == "out-of-catalogue"]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     assigned = [one for true, result in inside for one in _assign(classes, true, result)]
     named = [(true, one) for true, result in inside for one in _named(result)]
-    sets = [len(one["effects"]) for _, one in named]
-    closed = [(true, result) for true, result in inside if result["effects"] and _share(result) is not None]
-    shares = [(_share(result) or 0.0, true_closure(true)) for true, result in closed]
     seconds = [float(result["seconds"]) for _, result in solved]
-    related = {name for name, one in load_outside_effects().items() if one.is_related}
-    members = [
-        len(one[level])
-        for _, result in solved
-        for one in result["effects"]
-        for level in ("places", "families", "effects")
-    ]
     return Score(
         len(solved),
         rate_of(result["verdict"] != "none" for result in nothing),
-        _outside_rates([one for one in outside if one[0].effects[0].name in related]),
-        _outside_rates([one for one in outside if one[0].effects[0].name not in related]),
         _outside_rates(outside),
         _detection_rates(classes, [one for one in assigned if one.times_family_wise >= 1.0]),
-        float(np.mean(sets)) if sets else float("nan"),
-        max(members, default=0),
         rate_of(_is_spurious(classes, true, one) for true, one in named),
         rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
-        median_with_interval([ours for ours, _ in shares]),
-        median_with_interval([theirs for _, theirs in shares]),
-        median_with_interval([theirs - ours for ours, theirs in shares]),
         median_with_interval(seconds),
         max(seconds, default=float("nan")),
-        tuple(_bin(classes, least, most, assigned) for least, most in SIZE_BINS),
-        _levels(solved),
     )
 
 
@@ -247,33 +193,8 @@ def _bootstrap_over(names: Sequence[str], hits: Sequence[bool]) -> tuple[float, 
     return float(least), float(most)
 
 
-def _bin(classes: EquivalenceClasses, least: float, most: float, assigned: Sequence[_Assigned]) -> Bin:
-    def within(times: float) -> bool:
-        return least <= times < most or (most == SIZE_BINS[-1][1] and times >= most)
-
-    mine = [one for one in assigned if within(one.effect.times_limit)]
-    return Bin(least, most, _detection_rates(classes, mine))
-
-
-def _levels(solved: Sequence[SolvedCase]) -> dict[str, dict[str, int]]:
-    order = ("unlocated", "place", "family", "effect", "size")
-    result: dict[str, dict[str, int]] = {}
-    for true, outcome in solved:
-        row = result.setdefault(true.kind, {})
-        said = {one["level"] for one in outcome["effects"]}
-        level = next((one for one in order if one in said), outcome["verdict"])
-        row[level] = row.get(level, 0) + 1
-    return result
-
-
 def _named(result: ResultDocument) -> list[FindingDocument]:
     return [one for one in result["effects"] if one["level"] in NAMED_LEVELS]
-
-
-def _share(result: ResultDocument) -> float | None:
-    """Return the closure; None if there was too little to explain."""
-    closure = result["closure"]
-    return None if closure is None else closure["share"]
 
 
 def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
@@ -304,42 +225,27 @@ def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
 
 def make_tables(score: Score) -> tuple[Table, ...]:
     """Return the tables of the page; intervals are exact, 95 %, those by effect from a bootstrap."""
-    found, parts = score.found, (score.outside, score.related, score.unrelated)
+    found = score.found
     bars = (
         ("no effect called one", "9 % or fewer", score.false_alarm),
         ("reported, from the limit of the selection on", "85 %", found.reported),
         ("right place, of those", "95 %", found.place),
         ("right effect as first choice, of those", "88 %", found.effect),
         ("in the set of the level that was reported", "95 %", found.covered),
-        ("effects in a set that names effects, mean", "", f"{score.set_size:.2f}"),
-        ("members of the largest set", "3", score.most_members),
         ("named, but not of the case", "", score.spurious),
         ("90 % intervals that cover", "85 to 95 %", score.interval),
-        ("closure, median", "", score.closure),
-        ("what the true effects achieve", "", score.true_closure),
-        ("lost against that, median", "5 points or fewer", score.closure_lost),
         ("CPU seconds for a case, median", "10 or fewer", f"{score.seconds.median:.1f}"),
         ("the longest", "", f"{score.max_seconds:.1f}"),
     )
     outside = [
-        (f"wrong {level}, {bar} % or fewer", *(_outside_text(one, level) for one in parts))
+        (f"wrong {level}, {bar} % or fewer", _outside_text(score.outside, level))
         for level, bar in (("place", 8), ("family", 14), ("effect", 20))
     ]
-    outside.append(("something is reported", *(str(one.reported) for one in parts)))
-    sizes = [
-        (f"{b.least:g} to {b.most:g}", *map(str, (f.reported, f.place, f.effect, f.covered)))
-        for b in score.bins
-        for f in (b.found,)
-    ]
-    names = ("size", "effect", "family", "place", "unlocated", "none", "unknown")
-    levels = [(kind, *(str(row.get(one, 0)) for one in names)) for kind, row in score.levels.items()]
-    of_sizes = ("detection limits", "reported", "right place", "right effect", "in the set")
+    outside.append(("something is reported", str(score.outside.reported)))
     rows = tuple((name, wanted, str(value)) for name, wanted, value in bars)
     return (
         Table(f"{score.cases} blind cases", ("", "wanted", "found"), rows),
-        Table("Outside the catalogue", ("", "all", "related", "unrelated"), tuple(outside)),
-        Table("By size", of_sizes, tuple(sizes)),
-        Table("Levels", ("truth", *names), tuple(levels)),
+        Table("Outside the catalogue", ("", "found"), tuple(outside)),
     )
 
 

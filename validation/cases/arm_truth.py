@@ -189,14 +189,6 @@ def list_uncatalogued() -> Mapping[tuple[str, str], UncataloguedEffect]:
     return {(one.hypothesis.effect, one.hypothesis.place): one for one in found}
 
 
-def list_samplable() -> list[DetectableEffect]:
-    """List all out-of-catalogue effects for sampling; their typical size stands for the detection limit.
-
-    The limit itself takes a minute of CPU for each of several hundred effects and places.
-    """
-    return [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
-
-
 def resolve_effect(spec: str) -> Effect:
     """Return the effect of a text, in the catalogue or in the folder."""
     try:

@@ -16,6 +16,7 @@ from marsarm.common.pool import Runner
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
 from simgap.common.report import to_json
+from simgap.common.toml import toml_text
 from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import Logs
@@ -68,7 +69,7 @@ class RobotCases:
     ) -> tuple[SealedCase, ...]:
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
         plans = plan_robot_cases(cases, seed, self.models)
-        jobs = [(_draft_path(folder, one.name), one, self.test_rates) for one in plans]
+        jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", one, self.test_rates) for one in plans]
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
             progress(done, len(jobs), f"drew {name}")
         case_type = TypeAdapter(SealedCase)
@@ -125,10 +126,6 @@ def plan_robot_cases(count: int, seed: int, models: tuple[str, ...]) -> tuple[Pl
     )
 
 
-def _draft_path(folder: Path, case: str) -> Path:
-    return folder / sealed.SEALED_FOLDER / f"{case}.json"
-
-
 def _draw(job: tuple[Path, PlannedRobotCase, bool]) -> str:
     """Draw a case and write its draft, with the equivalents of its effects if rates are tested."""
     path, plan, test_rates = job
@@ -156,59 +153,40 @@ def to_document(found: Diagnosis) -> Document:
 def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...]) -> None:
     """Write robot file, model and split of a robot."""
     folder.mkdir(parents=True, exist_ok=True)
-    step_s = float(robot.model.opt.timestep)
-    lines = [
-        f'name = "{robot.name}"',
-        'model = "model.xml"',
-        'split = "split.toml"',
-        f"time_step_s = {step_s:g}",
-        f"control_rate_Hz = {1.0 / robot.control_period_s:g}",
-        f'tool_site = "{robot.tool_site}"',
-        "",
-        "[time]",
-        'column = "t_s"',
-        'unit = "s"',
-        "",
-        "[motion]",
-        'columns = ["motion"]',
-        'repeat_column = "repeat"',
-    ]
-    for joint in robot.joints:
-        lines += [
-            "",
-            f"[joints.{joint.name}]",
-            'mode = "position"',
-            f"kp_Nm_rad = {joint.kp_Nm_rad!r}",
-            f"kd_Nms_rad = {joint.kd_Nms_rad!r}",
-            f"torque_limit_Nm = {joint.torque_limit_Nm!r}",
-            f"is_known = {str(joint.is_known).lower()}",
-            f'command = {{ column = "command_{joint.name}", unit = "rad" }}',
-            f'position = {{ column = "position_{joint.name}", unit = "rad" }}',
-            f'temperature = {{ column = "temperature_{joint.name}", unit = "degC" }}',
-        ]
-    fitted = [name for name in motions if name not in held_out]
-    split = [
-        'default = "fit"',
-        "",
-        "[parts]",
-        f"fit = {_strings(fitted)}",
-        f"held_out = {_strings(sorted(held_out))}",
-        "",
-        "[splits.fit]",
-        'fit = ["fit"]',
-        'held_out = ["held_out"]',
-    ]
+    robot_table = {
+        "name": robot.name,
+        "model": "model.xml",
+        "split": "split.toml",
+        "time_step_s": float(robot.model.opt.timestep),
+        "control_rate_Hz": 1.0 / robot.control_period_s,
+        "tool_site": robot.tool_site,
+        "time": {"column": "t_s", "unit": "s"},
+        "motion": {"columns": ["motion"], "repeat_column": "repeat"},
+        "joints": {
+            joint.name: {
+                "mode": "position",
+                **{name: getattr(joint, name) for name in ("kp_Nm_rad", "kd_Nms_rad", "torque_limit_Nm")},
+                "is_known": joint.is_known,
+                **{
+                    name: {"column": f"{name}_{joint.name}", "unit": unit}
+                    for name, unit in (("command", "rad"), ("position", "rad"), ("temperature", "degC"))
+                },
+            }
+            for joint in robot.joints
+        },
+    }
+    split = {
+        "default": "fit",
+        "parts": {"fit": [name for name in motions if name not in held_out], "held_out": sorted(held_out)},
+        "splits": {"fit": {"fit": ["fit"], "held_out": ["held_out"]}},
+    }
     texts = {
-        ROBOT_FILE: "\n".join(lines),
-        "split.toml": "\n".join(split),
-        "model.xml": robot.model_xml.strip(),
+        ROBOT_FILE: toml_text(robot_table),
+        "split.toml": toml_text(split),
+        "model.xml": robot.model_xml.strip() + "\n",
     }
     for name, text in texts.items():
-        (folder / name).write_text(text + "\n", encoding="utf-8")
-
-
-def _strings(names: list[str]) -> str:
-    return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def write_logs(path: Path, logs: Logs) -> None:

@@ -104,12 +104,7 @@ class CaseMotions:
 
 
 def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
-    """Draw a case.
-
-    Args:
-        seed: Seed of everything random; the same seed gives the same case.
-        kind: Number and origin of its effects.
-        model: Name of the robot, a key of `ARMS`.
+    """Draw a case of a robot, a key of `ARMS`; the same seed gives the same case.
 
     Returns:
         The nominal robot, its logs with the held-out motions, and the truth.
@@ -230,16 +225,7 @@ def make_effect(drawn: DrawnEffect, scene: Scene) -> TrueEffect:
 def find_size(
     campaign: CaseMotions, one: PlacedEntry, sign: float, shape: float, times: float
 ) -> tuple[TrueEffect, float]:
-    """Search the size of an effect with a strength.
-
-    Args:
-        one: Effect and place.
-        sign: Sign of the size.
-        shape: Shape of the effect.
-        times: Wanted strength in family-wise limits.
-
-    Returns:
-        The effect, and its strength in family-wise limits.
+    """Search the size with a strength of `times` family-wise limits; return the effect and what it reaches.
 
     Raises:
         NoSize: No size within its bounds has a strength in the range of all strengths.

@@ -267,11 +267,7 @@ def load_existing_truth(
 
 
 def load_truth(folder: Path, maker: CaseMaker[Case]) -> SealedTruth[Case]:
-    """Load the truth if it matches its digest.
-
-    Raises:
-        BadRequest: There is no truth, or it does not match.
-    """
+    """Load the truth if it matches its digest; BadRequest if there is no truth, or it does not match."""
     path = folder / SEALED_FOLDER / TRUTH
     if not path.exists():
         path = folder / TRUTH  # of cases of this arm before 0.4

@@ -1,28 +1,31 @@
 """The pool on a real Ray cluster of two nodes on the loopback; skipped where Ray is not installed."""
 
 import json
+import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from marsarm.accuracy.monte_carlo import run_monte_carlo
+from fsw.config import digest
+from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import cluster
 from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, run_here
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
+from sim.params import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
-from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
 from validation.joints import hardstops
 
 pytestmark = [
@@ -30,6 +33,54 @@ pytestmark = [
     pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed: no cluster is tried"),
     pytest.mark.filterwarnings("default"),  # ray's own
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopbackCluster:
+    """Cluster of a head and another node, with a processor each."""
+
+    address: str
+    kill_node: Callable[[], None]
+    """Kill the other node at once, with its workers."""
+
+
+@contextmanager
+def start_two_nodes() -> Iterator[LoopbackCluster]:
+    """Start a cluster whose nodes listen on the loopback only, and connect to it."""
+    # Read when ray is imported. Without the first, nodes listen at the address of the machine.
+    os.environ |= {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+    import ray
+    from ray.cluster_utils import Cluster
+
+    node = {"num_cpus": 1, "node_ip_address": "127.0.0.1", "include_dashboard": False}
+    node["object_store_memory"] = 80 * 2**20
+    cluster = Cluster(initialize_head=True, head_node_args=node)
+    try:
+        other = cluster.add_node(**node)
+        cluster.wait_for_nodes()
+        yield LoopbackCluster(cluster.address, lambda: cluster.remove_node(other, allow_graceful=False))
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+def list_arms(count: int, seed: int) -> list[ArmJob]:
+    """List jobs of the Monte Carlo of the error budget, one place each."""
+    params = nominal_params()
+    own = (params, digest(params))
+    return [ArmJob("mars", "sampled", 1, "statics", seed, arm, *own) for arm in range(count)]
+
+
+def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], None] = lambda _: None) -> str:
+    """Run arms; return their records as text, in which every bit shows.
+
+    `after` is called with the number of results, after each.
+    """
+    records = []
+    for record in run(run_job, jobs):
+        records.append(record)
+        after(len(records))
+    return json.dumps(sorted(records, key=lambda record: int(record["arm"])))
 
 
 @pytest.fixture(scope="module")

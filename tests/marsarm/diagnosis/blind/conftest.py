@@ -1,5 +1,6 @@
 """Folder of unsolved blind cases of a synthetic robot."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,16 +11,9 @@ from marsarm.diagnosis.arm.blind_case import DetectableEffect
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.result import DiagnosisResult, to_json
-from tests.marsarm.diagnosis.worlds import World, found, select_and_diagnose
+from tests.marsarm.diagnosis.worlds import World, select_and_diagnose
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases
-from validation.cases.arm_features import (
-    CLASSES_FILE,
-    CampaignSensitivities,
-    CaseFeatures,
-    CaseResiduals,
-    classes_json,
-    read_case_features,
-)
+from validation.cases.arm_features import CLASSES_FILE, classes_json
 from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
 from validation.cases.sealed import CASES_FOLDER, SealedTruth, case_name, seal, write_json
 
@@ -39,18 +33,13 @@ class Folder:
 def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
     """Create cases with effects of the world, and with structure outside its catalogue."""
     rng = np.random.default_rng(5)
-    fitted = found(made)
-    apart = replace(
-        fitted, layout=replace(fitted.layout, blocks=tuple(f"other {b}" for b in fitted.layout.blocks))
-    )
-    kept = CampaignSensitivities(fitted, apart)
     seen = [
         DetectableEffect(h, one.limit, int(k))
         for h, one, k in zip(made.hypotheses, campaign.limits, campaign.label, strict=True)
     ]
     strange = replace(seen[0].hypothesis, effect="dither")
     plan = plan_cases(CASES_MADE, seen, [replace(seen[0], hypothesis=strange, label=None)], rng)
-    cases, rows = [], np.arange(made.layout.size)
+    cases = []
     shape = 2.0 * made.layout.sigma * made.layout.condition[:, 1] * (made.layout.channel == 3)
     for number, case in enumerate(plan):
         t = np.zeros(made.owner.size)
@@ -64,8 +53,8 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
                     v / p.typical for v, p in zip(one.values, hypothesis.parameters, strict=True)
                 ]
         extra = shape if case.kind == "out-of-catalogue" else None
-        here, there = (CaseResiduals(rows, made.measured(rng, t, extra, robot=number)) for _ in range(2))
-        write_json(tmp_path / CASES_FOLDER / case_name(number) / "log", CaseFeatures(here, there).document())
+        residuals = made.measured(rng, t, extra, robot=number)
+        write_json(tmp_path / CASES_FOLDER / case_name(number) / "log", residuals.tolist())
         cases.append(TrueCase(case_name(number), case.kind, tuple(effects), (), 1))
     truth = SealedTruth("aa", tuple(cases))
     seal(tmp_path, truth)
@@ -80,15 +69,10 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
         def load(self, *_: object) -> None:
             pass
 
-        def sensitivities(self, folder: Path) -> CampaignSensitivities:
-            return kept
-
-        def diagnose(
-            self, folder: Path, case: Path, without: str = ""
-        ) -> tuple[dict[str, object], CaseFeatures]:
-            features = read_case_features(case / "log")
+        def diagnose(self, folder: Path, case: Path, without: str = "") -> dict[str, object]:
+            residuals = np.array(json.loads((case / "log").read_bytes()))
             model = replace(campaign, left_out_effect=without)
-            said = select_and_diagnose(model, Residuals(made.layout, features.fitted.value), 1)
-            return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
+            said = select_and_diagnose(model, Residuals(made.layout, residuals), 1)
+            return to_json(DiagnosisResult(model, said, None, None, (), (), ()))
 
     return Folder(tmp_path, WorldCases(), truth)

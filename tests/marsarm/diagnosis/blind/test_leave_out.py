@@ -55,7 +55,7 @@ def test_results_in_any_order_belong_to_their_cases(folder, monkeypatch: pytest.
 
     def named(_: object, folder: Path, case: Path, without: str = "") -> Any:
         effect = {"name": case.name, "place": "x", "level": "size", "places": [], "effects": []}
-        return {"verdict": "found", "effects": [effect]}, None
+        return {"verdict": "found", "effects": [effect]}
 
     monkeypatch.setattr(type(folder.maker), "diagnose", named)
     context = Context(run=lambda work, jobs: map(work, reversed(jobs)), out=folder.path)
