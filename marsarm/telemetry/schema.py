@@ -23,10 +23,8 @@ ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 
 DTYPES: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
 
-ROS_DTYPE_KINDS: Final = "biuf"
-"""Kinds of numpy types that exist in ROS 2."""
-MAX_NUMBER_BYTES: Final = 8
-"""Size of the largest number of ROS 2."""
+NUMBER: Final = re.compile(r"[<|][biuf][1248]")
+"""Names of the numpy types that exist in ROS 2; numpy itself evaluates other texts as Python."""
 
 Shape = tuple[int, ...]
 
@@ -147,16 +145,11 @@ class Layout:
             TypeError, ValueError: the text is not a layout of numbers.
         """
         rows = json.loads(text)
-        layout = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
-        dtype = layout.dtype
-        if not all(is_ros_number(dtype[name].base) for name in dtype.names or ()):
+        if not all(NUMBER.fullmatch(kind) for _, kind, _ in rows):
             raise ValueError(f"a field is no number: {text}")
+        layout = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
+        _ = layout.dtype  # raises where names, types and shapes do not fit
         return layout
-
-
-def is_ros_number(scalar: np.dtype[Any]) -> bool:
-    """Return whether ROS 2 has this type of number."""
-    return scalar.kind in ROS_DTYPE_KINDS and scalar.itemsize <= MAX_NUMBER_BYTES
 
 
 def note_of(name: str, hint: Any, arm: ArmNames) -> str:
@@ -194,7 +187,7 @@ def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
     note, doc = note_of(name, hint, arm), " ".join(field_docs(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        if not is_ros_number(scalar):
+        if not NUMBER.fullmatch(scalar.str):
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
         return Field(name, scalar.str, array_shape(owner, name, arm), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):

@@ -98,6 +98,12 @@ def test_the_length_of_the_layout_is_that_of_the_messages() -> None:
     assert Layout.from_json(json.dumps(LAYOUT)).dtype.itemsize == 12
 
 
+@pytest.mark.parametrize("kind", ["<,f8", "8(f8", "V8", "<f16", "O"])
+def test_a_layout_of_what_is_no_number_is_refused(kind: str) -> None:
+    with pytest.raises(ValueError, match="is no number"):
+        Layout.from_json(json.dumps([["angle_rad", kind, None]]))
+
+
 def test_the_header_says_what_the_messages_are_and_others_are_passed_over(tmp_path: Path) -> None:
     topics = {"/b": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": True, "derived": False}}
     log = read_log(
