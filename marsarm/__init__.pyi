@@ -35,8 +35,8 @@ from marsarm.diagnosis.arm.record import record_logs as record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from marsarm.diagnosis.arm.request import RecordRequest as RecordRequest
 from marsarm.diagnosis.result import verdict_lines as verdict_lines
-from marsarm.replay.replay import ReplayRequest as ReplayRequest
-from marsarm.replay.replay import replay as replay
+from marsarm.replaying.replay import ReplayRequest as ReplayRequest
+from marsarm.replaying.replay import replay as replay
 from marsarm.runs.place import place as place
 from marsarm.runs.request import PlaceRequest as PlaceRequest
 from marsarm.runs.request import RunFiles as RunFiles

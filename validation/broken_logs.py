@@ -33,7 +33,7 @@ from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.errors import LogDamaged, LogError, LogNotReadable, LostMessages
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.mcap_columns import read_records, unpack_chunk

@@ -13,8 +13,8 @@ import numpy as np
 
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
-from marsarm.replay.replay import ReplayRequest, replay
-from marsarm.replay.tables import verdict_line
+from marsarm.replaying.replay import ReplayRequest, replay
+from marsarm.replaying.tables import verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
 from marsarm.runs.scenario import run_scenario
 from sim.arms import arm_named

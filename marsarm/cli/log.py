@@ -206,8 +206,8 @@ def replay(
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
-    from marsarm.replay.replay import ReplayRequest, replay
-    from marsarm.replay.tables import replay_json, replay_table
+    from marsarm.replaying.replay import ReplayRequest, replay
+    from marsarm.replaying.tables import replay_json, replay_table
 
     report = replay(ReplayRequest(log, channel, params), progress)
     return VerbResult(replay_json(report), lambda: replay_table(report), report.differences.identical)

@@ -15,7 +15,7 @@ def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.Mo
     monkeypatch.setattr(scenarios, "run_scenario", refused)
     one = scenarios.replay_one("contact", "nominal")
     assert (one.outcome, one.verdict, one.identical) == (scenarios.NOT_REPLAYED, "no such arm", False)
-    same = scenarios.ReplayOutcome("press", "nominal", "done", "identical", True, 10, 100, 1.0, 1.0)
+    same = scenarios.ReplayOutcome("press", "nominal", "done", "identical", True, 10)
     found = scenarios.summarize([same, one])
     assert (found["requested"], found["replayed"], found["identical"]) == (2, 1, 1)
     assert (found["in_bounds"], scenarios.summarize([same])["in_bounds"]) == (False, True)

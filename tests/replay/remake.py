@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from marsarm.replay.compare import Differences, compare_behaviours
-from marsarm.replay.inputs import SENSOR_TOPIC, behaviour_from_log
-from marsarm.replay.tables import differences_table, verdict_line
+from marsarm.replaying.compare import Differences, compare_behaviours
+from marsarm.replaying.inputs import SENSOR_TOPIC, behaviour_from_log
+from marsarm.replaying.tables import differences_table, verdict_line
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.replay.compare import compare_behaviours
-from marsarm.replay.inputs import behaviour_from_outputs, inputs_from_log
-from marsarm.replay.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, replay, run_flight_software
-from marsarm.replay.tables import verdict_line
+from marsarm.replaying.compare import compare_behaviours
+from marsarm.replaying.inputs import behaviour_from_outputs, inputs_from_log
+from marsarm.replaying.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, replay, run_flight_software
+from marsarm.replaying.tables import verdict_line
 from marsarm.telemetry.header import cpu_features
 from marsarm.telemetry.read import read_log
 from tests.replay.remake import FOLDER, path_of
@@ -75,7 +75,7 @@ def test_one_bit_of_a_gain_is_seen_in_its_channel_from_the_tick_on_which_it_matt
 
 
 def test_a_log_made_elsewhere_is_said_to_be_compared_within_a_tolerance(tmp_path, monkeypatch):
-    monkeypatch.setattr("marsarm.replay.replay.cpu_features", lambda: ("another",))
+    monkeypatch.setattr("marsarm.replaying.replay.cpu_features", lambda: ("another",))
     report = replay(ReplayRequest(FOLDER / "fault.mcap"), silent)
     assert not report.same_processor
     assert report.differences.tolerance == OTHER_PROCESSOR_TOLERANCE

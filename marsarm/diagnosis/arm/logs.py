@@ -22,7 +22,7 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose
 from fsw.messages import ActuatorCommand, Sensors
-from marsarm.replay.inputs import NotReplayable, inputs_from_log
+from marsarm.replaying.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log

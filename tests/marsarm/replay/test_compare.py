@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from marsarm.replay.compare import MIN_DIFFERENCE, EvrChange, compare_behaviours, evr_differences
-from marsarm.replay.inputs import Behaviour, TopicSeries
+from marsarm.replaying.compare import MIN_DIFFERENCE, EvrChange, compare_behaviours, evr_differences
+from marsarm.replaying.inputs import Behaviour, TopicSeries
 from marsarm.telemetry.events import EvrEntry
 
 TICKS = 6

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.replay.inputs import NotReplayable, inputs_from_log
+from marsarm.replaying.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LostMessages
 from marsarm.telemetry.events import CommandEntry
 from marsarm.telemetry.format import TICK_NS

@@ -6,8 +6,8 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from marsarm.replay.replay import ReplayRequest, replay
-from marsarm.replay.tables import replay_json, replay_table, verdict_line
+from marsarm.replaying.replay import ReplayRequest, replay
+from marsarm.replaying.tables import replay_json, replay_table, verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
 from marsarm.runs.scenario import run_scenario
 from marsarm.telemetry.header import run_header
@@ -69,7 +69,7 @@ def of_sensors_alone(path):
 
 
 def test_without_outputs_there_is_nothing_to_compare(tmp_path, monkeypatch):
-    monkeypatch.setattr("marsarm.replay.replay.read_log", of_sensors_alone)
+    monkeypatch.setattr("marsarm.replaying.replay.read_log", of_sensors_alone)
     with pytest.raises(BadRequest, match=r"nothing to compare: .* no event and no channel of /drive"):
         replayed(tmp_path)
     with pytest.raises(BadRequest, match="channel: nothing is called 'nonsense'"):
@@ -80,7 +80,7 @@ def test_a_software_error_is_reported_even_with_nothing_to_compare(tmp_path, mon
     def broken(config, state, sensors, commands):
         raise KeyError("nobody thought of that")
 
-    monkeypatch.setattr("marsarm.replay.replay.read_log", of_sensors_alone)
+    monkeypatch.setattr("marsarm.replaying.replay.read_log", of_sensors_alone)
     monkeypatch.setattr(sim.loop, "step", broken)
     found = replayed(tmp_path).differences
     assert (found.identical, found.nothing_compared, found.ticks) == (False, True, (ticks_of(LOG), 1))

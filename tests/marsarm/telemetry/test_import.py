@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
-from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.import_mapping import MAX_TICK, known_targets
 from marsarm.telemetry.import_table import ImportedLog, ImportRequest, convert_table, import_table

@@ -17,7 +17,7 @@ from mcap.writer import IndexType, Writer
 
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
-from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands

@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from fsw.config import CYCLE_HZ
-from marsarm.replay.compare import ChannelDifference, Differences, EvrDifference
-from marsarm.replay.replay import ReplayReport
+from marsarm.replaying.compare import ChannelDifference, Differences, EvrDifference
+from marsarm.replaying.replay import ReplayReport
 from marsarm.telemetry.events import EvrEntry
 from simgap.common.console import magnitude_sparkline, pluralize, value_sparklines
 

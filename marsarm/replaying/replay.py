@@ -12,8 +12,8 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from marsarm.replay.compare import Differences, compare_behaviours
-from marsarm.replay.inputs import (
+from marsarm.replaying.compare import Differences, compare_behaviours
+from marsarm.replaying.inputs import (
     OUTPUT_TOPICS,
     Behaviour,
     Inputs,

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from marsarm.replay.inputs import Behaviour, TopicSeries
+from marsarm.replaying.inputs import Behaviour, TopicSeries
 from marsarm.telemetry.events import EvrEntry
 from marsarm.telemetry.format import EVR_TOPIC
 from marsarm.telemetry.topics import channel_name
