@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -20,6 +21,10 @@ def test_every_name_exists_and_comes_from_the_module_that_defines_it():
         home = marsarm._HOME[name]
         assert getattr(value, "__module__", home) == home, name
     assert set(marsarm.__all__) <= set(dir(marsarm))
+
+
+def test_no_name_is_that_of_a_module_which_would_hide_it():
+    assert not {path.stem for path in Path(marsarm.__file__).parent.iterdir()} & set(marsarm.__all__)
 
 
 def test_an_import_loads_nothing_before_a_name_is_used():
