@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.marks import slow_but
+from helpers.marks import slow_but
 from validation.contacts import STRAIGHT_N, draw, meet
 
 STRAIGHT = (10, 31, 34)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.marks import slow_but
+from helpers.marks import slow_but
 from validation.requirements import (
     MEASURED,
     PAGE,

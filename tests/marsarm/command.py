@@ -2,21 +2,16 @@
 
 import os
 import resource
-import signal
 import subprocess
 import sys
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-from io import BytesIO, TextIOWrapper
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from unittest.mock import patch
 
+from helpers.command import Ran, call
 from marsarm.__main__ import start
-from simgap.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
-Ran = subprocess.CompletedProcess[str]
 SHORT_RUN = """\
 title = "A short move"
 summary = "Turn the turret a little."
@@ -47,36 +42,6 @@ def largest_file(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
-    """Run a program in this process until it exits.
-
-    Args:
-        program: Function that reads `sys.argv` and ends with `SystemExit`.
-        folder: Working directory.
-        *words: Arguments of the program.
-    """
-    stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
-    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
-    status: str | int | None = None
-    with (
-        chdir(folder),
-        patch.object(sys, "argv", ["-", *words]),
-        patch.dict(os.environ),
-        redirect_stdout(stdout),
-        redirect_stderr(stderr),
-        warnings.catch_warnings(),
-    ):
-        try:
-            program()
-        except SystemExit as ended:
-            status = ended.code
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-    printed, errors = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
-    return subprocess.CompletedProcess(words, status or 0, printed, errors)
 
 
 def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:

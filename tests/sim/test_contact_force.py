@@ -15,6 +15,7 @@ from fsw.dictionary.faults import (
 from fsw.dictionary.types import joints5
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.effects.faults import (
     RockGone,
@@ -26,7 +27,6 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, placement_commands
 from sim.world import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
-from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import TOOL_SWITCHES, TOOLS, switch_index

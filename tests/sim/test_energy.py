@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant, PlantDiverged
 from sim.world import World
-from tests.marks import slow_but
 from tests.sim import lab
 
 ELEVATION = 1

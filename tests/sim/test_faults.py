@@ -26,6 +26,7 @@ from fsw.dictionary.faults import (
 from fsw.dictionary.types import joints5
 from fsw.messages import ActuatorCommand, Sensors
 from fsw.protect.responses import RESPONSE_TO, Response
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.avionics import VIBRATION_N, Avionics
 from sim.effects.effect import Hardware, nominal_hardware
@@ -44,7 +45,6 @@ from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
 from tests.fsw.rig import config_of
-from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from sim.plant import Plant
-from tests.marks import slow_but
 from tests.sim import lab
 
 SLOW_RAD_S = np.radians(0.1)

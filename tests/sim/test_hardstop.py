@@ -13,12 +13,12 @@ from fsw.estimate.reference import no_reference
 from fsw.messages import Sensors
 from fsw.motion.homing import HomingStage
 from fsw.state import boot
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.effects.environment import Ambient, PowerLoss
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World
-from tests.marks import slow_but
 from tests.sim import lab
 
 RATED_NM = np.array([joint.hardstop_rated_Nm for joint in arm_named("nominal").params.joints.in_order()])

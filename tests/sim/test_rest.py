@@ -5,12 +5,12 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import CommandCompleted
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.sequence import run_sequence
 from sim.world import World
-from tests.marks import slow_but
 from tests.sim import lab
 
 CONVERGED_MM = 0.005

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
+from helpers.marks import slow_but
 from sim.effects.environment import Ambient
 from sim.mujoco_settings import REFERENCE_STEP_S, apply_settings
 from sim.plant import Plant
-from tests.marks import slow_but
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted_world(20, -15)

@@ -1,4 +1,4 @@
-"""The command line in this process, which takes no second to import, and what it must not say or leave."""
+"""Command lines in this process, which take no second to import, and what they must not say or leave."""
 
 import os
 import re
@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -14,14 +15,26 @@ from unittest.mock import patch
 from simgap.__main__ import start
 from simgap.common.interruption import END_SIGNALS
 
+Ran = subprocess.CompletedProcess[str]
 LIBRARY_WORDS = re.compile(
     r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
 )
 """Words of Python and its libraries, which tell a user nothing."""
 
 
-def run_simgap(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def run_simgap(folder: Path, *words: str) -> Ran:
     """Run `simgap` with these words in a folder, until it exits."""
+    return call(start, folder, *words)
+
+
+def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
+    """Run a program in this process until it exits.
+
+    Args:
+        program: Function that reads `sys.argv` and ends with `SystemExit`.
+        folder: Working directory.
+        *words: Arguments of the program.
+    """
     stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
     handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     status: str | int | None = None
@@ -34,7 +47,7 @@ def run_simgap(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         warnings.catch_warnings(),
     ):
         try:
-            start()
+            program()
         except SystemExit as ended:
             status = ended.code
         finally:

@@ -8,6 +8,7 @@ from fsw.kinematics.closed_form import branch_index, fold_distances
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import select_targets
+from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import (
     assert_consistent,
     assert_no_root_twice,
@@ -15,7 +16,6 @@ from tests.fsw.kinematics.lab import (
     near_double_roots,
     trial_of,
 )
-from tests.marks import slow_but
 from tests.tools import TOOLS
 from validation.kinematics_trials import CLEAR_SIGMA, claimed_roots, root_errors, smallest_singular_value
 

@@ -22,9 +22,9 @@ from fsw.dictionary.faults import (
 )
 from fsw.executive.poses import HOMED_TWICE
 from fsw.motion.homing import HomingStage
+from helpers.marks import slow_but
 from tests.fsw.motion.stops import StopRig
 from tests.fsw.rig import config_of, floats, with_params
-from tests.marks import slow_but
 
 STOPS_RAD = np.array([joint.hardstop_rad for joint in config_of().params.joints.in_order()])
 BEFORE_RAD = 0.1

@@ -14,9 +14,9 @@ from fsw.dictionary.commands import GuardedMove, Retract
 from fsw.motion.paths import LinePath, Setpoint, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_tool import plan_guarded, plan_retract
+from helpers.marks import slow_but
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
 from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, with_params
-from tests.marks import slow_but
 from tests.tools import TOOLS
 
 CONFIG = config_of()

@@ -15,9 +15,9 @@ from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle
 from fsw.motion.plan import Compensation, Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
+from helpers.marks import slow_but
 from tests.fsw.motion.lab import gear_at_end, tool_at
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
-from tests.marks import slow_but
 from tests.tools import TOOLS, tool_index
 
 CONFIG = config_of()

@@ -12,8 +12,8 @@ from fsw.motion.force_fit import MIN_CORRECTION_N, MIN_RATIO_STD, ForceFit, esti
 from fsw.motion.move import Phase
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
+from helpers.marks import slow_but
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
-from tests.marks import slow_but
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from marsarm.accuracy.propagation import pooled_quantile, squared_length
 from marsarm.accuracy.sources import CUMULANTS
 from marsarm.accuracy.trial import sample_errors
-from tests.marks import slow_but
 
 COVERAGE = 0.9973
 DRAWS = 400_000

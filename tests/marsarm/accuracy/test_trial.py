@@ -8,6 +8,7 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
+from helpers.marks import slow_but
 from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity
 from marsarm.accuracy.sources import load_error_model
 from marsarm.accuracy.trial import (
@@ -30,7 +31,6 @@ from sim.initialisation import true_reference
 from sim.loop import hardware_rng
 from sim.record import frame_body
 from sim.world import World
-from tests.marks import slow_but
 
 MODEL = load_error_model()
 NOMINAL = arm_named("nominal")

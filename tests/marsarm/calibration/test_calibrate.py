@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 
 from fsw.kinematics.transforms import Pose
+from helpers.marks import slow_but
 from marsarm.calibration.arm_parameters import arm_parameters
 from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign_data import MeasuredPoses
@@ -16,7 +17,6 @@ from marsarm.calibration.residual_model import residual_model
 from marsarm.calibration.verify import compare_with_truth, hardstop_errors_rad
 from sim.arms import arm_named
 from simgap.serial_arm.fit import fit
-from tests.marks import slow_but
 from tests.marsarm.calibration.lab import NOMINAL, calibration, campaign
 
 SEEDS = (1, 2)

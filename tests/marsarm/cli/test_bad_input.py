@@ -12,17 +12,14 @@ from pathlib import Path
 import pytest
 import typer
 
+from helpers.command import LIBRARY_WORDS, call, snapshot
 from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
 from simgap.common.verb import VerbResult, verb
-from tests.marsarm.command import SHORT_RUN, call, largest_file, marsarm
+from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
-LIBRARY_WORDS = re.compile(
-    r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
-)
-"""Words of Python and its libraries, which tell a user nothing."""
 SEVERAL = re.compile(r"\d+ things are wrong, one in each line:")
 
 BROKEN_EFFECT = """\
@@ -354,12 +351,6 @@ def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, command:
     assert not more or SEVERAL.fullmatch(first) or first.endswith(":"), done.stderr
     assert not LIBRARY_WORDS.search(done.stderr)
     assert snapshot(folder) == before
-
-
-def snapshot(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return size and time of change of every file."""
-    found = ((path, path.lstat()) for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
-    return {str(path): (about.st_size, about.st_mtime_ns) for path, about in found}
 
 
 @pytest.mark.parametrize("command", ["log recover run.mcap good.mcap", "log export run.mcap tables"])

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from helpers.marks import slow_but
 from marsarm.accuracy.budget import run_budget
 from marsarm.accuracy.budget_report import budget_page
 from marsarm.accuracy.monte_carlo import run_monte_carlo
@@ -16,7 +17,6 @@ from marsarm.calibration.request import CalibrateRequest
 from marsarm.diagnosis.page import save_diagnosis_page
 from simgap.common.page import Origin
 from simgap.common.report import save_report_page
-from tests.marks import slow_but
 from tests.marsarm.calibration.lab import campaign
 from tests.marsarm.diagnosis import results
 from tests.marsarm.diagnosis.worlds import found, modelled, world

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
+from helpers.marks import slow_but
 from marsarm.telemetry.read import read_log
-from tests.marks import slow_but
 from tests.marsarm.command import largest_file, marsarm, marsarm_process
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
+from helpers.marks import slow_but
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient
 from sim.effects.gears import (
@@ -31,7 +32,6 @@ from sim.effects.joints import (
     ServoGain,
 )
 from sim.mujoco_settings import BUS_V, GAINS
-from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.effects import bench
 

@@ -7,6 +7,7 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Frame, Joint
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import EachCycle
@@ -24,7 +25,6 @@ from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
-from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.effects import bench
 

@@ -5,6 +5,7 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import vector3
+from helpers.marks import slow_but
 from sim.effects.catalogue import hypotheses
 from sim.effects.effect import Effect
 from sim.effects.environment import ContactStiffness, Numerics, SurfacePosition
@@ -12,7 +13,6 @@ from sim.frames import P_NR_M
 from sim.plant import Plant
 from sim.scenario.effects import effect_text, parse_effect_text
 from sim.world import Surface, World
-from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import TOOLS, tool_index

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ
+from helpers.marks import slow_but
 from sim.arms import BuiltArm, arm_named
 from sim.diagnosis_campaign import SessionFailed, campaign_sessions, run_session, start_session
 from sim.effects.catalogue import EffectHypothesis, catalogue, hypotheses
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_classes_in_file, effect_text, parse_effect_text
-from tests.marks import slow_but
 from tests.tools import TOOLS
 
 FOLDER = Path(__file__).parents[3] / "validation" / "out_of_catalogue_effects"

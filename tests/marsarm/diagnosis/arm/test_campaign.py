@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Frame, Joint
+from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
@@ -54,7 +55,6 @@ from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params
-from tests.marks import slow_but
 from validation.cases.arm_truth import list_uncatalogued
 
 BASE = nominal_params()
