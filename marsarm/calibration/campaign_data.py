@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
-from marsarm.common.requests import describe_bad_table, read_table_file
-from simgap.common.errors import BadRequest
-from simgap.common.files import atomic_write
+from marsarm.common.requests import describe_bad_table
+from simgap.common.errors import BadRequest, RobotError
+from simgap.common.files import atomic_write, read_bytes
+
+MAX_TABLE_BYTES: Final = 1 << 32
 
 
 class BadData(BadRequest):
@@ -152,10 +154,10 @@ def save_campaign(campaign: Campaign, path: Path) -> None:
 def read_campaign(path: Path) -> Campaign:
     """Read a table; BadData if the file cannot be read or is too large, or columns or values are wrong."""
     try:
-        data = BytesIO(read_table_file(path))
+        data = BytesIO(read_bytes(path, MAX_TABLE_BYTES, "a table"))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
         problems = [f"{path}: {problem}" for problem in _problems(table)]
-    except BadRequest as error:
+    except RobotError as error:
         raise BadData(str(error)) from error
     except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error

@@ -1,7 +1,6 @@
 """Checks and conversions of requests and tables that several verbs share, made before any work begins."""
 
 import math
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -219,7 +218,6 @@ def _format_beyond(value: float, limit: float) -> str:
     return next((text for text in texts if float(text) > limit), f"{value!r}")
 
 
-MAX_TABLE_BYTES: Final = 1 << 32
 NO_UTF8: Final = ("utf-8", "utf8")
 WRONG_WIDTH: Final = re.compile(
     r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)"
@@ -244,20 +242,3 @@ def describe_bad_table(error: Exception, kind: str) -> str:
         row = f"row {width['row']}" if width["row"] else "a row"
         return f"cannot be read as {kind}: {row} has {width['n']} columns, the first has {width['right']}"
     return f"cannot be read as {kind}; it is damaged, cut short or of another format"
-
-
-def read_table_file(path: Path) -> bytes:
-    """Read the content of a file.
-
-    Raises:
-        BadRequest: it cannot be read, is not a regular file, or is larger than MAX_TABLE_BYTES.
-    """
-    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe might never end
-        raise BadRequest(f"{path}: is not a regular file; give the path of one")
-    try:
-        size = path.stat().st_size
-        if size > MAX_TABLE_BYTES:
-            raise BadRequest(f"{path}: has {size} bytes, more than {MAX_TABLE_BYTES}; is it the right file?")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise BadRequest(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error

@@ -12,7 +12,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.interruption import defer_interrupts
 
 
@@ -70,6 +70,28 @@ def _same_file(one: Path, other: Path) -> bool:
     if os.path.realpath(one) == os.path.realpath(other):
         return True
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+def read_bytes(path: Path, most: int, what: str) -> bytes:
+    """Read a file of at most this size in bytes.
+
+    Args:
+        what: Expected file, for errors: "a table".
+
+    Raises:
+        RobotError: It cannot be read, is no regular file, or is larger.
+    """
+    try:
+        if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
+            raise RobotError(f"{path}: is not a regular file; give the path of {what}")
+        size = path.stat().st_size
+        if size > most:
+            raise RobotError(f"{path}: has {size} bytes, more than {most}; is it the right file?")
+        return path.read_bytes()
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ValueError as error:  # a null byte in the name
+        raise RobotError(f"{str(path)!r}: cannot be read ({error})") from error
 
 
 def file_sha256(path: Path) -> str:

@@ -1,6 +1,5 @@
 """TOML files: the one reader, the one writer, and records whose errors name the key; strict JSON files."""
 
-import os
 import sys
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -12,6 +11,7 @@ from typing import Any, Final, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from simgap.common.errors import BadRequest, RobotError
+from simgap.common.files import read_bytes
 
 MAX_BYTES: Final = 1_000_000
 """Largest size of a file of settings, seventy times that of all flight parameters."""
@@ -39,18 +39,7 @@ def read_text(path: Path) -> str:
     Raises:
         RobotError: It cannot be read, is no regular file, is too large, or is not text in UTF-8.
     """
-    try:
-        if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
-            raise RobotError(f"{path}: is not a regular file; give the path of a text file")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise RobotError(f"{path}: has {size} bytes, more than {MAX_BYTES}; is it the right file?")
-        data = path.read_bytes()
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:  # a null byte in the name
-        raise RobotError(f"{str(path)!r}: cannot be read ({error})") from error
-    return decode_text(data, str(path))
+    return decode_text(read_bytes(path, MAX_BYTES, "a text file"), str(path))
 
 
 def decode_text(data: bytes, name: str) -> str:
