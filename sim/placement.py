@@ -16,7 +16,7 @@ from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.types import Vector3, vector3
 from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
-from fsw.estimate.reference import Reference, no_reference
+from fsw.estimate.reference import no_reference
 from fsw.executive.context import known_names
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import plan_command, plan_sequence
@@ -24,7 +24,7 @@ from fsw.kinematics.transforms import Array, angle_between, normalize
 from fsw.motion.plan import JointPositions, Plan, Refusal, estimate_at
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N, random_surface
-from sim.loop import ClosedLoop, Setup
+from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 from sim.world import Surface, World, params_in_world
@@ -235,14 +235,3 @@ def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -
         preview = preview_placement(arm, world, Placement(tool, point, normal))
         if preview.problem is None:
             return world, preview
-
-
-def run_placement(
-    arm: BuiltArm, reference: Reference, world: World, placement: Placement, seed: int
-) -> PlacementResult:
-    """Run a placement in the closed loop, from the ready pose."""
-    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
-    run = PlacementRun(loop, placement)
-    for _ in run:
-        pass
-    return run.result()

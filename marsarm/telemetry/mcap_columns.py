@@ -34,7 +34,7 @@ MESSAGE_DTYPE: Final = np.dtype(
 MESSAGE_OVERHEAD: Final = MESSAGE_DTYPE.itemsize - RECORD_HEAD.size
 """Bytes of the head that `length` includes."""
 CHUNK_MARK: Final = b"\4\0\0\0zstd"
-"""Name of the compression in the head of every chunk; it is nowhere else."""
+"""Name of the compression in the head of every chunk; the content of a chunk may hold it by chance."""
 MARK_PLACE: Final = RECORD_HEAD.size + 28
 """Bytes of a chunk record before its mark."""
 MAX_CHUNK_BYTES: Final = 1 << 26

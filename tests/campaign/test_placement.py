@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from fsw.estimate.reference import Reference
-from sim.arms import arm_named
+from sim.arms import BuiltArm, arm_named
 from sim.initialisation import initialise_joints
-from sim.placement import random_placement, run_placement
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementResult, PlacementRun, random_placement
 from sim.sequence import Outcome
+from sim.world import World
 
 pytestmark = pytest.mark.slow
 MAX_TILT_RAD = np.radians(20.0)
@@ -22,6 +24,16 @@ def found_at_its_hardstops(name: str) -> Reference:
     runs = list(initialise_joints(arm_named(name)))
     assert [run.outcome for run in runs] == 5 * [Outcome.DONE]
     return runs[-1].reference
+
+
+def run_placement(
+    arm: BuiltArm, reference: Reference, world: World, placement: Placement, seed: int
+) -> PlacementResult:
+    """Run a placement in the closed loop, from the ready pose."""
+    run = PlacementRun(ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference)), placement)
+    for _ in run:
+        pass
+    return run.result()
 
 
 @pytest.mark.parametrize("seed", TARGETS)

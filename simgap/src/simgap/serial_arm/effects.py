@@ -37,8 +37,8 @@ class TrackerEffect(Effect):
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Names of its parameters in the calibration, without that of the link."""
-        raise NotImplementedError
+        """Names of its parameters in the calibration, without that of the link; here its term."""
+        return (self.term,)
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -71,11 +71,6 @@ class TrackerCompliance(TrackerEffect):
     term: ClassVar[str] = COMPLIANCE
     place: str
 
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """One name."""
-        return (COMPLIANCE,)
-
 
 @dataclass(frozen=True, slots=True)
 class DirectionHysteresis(TrackerEffect):
@@ -85,11 +80,6 @@ class DirectionHysteresis(TrackerEffect):
     family: ClassVar[Family] = Family.TRANSMISSION
     term: ClassVar[str] = HYSTERESIS
     place: str
-
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """One name."""
-        return (HYSTERESIS,)
 
 
 @dataclass(frozen=True, slots=True)
