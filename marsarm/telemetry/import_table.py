@@ -118,7 +118,8 @@ def convert_table(table: Path, mapping: Path) -> ImportedLog:
         (texts if time.format else numbers).append(time.column)
     log = open_log(table, numbers, texts, parsed.file.csv)
     groups = [list(some) for _, some in groupby(sorted(parsed.channels, key=_topic_of), key=_topic_of)]
-    made = [_build_topic(log, time, channels, k + 1) for k, channels in enumerate(groups)]
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused, what was stays
+        made = [_build_topic(log, time, channels, k + 1) for k, channels in enumerate(groups)]
     series, times = tuple(one for one, _ in made), made[0][1]
     session = parsed.file.session
     about = {"table": str(table), "mapping": str(mapping)} | {
@@ -186,8 +187,8 @@ def _build_topic(
         if one.constant == TICK and one.target.unit == "cycle":
             data[one.target.field.name] = chosen.ticks
             continue
-        values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
         held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.members else chosen
+        values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
         data[one.target.field.name] = interpolate(values, held)
     name = topic if is_whole or topic not in TOPICS else IMPORT_PREFIX + topic[1:]
     return TopicMessages(_spec(number, name, topic, layout), layout, chosen.ticks, data, missing), times
@@ -231,10 +232,9 @@ def _values(
         columns = [np.full(rows.size, _constant(times, target, value)) for value in listed]
     parts = []
     for k, column in enumerate(columns):
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = _scale(column, one.factor[k], one.offset[k])
-            if one.unit is not None:
-                values = _scale(values, one.unit.factor, one.unit.offset)
+        values = _scale(column, one.factor[k], one.offset[k])
+        if one.unit is not None:
+            values = _scale(values, one.unit.factor, one.unit.offset)
         what = _fault(target, column, values, one.factor[k] == 1.0 and one.offset[k] == 0.0)
         if what is not None:
             name = one.columns[k] if one.columns else ""

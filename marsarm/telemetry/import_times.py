@@ -70,8 +70,7 @@ def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
     time_s = time_s[order]
     is_known = np.isfinite(time_s)
     since_s = np.where(is_known, time_s, 0.0) - (time_s[0] if is_known[0] else 0.0)
-    with np.errstate(over="ignore"):  # a time that becomes infinite is refused below
-        times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
+    times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
     if not is_known.all():
         raise times.error_at("has no time; every row needs one", int(np.argmin(is_known)))
     if not np.abs(times.cycles).max() < MAX_TICK:

@@ -384,7 +384,7 @@ def test_the_tracker_s_table_of_the_page_becomes_a_log(real_data: Path, tmp_path
 @pytest.mark.slow
 def test_odd_tables_are_imported_or_refused_and_nothing_else_happens() -> None:
     outcomes = [import_once(random_case(np.random.default_rng(seed))) for seed in range(TRIES)]
-    assert 0.01 * TRIES < sum(outcomes) < TRIES  # whole numbers beyond 2^53 are refused
+    assert 0.02 * TRIES < sum(outcomes) < TRIES
 
 
 def test_what_is_changed_is_imported_or_refused_and_nothing_else_happens() -> None:
