@@ -77,8 +77,10 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     assert load_checked_recordings(logs, job.base)[0].params == known
     (tmp_path / "logs" / PARAMS_FILE).unlink()
     assert flight_params(prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))) == known
-    with pytest.raises(NotForDiagnosis, match="2 of 2 logs were made with other flight parameters"):
+    with pytest.raises(NotForDiagnosis) as found:
         load_checked_recordings(logs, nominal_params())
+    assert len(str(found.value).splitlines()) == 1
+    assert str(found.value).startswith("2 of 2 logs were made with other flight parameters")
 
 
 def test_every_candidate_has_one_family() -> None:
