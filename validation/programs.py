@@ -97,7 +97,8 @@ def brief(context: Context, only: str = "") -> Document:
     os.chdir(ROOT)
     document: Document = {}
     with ThreadPoolExecutor(context.workers) as pool:
-        for ended in pool.map(partial(run_brief, seed=context.seed), chosen):
+        for done, ended in enumerate(pool.map(partial(run_brief, seed=context.seed), chosen), 1):
+            context.progress(done, len(chosen), ended.campaign.name)
             print(ended.line(), file=sys.stderr, flush=True)
             document[ended.campaign.name] = ended.line().partition(" ")[2].strip()
             document["in_bounds"] = document.get("in_bounds", True) and not ended.failed

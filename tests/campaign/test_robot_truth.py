@@ -18,12 +18,13 @@ from validation.cases.robot_setup import (
     whiten,
 )
 from validation.cases.robot_table import ENTRIES, OUTSIDE, list_hypotheses
-from validation.cases.robot_truth import Nuisances, Plant, Scene, no_nuisances
+from validation.cases.robot_truth import Nuisances, Plant, Scene
 
 PENDULUM = load_robot("pendulum")
 PLAN = draw_plan(PENDULUM, np.random.default_rng(5))
 WEIGHT_NM = 9.81 * (0.5 * 0.12 + 0.05 * 0.07)
 """Largest torque of gravity: bob at 0.12 m and rod at half of 0.14 m."""
+NO_NUISANCES = Nuisances(*np.ones((4, 1)))
 
 
 def free_pendulum(friction_Nm: float) -> Plant:
@@ -38,7 +39,7 @@ def held(angle_rad: float, samples: int = 200) -> Array:
 
 
 def simulate(effects: list[inside.TrueEffect], samples: int = 150) -> Array:
-    plant = Plant(PENDULUM, no_nuisances(PENDULUM), effects)
+    plant = Plant(PENDULUM, NO_NUISANCES, effects)
     return plant.simulate(PLAN.commands[0][:, :samples], PERIOD_S, 1)[0]
 
 
@@ -75,8 +76,8 @@ def test_a_position_is_not_shown_past_a_clamped_command() -> None:
 
 
 def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
-    plant = Plant(PENDULUM, no_nuisances(PENDULUM), [structure.Compliance(PLAN.scene, "swing", 0.02)])
-    without = Plant(PENDULUM, no_nuisances(PENDULUM), [])
+    plant = Plant(PENDULUM, NO_NUISANCES, [structure.Compliance(PLAN.scene, "swing", 0.02)])
+    without = Plant(PENDULUM, NO_NUISANCES, [])
     both = [one.simulate(held(0.8, 50), PERIOD_S, 1)[0, -1] for one in (plant, without)]
     # the encoder is at the joint: dry friction may hold the two at different angles, 0.06 N m of 12 N m/rad
     assert both[0] == pytest.approx(both[1], abs=0.06 / 12)
@@ -91,14 +92,14 @@ def test_every_effect_moves_the_log_and_none_diverges(one) -> None:  # type: ign
     scene = Scene(PENDULUM, (float(commands.min()),), (float(commands.max()),), 0.0)
     effect = one.entry.kind(scene, one.place, one.entry.typical * one.scale, 0.3)
     with_it, without = (
-        Plant(PENDULUM, no_nuisances(PENDULUM), effects, 0.001).simulate(commands, PERIOD_S, 3, (25.0, 30.0))
+        Plant(PENDULUM, NO_NUISANCES, effects, 0.001).simulate(commands, PERIOD_S, 3, (25.0, 30.0))
         for effects in ([effect], [])
     )
     assert np.abs(with_it - without).max() > 1e-6
 
 
 def test_a_quarter_of_the_step_moves_the_samples_by_less_than_a_tenth_of_the_noise() -> None:
-    fine = Plant(PENDULUM, no_nuisances(PENDULUM), [], 0.0000625)
+    fine = Plant(PENDULUM, NO_NUISANCES, [], 0.0000625)
     commands = PLAN.commands[0][:, :150]
     change = simulate([]) - fine.simulate(commands, PERIOD_S, 1)[0]
     assert np.sqrt(np.mean(change**2)) < 0.1 * NOISE_RAD

@@ -145,12 +145,6 @@ class Nuisances:
     gain: Array
 
 
-def no_nuisances(robot: Robot) -> Nuisances:
-    """Return factors of 1."""
-    ones = np.ones(len(robot.joints))
-    return Nuisances(ones, ones, ones, ones)
-
-
 class Plant:
     """A true robot: the nominal one with nuisances and effects."""
 
