@@ -161,14 +161,14 @@ class MotionTable(Record):
 class CsvTable(Record):
     """Format of CSV files."""
 
-    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    """Character between two columns."""
-    decimal: Literal[".", ","] = "."
-    """Character before the decimals of a number."""
+    separator: Annotated[str, Field(max_length=1)] = ""
+    """Character between two columns; empty: found by the first rows."""
+    decimal: Literal["", ".", ","] = ""
+    """Character before the decimals of a number; empty: found by the first rows."""
 
     @model_validator(mode="after")
     def _check(self) -> "CsvTable":
-        if self.separator == self.decimal:
+        if self.separator and self.separator == self.decimal:
             raise ValueError(f"separator and decimal are both {self.decimal!r}; one of them is another")
         return self
 
