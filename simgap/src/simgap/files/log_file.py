@@ -8,6 +8,7 @@ from typing import Final
 import pyarrow as pa
 
 from simgap.common.errors import RobotError
+from simgap.files.bag_log import METADATA, open_bag
 from simgap.files.columns import ColumnInfo, LogFile
 from simgap.files.mcap_log import open_mcap
 from simgap.files.robot_file import CsvTable
@@ -23,7 +24,7 @@ TABLES: Final[dict[str, Opener]] = {
     ".npz": open_npz,
 }
 """Functions that open a table by its suffix; text with separators needs more."""
-MESSAGES: Final[dict[str, Opener]] = {".mcap": open_mcap}
+MESSAGES: Final[dict[str, Opener]] = {".mcap": open_mcap, ".db3": open_bag, ".bag": open_bag}
 """Functions that open a file of messages, which has no rows and so no texts, by its suffix."""
 SUFFIXES: Final = (*TABLES, *TEXT_SUFFIXES, *MESSAGES)
 
@@ -80,8 +81,11 @@ def _open(path: Path, numbers: Sequence[str] | None, texts: Sequence[str], csv_t
 def _open_folder(folder: Path, numbers: Sequence[str] | None, wanted: Sequence[str] | None) -> LogFile:
     if (folder / INFO).is_file():
         return open_lerobot(folder, wanted)
+    if (folder / METADATA).is_file():
+        return open_bag(folder, numbers)
     raise RobotError(
-        f"{folder}: is no regular file; name a log, or the folder of a LeRobot data set, which has {INFO}"
+        f"{folder}: is no regular file; name a log, or the folder of a LeRobot data set, which has {INFO}, or "
+        f"of a ROS 2 bag, which has {METADATA}"
     )
 
 

@@ -47,6 +47,7 @@ class _Scan:
     decoders: dict[int, Decoder] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
     n_messages: int = 0
+    first_ns: int | None = None
     last_ns: int = 0
     chunks: set[int] = field(default_factory=set)
     """Offsets of the chunks."""
@@ -55,6 +56,8 @@ class _Scan:
     statistics: Statistics | None = None
     data_end: int | None = None
     """Offset behind the record that ends the data."""
+    loss: str = ""
+    """Sentence about what is missing at the end; empty if nothing is."""
 
 
 def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
@@ -65,21 +68,34 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
     Raises:
         RobotError: the file is damaged, a field is missing, or its encoding is unknown.
     """
-    scan = _Scan(path, names)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        try:
-            losses = _scan(scan, data)
-        except (_Damage, BadMessage) as error:
-            raise RobotError(f"{path}: cannot be read: {error}") from error
-    topics = sorted({one.topic for one in scan.channels.values()})
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    scans = [_scan_file(one, names) for one in files]
+    scans.sort(key=lambda scan: scan.messages[0].time_ns if scan.messages else 0)
+    topics = sorted({channel.topic for scan in scans for channel in scan.channels.values()})
+    messages = [message for scan in scans for message in scan.messages]
+    losses = [
+        f"{scan.loss}" if scan.path == path else f"{scan.path.name} {scan.loss}"
+        for scan in scans
+        if scan.loss
+    ]
     try:
-        return open_messages(MessageFile(path, topics, scan.messages, losses), names)
+        return open_messages(MessageFile(path, topics, messages, losses), names)
     except BadMessage as error:
         raise RobotError(f"{path}: cannot be read: {error}") from error
 
 
-def _scan(scan: _Scan, data: mmap.mmap) -> list[str]:
-    """Read all records and compare the checksums; return what was lost."""
+def _scan_file(path: Path, names: Sequence[str] | None) -> _Scan:
+    scan = _Scan(path, names)
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        try:
+            scan.loss = _scan(scan, data)
+        except (_Damage, BadMessage) as error:
+            raise RobotError(f"{path}: cannot be read: {error}") from error
+    return scan
+
+
+def _scan(scan: _Scan, data: mmap.mmap) -> str:
+    """Read all records and compare the checksums; return a sentence about what is missing at the end."""
     if data[: len(MAGIC)] != MAGIC:
         raise _Damage("it does not begin as an MCAP file does")
     at = len(MAGIC)
@@ -90,20 +106,19 @@ def _scan(scan: _Scan, data: mmap.mmap) -> list[str]:
             break
         if kind == Opcode.FOOTER:
             _check_end(scan, data, at, end)
-            return []
+            return ""
         _read_record(scan, data, at, kind, end)
         at = end
     if data[-len(MAGIC) :] == MAGIC:
         raise _Damage(f"the record at byte {at} has a wrong length")
     if scan.data_end is not None:  # only the index is cut
-        return []
-    if not scan.messages:
+        return ""
+    if scan.first_ns is None:
         raise _Damage("it is cut before its first message")
-    used_s = (scan.last_ns - scan.messages[0].time_ns) * 1e-9
-    return [
-        f"is cut at byte {len(data)}, where a record of byte {at} is not complete; its first {used_s:.6g} s "
-        "are used"
-    ]
+    used_s = (scan.last_ns - scan.first_ns) * 1e-9
+    return (
+        f"is cut at byte {len(data)}, where the record of byte {at} is not complete; {used_s:.6g} s are used"
+    )
 
 
 def _read_record(scan: _Scan, data: mmap.mmap, at: int, kind: int, end: int) -> None:
@@ -168,6 +183,7 @@ def _keep(scan: _Scan, kind: int, body: bytes) -> None:
     else:
         message = McapMessage.read(stream, len(body))
         scan.n_messages += 1
+        scan.first_ns = message.log_time if scan.first_ns is None else scan.first_ns
         scan.last_ns = max(scan.last_ns, message.log_time)
         found = scan.channels.get(message.channel_id)
         if found is None:
