@@ -116,7 +116,7 @@ def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
             "/joints.position[7]",
             "has no column '/joints.position[7]', which the robot file names; did you mean",
         ),
-        ("/joints.position[0]", "/joints.name[0]", "'/joints.name[0]' has str; name a number in it"),
+        ("/joints.position[0]", "/joints.name[0]", "'/joints.name[a]' has str; name a number in it"),
         ("/joints.position[0]", "/joints.position 0", "is no field; write a topic and a field"),
     ],
 )
@@ -143,7 +143,7 @@ def test_an_unknown_encoding_and_a_damaged_file_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ('{"deg": {"sec": null}}', "column '/command.deg', motion 'run': is no finite number at 0 s"),
+        ('{"deg": {"sec": null}}', "column '/command.deg' is empty; a signal needs numbers"),
         ('{"deg": {"sec": [1]}}', "'/command.deg' has list; name a number in it"),
         ('{"deg": 1' + 400 * "0" + "}", "column '/command.deg', motion 'run': is no finite number at 0 s"),
         (100_000 * "[", "a message is nested too deeply; write fields of a few levels"),

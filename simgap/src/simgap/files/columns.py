@@ -14,7 +14,7 @@ from typing import Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 
 N_NAMES: Final = 8
@@ -36,6 +36,14 @@ class Column:
     """False where a cell is empty, (n,); None: no cell is."""
     time_s: Array | None = None
     """Times of the messages, (n,), in a format where each column has its own; else None."""
+    message: Integers | None = None
+    """Numbers of the messages in their topic, (n,), from 1; None in a table."""
+
+    @property
+    def is_absent(self) -> bool:
+        """True if the column never has a number, as where a driver fills a field with NaN."""
+        value = self.value if self.is_present is None else self.value[self.is_present]
+        return bool(np.all(np.isnan(value)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,10 +50,16 @@ def list_columns(path: Path, csv_table: CsvTable | None = None) -> tuple[ColumnI
     Raises:
         RobotError: the file cannot be read, or has no rows.
     """
-    found = _open(path, None, (), csv_table or CsvTable()).describe()
-    if not found:
-        raise RobotError(f"{path}: has no numbers or texts; name another log")
-    return found
+    return open_whole(path, csv_table).describe()
+
+
+def open_whole(path: Path, csv_table: CsvTable | None = None) -> LogFile:
+    """Open a log with all of its columns.
+
+    Raises:
+        RobotError: the file cannot be read, or has no rows.
+    """
+    return _open(path, None, (), csv_table or CsvTable())
 
 
 def _open(path: Path, numbers: Sequence[str] | None, texts: Sequence[str], csv_table: CsvTable) -> LogFile:
@@ -84,8 +90,8 @@ def _open_folder(folder: Path, numbers: Sequence[str] | None, wanted: Sequence[s
     if (folder / METADATA).is_file():
         return open_bag(folder, numbers)
     raise RobotError(
-        f"{folder}: is no regular file; name a log, or the folder of a LeRobot data set, which has {INFO}, or "
-        f"of a ROS 2 bag, which has {METADATA}"
+        f"{folder}: is no regular file; name a log, or the folder of a LeRobot data set with {INFO}, or of a "
+        f"ROS 2 bag with {METADATA}"
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -103,7 +103,7 @@ class MessageLog:
 
     path: Path
     fields: Mapping[str, _Field]
-    """Fields that were read, by name."""
+    """Fields that were asked for, by name."""
     series: Mapping[str, Mapping[Place | None, Series]]
     """Name of a list or field -> place in it -> values; the place None for a field that is no list."""
     places: Mapping[str, Mapping[int, Sequence[str]]]
@@ -133,7 +133,12 @@ class MessageLog:
                 f"{after_s:.6g} s at message {series.numbers[back]}; cut the file there, into one log a clock"
             )
         values = [_number(self.path, name, value) for value in series.values]
-        return Column(np.array(values, dtype=np.float64), None, self._times_s(series))
+        return Column(
+            np.array(values, dtype=np.float64),
+            None,
+            self._times_s(series),
+            np.array(series.numbers, np.int64),
+        )
 
     def texts(self, name: str) -> NDArray[np.str_]:
         """Refuse: messages have no rows that a text could divide."""
@@ -330,9 +335,8 @@ def _fields_of(content: Any) -> Mapping[str, Any] | None:
     """Return the fields of a record by name; None for anything else."""
     if isinstance(content, Mapping):
         return content
-    if is_dataclass(content):
-        names = [one.name for one in fields(content) if not one.name.startswith("_")]
-        return {name: getattr(content, name) for name in names}
+    if is_dataclass(content):  # __dataclass_fields__ is ten times as fast as fields()
+        return {name: getattr(content, name) for name in content.__dataclass_fields__ if name[0] != "_"}
     return None
 
 
