@@ -78,12 +78,6 @@ class MotionRows:
     ) -> list[Signal] | None:
         """Return a signal of a joint for each motion; None if it never has a number and is not needed.
 
-        Args:
-            key: Name of the signal in the table of the joint.
-            one: Its column.
-            quantity: Quantity of its unit.
-            table: Table of the joint.
-
         Raises:
             RobotError: a value is not finite, times do not increase, or a motion has no sample.
         """
