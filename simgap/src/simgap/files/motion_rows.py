@@ -25,6 +25,8 @@ TIMES: Final = ("s", "ms", "us", "ns")
 """Units that are mistaken for one another."""
 
 
+ROUNDING_s: Final = 1e-6
+"""Rounding of a time: seconds since 1970 as a double have steps of a quarter of it."""
 NEEDED: Final = ("position", "command")
 """Signals that a log must have if the robot file names them; others may be absent."""
 Pieces = list[tuple[Any, Array]]
@@ -217,7 +219,10 @@ class MotionRows:
         parts = self._parts
         if self._windows_s:
             since_s = time_s - start_s
-            parts = [np.flatnonzero((since_s >= low) & (since_s <= high)) for low, high in self._windows_s]
+            parts = [
+                np.flatnonzero((since_s >= low - ROUNDING_s) & (since_s <= high + ROUNDING_s))
+                for low, high in self._windows_s
+            ]
         for motion, part in zip(self.names, parts, strict=True):
             one = time_s[part]
             back = np.flatnonzero(np.diff(one) <= 0.0)

@@ -2,7 +2,10 @@
 
 import io
 import json
+import lzma
+import struct
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -22,8 +25,11 @@ N_PARENTS: Final = 3
 TIME: Final = "timestamp"
 """Column of a LeRobot data set with the seconds since the start of the episode."""
 EPISODE: Final = "episode_index"
-ZIP_ERRORS: Final = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, LookupError)
-"""Errors of a damaged zip file, beside those of its compression."""
+ZIP_ERRORS: Final = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(NotImplementedError, RuntimeError, EOFError, ValueError, LookupError),
+)
+"""Errors of a damaged zip file, and of the arrays in it."""
 
 
 def open_parquet(path: Path, wanted: Sequence[str] | None) -> TableLog:

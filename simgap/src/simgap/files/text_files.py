@@ -20,6 +20,7 @@ from simgap.files.table_log import TableLog, base_columns, check_size, open_tabl
 
 MAX_BYTES: Final = (1 << 31) - 1
 """Largest size of a file of text, which is read as one block so that all rows decide the type of a column."""
+SAMPLE_BYTES: Final = 1 << 20
 N_SAMPLE: Final = 50
 """Rows by which the separator is found: a few suffice, but the first ones may have empty cells."""
 FORMS: Final = (
@@ -120,11 +121,13 @@ def _judge_rows(path: Path, data: bytes, bad: Sequence[pacsv.InvalidRow], n_rows
 
 def _find_form(path: Path, data: bytes, given: CsvTable, wanted: Sequence[str] | None) -> _Form:
     """Find separator, decimal character and header by the first rows: most cells are numbers."""
-    lines = data[: 1 << 20].removeprefix(b"\xef\xbb\xbf").splitlines()[: N_SAMPLE + 1]
     try:
-        text = "\n".join(line.decode("utf-8") for line in lines)
+        data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: is not text in UTF-8; save it as UTF-8") from error
+        line = data.count(b"\n", 0, error.start) + 1
+        raise RobotError(f"{path}: line {line} is not text in UTF-8; save it as UTF-8") from error
+    lines = data[:SAMPLE_BYTES].decode("utf-8", "ignore").removeprefix("\ufeff").splitlines()
+    text = "\n".join(lines[: N_SAMPLE + 1])
     forms = [
         (separator, decimal)
         for separator, decimal in FORMS
