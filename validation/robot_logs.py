@@ -81,7 +81,7 @@ def write_mcap(path: Path, values: Values, is_chunked: bool = True) -> None:
             chunk_size=4096,
             compression=CompressionType.ZSTD,
             use_chunking=is_chunked,
-            enable_data_crcs=True,
+            enable_data_crcs=not is_chunked,  # else the chunks have theirs, and the writer sets none
         )
         writer.start("ros2")
         schema = writer.register_schema(JOINT_STATE, "ros2msg", definition.encode())

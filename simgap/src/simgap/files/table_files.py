@@ -125,8 +125,12 @@ def _read_parquet(path: Path, wanted: Sequence[str] | None) -> pa.Table:
     schema = pq.read_schema(path)
     there = [one.name for one in schema if wanted is not None or not _is_binary(one.type)]
     chosen = base_columns(path, wanted, there)
-    check_size(path, pq.read_metadata(path).num_rows * len(chosen))
-    return pq.read_table(path, columns=chosen, page_checksum_verification=True, partitioning=None)
+    n_rows = pq.read_metadata(path).num_rows
+    check_size(path, n_rows * len(chosen))
+    table = pq.read_table(path, columns=chosen, page_checksum_verification=True, partitioning=None)
+    if table.num_rows != n_rows:
+        raise RobotError(f"{path}: is damaged: it has {table.num_rows} rows, its footer says {n_rows}")
+    return table
 
 
 def _is_binary(kind: pa.DataType) -> bool:
