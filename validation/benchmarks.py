@@ -23,8 +23,8 @@ from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
 from validation.campaigns import Context, Document
-from validation.kinematics_trials import arm_of
-from validation.oracle import KINDS, random_targets
+from validation.kinematics_samples import workspace_targets
+from validation.kinematics_trials import Trial, arm_of
 from validation.speed import closed_loop, log_reading, recording
 
 FROM_CYCLE: Final = 2_000
@@ -37,6 +37,8 @@ IK_TARGETS: Final = 10_000
 IK_SINGLE_TARGETS: Final = 100
 IK_REPEATS: Final = 5
 IK_TOOL: Final = "apxs"
+KINDS: Final = ("workspace", "vectors")
+"""Targets of the workspace, and those of random joint vectors."""
 MARS_R_m_s2: Final = np.array([0.0, 0.0, 3.711])
 ARMS: Final = ("nominal", "calibrated:3")
 
@@ -98,13 +100,23 @@ def budget_speed() -> Document:
 def kinematics_speed() -> Document:
     """Measure the inverse kinematics in microseconds for each target, with all branches and checks."""
     return {
-        "rigid": {kind: _time_rigid(*random_targets(IK_TOOL, kind, _rng(), IK_TARGETS)) for kind in KINDS},
+        "rigid": {kind: _time_rigid(*_draw_targets(kind)) for kind in KINDS},
         "compensated": {f"{name}, {kind}": _time_compensated(name, kind) for name in ARMS for kind in KINDS},
     }
 
 
 def _rng() -> np.random.Generator:
     return np.random.default_rng(11)
+
+
+def _draw_targets(kind: str) -> tuple[Array, Array]:
+    """Draw positions [m] and unit approach vectors in the rover frame, (3, n) each."""
+    if kind == "workspace":
+        return workspace_targets(_rng(), IK_TARGETS)
+    arm = arm_of("nominal")
+    q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
+    X_RT = Trial("nominal", arm, IK_TOOL, None).tool_pose(q)
+    return X_RT.p, X_RT.R[:, 0]
 
 
 def _us(job: Callable[[], Any], count: int) -> float:
@@ -125,7 +137,7 @@ def _time_rigid(p_m: Array, approach: Array) -> float:
 def _time_compensated(name: str, kind: str) -> Document:
     """Measure a batch on Mars, single targets, and forward kinematics of as many poses."""
     arm = arm_of(name)
-    p_m, approach = random_targets(IK_TOOL, kind, _rng(), IK_TARGETS)
+    p_m, approach = _draw_targets(kind)
     q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
 
     def batch() -> None:

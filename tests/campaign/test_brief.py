@@ -11,20 +11,15 @@ from validation.__main__ import main
 from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_results, read_sizes
 from validation.programs import BriefResult
 
-WITHOUT_A_BRIEF_FORM = {
-    *("benchmarks", "brief", "examples", "mutants", "robot-baselines", "robot-engine", "so101"),
-    *("rerun-blueprint", "view"),
-}
+WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "mutants", "robot-baselines", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
-OPTIONAL = {"rerun-blueprint"}
-"""Campaigns that import an optional package."""
 
 
 def test_every_campaign_has_a_brief_form_or_a_reason() -> None:
     assert {one.name for one in TABLE if one.brief is None} == WITHOUT_A_BRIEF_FORM
 
 
-@pytest.mark.parametrize("one", [one for one in TABLE if one.name not in OPTIONAL], ids=lambda one: one.name)
+@pytest.mark.parametrize("one", TABLE, ids=lambda one: one.name)
 def test_a_campaign_knows_its_sizes(one: Campaign) -> None:
     sizes = {name: str(value) for name, value in (one.brief or {}).items()}
     work = one.load()
