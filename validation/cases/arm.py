@@ -164,7 +164,7 @@ class ArmCases:
         for case, result in solved:
             check_result(case, result)
         found = score(load_classes(folder / CAMPAIGN_FOLDER), solved)
-        is_right = found.found.covered.hits == found.found.reported.of
+        is_right = found.covered.hits == found.reported.of
         in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
         return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
 

@@ -100,7 +100,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
     assert (result["verdict"], result["refused"]) == ("unknown", said)
     found = score_cases(folder.path, folder.maker, False, no_progress).document
     assert found["false_alarm"]["share"] == 1.0
-    assert found["found"]["reported"]["hits"] == 0
+    assert found["reported"]["hits"] == 0
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
 
@@ -108,9 +108,9 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
 def test_solved_cases_are_scored(solved) -> None:
     score = score_cases(solved.path, solved.maker, False, no_progress)
     found = score.document
-    assert (found["cases"], found["false_alarm"]["of"], found["outside"]["wrong_place"]["of"]) == (10, 2, 4)
+    assert (found["cases"], found["false_alarm"]["of"], found["wrong"]["place"]["of"]) == (10, 2, 4)
     true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
-    assert found["found"]["reported"]["of"] <= sum(one.times_limit >= 1.0 for one in true)
+    assert found["reported"]["of"] <= sum(one.times_limit >= 1.0 for one in true)
     assert json.loads(json.dumps(found, allow_nan=False))["digest"] == solved.truth.digest()
     assert "| reported, from the limit of the selection on | 85 % |" in score.markdown()
 
