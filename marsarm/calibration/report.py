@@ -238,14 +238,7 @@ def calibration_page(report: CalibrateReport) -> ReportPage:
 
 
 def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
-    """Save the errors of each pose before and after the calibration as PNG.
-
-    Returns:
-        The reason why there is no picture, or None.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Save the errors of each pose as PNG, or return why there is no picture; BadOutput if it cannot."""
     found = report.found
 
     def draw(figure: Any) -> None:
@@ -258,11 +251,7 @@ def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
 
 
 def errors_without_backlash(found: Calibration) -> Array:
-    """Compute the errors with calibrated parameters, but without the state of the backlash.
-
-    Returns:
-        Error screws, rotation [rad] above translation [m], shape (6, n).
-    """
+    """Compute the error screws, (6, n), with calibrated parameters but without the state of the backlash."""
     model = residual_model(found.nominal, found.campaign, with_backlash=False)
     return model.errors(found.best.values)
 
