@@ -17,8 +17,6 @@ from simgap.common.errors import BadRequest
 from validation.campaigns import TABLE, Campaign, Context, Document
 
 ROOT: Final = Path(__file__).parents[1]
-SKIPPED: Final = 2
-"""Exit status of a campaign with a missing requirement, and of one with wrong arguments."""
 TIMEOUT_S: Final = 600.0
 """Time after which a campaign of a minute is killed; the machine may be busy."""
 
@@ -34,22 +32,10 @@ class BriefResult:
     """Processor time."""
     output: str
 
-    @property
-    def skipped(self) -> bool:
-        """True if the machine lacks a requirement of the campaign."""
-        return bool(self.campaign.needs) and self.status == SKIPPED
-
-    @property
-    def failed(self) -> bool:
-        """True if the campaign is out of its bounds, or crashed."""
-        return self.status != 0 and not self.skipped
-
     def line(self) -> str:
         """Format the verdict as a line of text."""
-        verdict = "FAILED" if self.failed else "skipped" if self.skipped else "in bounds"
-        needs = f", needs {self.campaign.needs}" if self.skipped else ""
-        status = f", exit status {self.status}" if self.failed else ""
-        return f"{self.campaign.name:<14} {verdict:<9} {self.core_s:4.0f} s{needs}{status}"
+        verdict = f"FAILED, exit status {self.status}" if self.status else "in bounds"
+        return f"{self.campaign.name:<14} {self.core_s:4.0f} s, {verdict}"
 
 
 def run_brief(campaign: Campaign, seed: int) -> BriefResult:
@@ -85,8 +71,8 @@ def brief(context: Context, only: str = "") -> Document:
             context.progress(done, len(chosen), ended.campaign.name)
             print(ended.line(), file=sys.stderr, flush=True)
             document[ended.campaign.name] = ended.line().partition(" ")[2].strip()
-            document["in_bounds"] = document.get("in_bounds", True) and not ended.failed
-            if ended.failed:
+            document["in_bounds"] = document.get("in_bounds", True) and ended.status == 0
+            if ended.status:
                 print(ended.output, file=sys.stderr, flush=True)
     return document
 

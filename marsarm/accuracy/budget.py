@@ -12,7 +12,7 @@ from fsw.config import Config, configure, digest
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3, vector3
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 from marsarm.accuracy.confidence import Interval, quantile_interval
 from marsarm.accuracy.propagation import (
     COVERAGE,
@@ -241,14 +241,15 @@ class Budget:
         if rule == MOMENTS:
             k = COMPONENTS.index(component)
             return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
-        return float(np.quantile(self._values(rule, component), COVERAGE))
+        return float(np.quantile(self.bounds(rule, component), COVERAGE))
 
     def interval(self, rule: str, component: str) -> Interval:
         """Compute the 95 % confidence interval of the bound that holds at 99.73 % of the poses."""
-        values = self._values(rule, component)
+        values = self.bounds(rule, component)
         return quantile_interval(values, COVERAGE, values.size)
 
-    def _values(self, rule: str, component: str) -> Array:
+    def bounds(self, rule: str, component: str) -> Array:
+        """Return the bounds at all poses, tool by tool."""
         return np.concatenate([getattr(tool.by_rule[rule], component) for tool in self.tools.values()])
 
     @property
@@ -283,7 +284,10 @@ def compute_tool_budget(
     model: ErrorModel, case: BudgetCase, poses: Poses, sensitivity: Sensitivity
 ) -> ToolBudget:
     """Compute the bounds of the errors of a case at these poses."""
-    u, at_limit = errors_by_source(model, case, sensitivity)
+    u = np.array(
+        [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
+    )
+    at_limit = np.array([model.source[name].at_limit for name in case.sources])
     lengths = _squared_lengths(model, case, sensitivity)
     worst = bounds(worst_case(u))
     rules = {
@@ -313,16 +317,6 @@ def _squared_lengths(
     return tuple(
         squared_length([(u[part], distribution) for u, distribution in errors], known[part]) for part in PARTS
     )
-
-
-def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity) -> tuple[Array, Flags]:
-    """Compute the errors of a case by source.
-
-    Returns:
-        Absolute errors [rad, m], (sources, 6, 7, n), and flags of sources at their limits, (sources,).
-    """
-    u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
-    return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
