@@ -13,7 +13,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm, arm_named, without_turret
-from sim.initialisation import InitialisationResult, prepare_random_homing
+from sim.initialisation import prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World
 from simgap.common.errors import BadRequest
@@ -25,20 +25,13 @@ PLACES: Final[tuple[Place, ...]] = ("mars", "earth")
 
 
 @dataclass(frozen=True, slots=True)
-class HardstopTrial:
-    """One repetition with one joint of one arm."""
+class TrialResult:
+    """Errors and loads of one repetition with one joint of one arm."""
 
     place: Place
     arm: int
     joint: Joint
     repetition: int
-
-
-@dataclass(frozen=True, slots=True)
-class TrialResult:
-    """Errors and loads of a trial."""
-
-    trial: HardstopTrial
     outcome: str
     zero_error_mrad: float
     uncorrected_mrad: float
@@ -53,23 +46,22 @@ def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
     return (arm, World()) if place == "mars" else (without_turret(arm, on_earth=True), World("earth"))
 
 
-def run_trial(trial: HardstopTrial) -> TrialResult:
+def run_trial(place: Place, number: int, joint: Joint, repetition: int) -> TrialResult:
     """Carry out a trial."""
-    arm, world = arm_at(trial.place, trial.arm)
-    running = prepare_random_homing(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
-    return _result(trial, running.finish())
-
-
-def _result(trial: HardstopTrial, found: InitialisationResult) -> TrialResult:
+    arm, world = arm_at(place, number)
+    found = prepare_random_homing(arm, joint, world, 1000 * number + repetition).finish()
     stop = found.stops[0] if found.outcome is Outcome.DONE else None
     return TrialResult(
-        trial,
+        place,
+        number,
+        joint,
+        repetition,
         found.outcome.value,
         np.nan if stop is None else 1e3 * stop.zero_error_rad,
         np.nan if stop is None else 1e3 * stop.uncorrected_error_rad,
         np.nan if stop is None else 1e3 * stop.half_backlash_error_rad,
-        float(found.max_torque_Nm[trial.joint]),
-        float(found.max_current_ratio[trial.joint]),
+        float(found.max_torque_Nm[joint]),
+        float(found.max_current_ratio[joint]),
     )
 
 
@@ -79,13 +71,13 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
         raise BadRequest("set: arms are 1 or more, repeats 2 or more, the joint is a name like ELBOW")
     joints, seed = (Joint[joint],) if joint else tuple(Joint), context.seed
     trials = [
-        HardstopTrial(place, seed + arm, one, repetition)
+        (place, seed + arm, one, repetition)
         for place in PLACES
         for arm in range(arms)
         for one in joints
         for repetition in range(repeats if place == "mars" else max(2, repeats // 5))
     ]
-    results = context.each(run_trial, ((trial,) for trial in trials), "trials")
+    results = context.each(run_trial, trials, "trials")
     never = {
         "failed": sum(r.outcome != "done" for r in results),
         "above_rated_torque": sum(r.max_torque_Nm > _rated_Nm(r) for r in results),
@@ -98,8 +90,7 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
         "in_bounds": not any(never.values()),
         **never,
         "failures": [
-            f"{r.trial.joint.name.lower()} of as-built:{r.trial.arm}, {r.trial.place}, trial "
-            f"{r.trial.repetition}: {r.outcome}"
+            f"{r.joint.name.lower()} of as-built:{r.arm}, {r.place}, trial {r.repetition}: {r.outcome}"
             for r in results
             if r.outcome != "done"
         ],
@@ -111,10 +102,8 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
 
 
 def _summarize_place(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
-    here = [r for r in results if r.trial.place == place]
-    return {
-        joint.name.lower(): _summarize_joint([r for r in here if r.trial.joint is joint]) for joint in joints
-    }
+    here = [r for r in results if r.place == place]
+    return {joint.name.lower(): _summarize_joint([r for r in here if r.joint is joint]) for joint in joints}
 
 
 def _summarize_joint(results: Sequence[TrialResult]) -> dict[str, Any]:
@@ -137,18 +126,16 @@ def _mean_difference(results: Sequence[TrialResult], joints: Sequence[Joint]) ->
     """Compute the largest difference of an arm's mean on Earth from its mean on Mars."""
     found = {}
     for joint in joints:
-        of_joint = [r for r in results if r.trial.joint is joint]
-        mean = {p: np.nanmean(_by_arm([r for r in of_joint if r.trial.place == p]), axis=1) for p in PLACES}
+        of_joint = [r for r in results if r.joint is joint]
+        mean = {p: np.nanmean(_by_arm([r for r in of_joint if r.place == p]), axis=1) for p in PLACES}
         found[joint.name.lower()] = {"zero_error": float(np.abs(mean["earth"] - mean["mars"]).max())}
     return found
 
 
 def _by_arm(results: Sequence[TrialResult], name: str = "zero_error_mrad") -> np.ndarray:
     """Arrange a value of the results in an array, shape (arms, repetitions)."""
-    arms = sorted({r.trial.arm for r in results})
-    rows = [
-        sorted((r for r in results if r.trial.arm == arm), key=lambda r: r.trial.repetition) for arm in arms
-    ]
+    arms = sorted({r.arm for r in results})
+    rows = [sorted((r for r in results if r.arm == arm), key=lambda r: r.repetition) for arm in arms]
     return np.array([[getattr(r, name) for r in row] for row in rows])
 
 
@@ -157,4 +144,4 @@ def _three_sigma(by_arm: np.ndarray) -> float:
 
 
 def _rated_Nm(result: TrialResult) -> float:
-    return arm_named("nominal").params.joints.in_order()[result.trial.joint].hardstop_rated_Nm
+    return arm_named("nominal").params.joints.in_order()[result.joint].hardstop_rated_Nm

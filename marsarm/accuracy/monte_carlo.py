@@ -17,7 +17,7 @@ from marsarm.accuracy.coverage import CoverageReport, check_coverage
 from marsarm.accuracy.propagation import PARTS
 from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
-from marsarm.accuracy.trial import MeasuredPlacement, run_built_trial, run_sampled_trial
+from marsarm.accuracy.trial import MeasuredPlacement, run_trial
 from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.requests import load_params, select_arm
@@ -54,23 +54,13 @@ def run_job(job: ArmJob) -> dict[str, Any]:
     """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
+    built = None if job.built == "sampled" else f"{job.built}:{job.seed + job.arm}"
+    key = {"arm": job.arm, "params_sha256": job.params_sha256}
     try:
-        if job.built == "sampled":
-            found = run_sampled_trial(model, case, job.params, job.places, job.move_model, seed)
-        else:
-            name = f"{job.built}:{job.seed + job.arm}"
-            found = run_built_trial(model, case, name, job.params, job.places, job.move_model, seed)
+        found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
-        return {**_job_key(job), "failed": str(error)}
-    return {
-        **_job_key(job),
-        "tool": found[0].tool,
-        "places": [_measurement_record(m) for m in found],
-    }
-
-
-def _job_key(job: ArmJob) -> dict[str, Any]:
-    return {"arm": job.arm, "params_sha256": job.params_sha256}
+        return {**key, "failed": str(error)}
+    return {**key, "tool": found[0].tool, "places": [_measurement_record(m) for m in found]}
 
 
 def run_jobs(

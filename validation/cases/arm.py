@@ -77,7 +77,7 @@ class NoDiagnosis(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class ArmCases:
+class ArmCases(sealed.CaseMaker[TrueCase]):
     """Cases of this arm."""
 
     sessions: tuple[str, ...] | None = None
@@ -111,7 +111,6 @@ class ArmCases:
         return draw_truth(cases, seed, known, outside if self.kinds is None else [])
 
     def check(self, cases: Sequence[TrueCase]) -> Iterator[str]:
-        """Yield how a truth contradicts itself."""
         return find_contradictions(cases)
 
     def record(self, path: Path, case: TrueCase) -> None:
@@ -122,19 +121,15 @@ class ArmCases:
             check_leakage(log, case)
 
     def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
-        """Compute the model of the campaign."""
         load_model(folder / CAMPAIGN_FOLDER, self.kinds, run, progress)
 
     def load(self, folder: Path) -> None:
-        """Load the model of the campaign."""
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
         """Diagnose a case.
 
         Args:
-            folder: Folder of the cases.
-            case: Folder of the logs.
             without: Name of an effect that the catalogue does not have; "" for none.
 
         Raises:
@@ -157,9 +152,7 @@ class ArmCases:
         except NoDiagnosis as why:
             return {"verdict": "unknown", "refused": str(why), "effects": []}
 
-    def score(
-        self, folder: Path, solved: Sequence[tuple[TrueCase, Document]], progress: Progress
-    ) -> CaseScore:
+    def score(self, folder: Path, solved: Sequence[tuple[TrueCase, Document]]) -> CaseScore:
         """Score solved cases; a small run is in bounds if no name is wrong and the truth is in each set."""
         for case, result in solved:
             check_result(case, result)
@@ -240,7 +233,6 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
 
     Args:
         context: Its folder holds the cases.
-        maker: Diagnoses them.
         cases: Greatest number of cases; those with the largest effects are taken.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")

@@ -98,7 +98,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
     result = load_results(folder.path, folder.maker)["case-003"]
     said = f"case-003 has no logs of {folder.path.name}"
     assert (result["verdict"], result["refused"]) == ("unknown", said)
-    found = score_cases(folder.path, folder.maker, False, no_progress).document
+    found = score_cases(folder.path, folder.maker, False).document
     assert found["false_alarm"]["share"] == 1.0
     assert found["reported"]["hits"] == 0
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
@@ -106,7 +106,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
 
 
 def test_solved_cases_are_scored(solved) -> None:
-    score = score_cases(solved.path, solved.maker, False, no_progress)
+    score = score_cases(solved.path, solved.maker, False)
     found = score.document
     assert (found["cases"], found["false_alarm"]["of"], found["wrong"]["place"]["of"]) == (10, 2, 4)
     true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
@@ -119,8 +119,8 @@ def test_cases_that_are_not_solved_are_counted(solved) -> None:
     for number in (2, 5, 7):
         result_path(solved.path, f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        score_cases(solved.path, solved.maker, False, no_progress)
-    assert score_cases(solved.path, solved.maker, True, no_progress).document["cases"] == 7
+        score_cases(solved.path, solved.maker, False)
+    assert score_cases(solved.path, solved.maker, True).document["cases"] == 7
 
 
 GOOD = {
@@ -171,7 +171,7 @@ def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
     finding = GOOD["effects"][0] | {"name": one.name, "place": one.place, "parameters": [size]}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "found", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        score_cases(solved.path, solved.maker, False, no_progress)
+        score_cases(solved.path, solved.maker, False)
     path.write_bytes(before)
 
 
@@ -181,7 +181,7 @@ def test_an_effect_of_another_version_is_refused(solved) -> None:
     cases[at] = replace(cases[at], effects=(replace(cases[at].effects[0], name="old-wobble"),))
     seal(solved.path, replace(solved.truth, cases=tuple(cases)))
     with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
-        score_cases(solved.path, solved.maker, False, no_progress)
+        score_cases(solved.path, solved.maker, False)
 
 
 def contradict(case: TrueCase) -> Iterator[TrueCase]:
