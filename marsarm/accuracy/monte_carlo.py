@@ -9,12 +9,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import configure, digest
+from fsw.config import Config, configure, digest
 from fsw.dictionary.params import Params
-from marsarm.accuracy.budget import COMPONENTS
-from marsarm.accuracy.confidence import AccuracyEstimate, estimate_accuracy
-from marsarm.accuracy.coverage import CoverageReport, check_coverage
-from marsarm.accuracy.propagation import PARTS
+from fsw.kinematics.transforms import Array
+from marsarm.accuracy.budget import COMPONENTS, Budget, compute_tool_budget
+from marsarm.accuracy.confidence import (
+    AccuracyEstimate,
+    Coverage,
+    Interval,
+    estimate_accuracy,
+    estimate_coverage,
+    quantile_interval,
+)
+from marsarm.accuracy.propagation import COVERAGE, PARTS, Poses, bounds, compute_sensitivity
 from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
 from marsarm.accuracy.trial import MeasuredPlacement, run_trial
@@ -118,6 +125,58 @@ def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
 def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     values = asdict(measured)
     return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverageReport:
+    """Comparison of a Monte Carlo with the budget."""
+
+    arms: int
+    error: Mapping[str, Array]
+    """Errors of each of COMPONENTS, metres or radians, shape (n,)."""
+    budget: Budget
+    """Budget at the measured poses."""
+    percentile: Mapping[str, float]
+    """Error length that 99.73 % of the errors do not exceed."""
+    percentile_interval: Mapping[str, Interval]
+    by_rule: Mapping[str, Mapping[str, Coverage]]
+    """Coverage by rule and component."""
+
+
+def check_coverage(
+    model: ErrorModel,
+    case: str,
+    config: Config,
+    gravity_R_m_s2: Array,
+    trials: Sequence[Sequence[MeasuredPlacement]],
+) -> CoverageReport:
+    """Compare the budget of a case with the trials, one trial for each arm."""
+    placements = [m for trial in trials for m in trial]
+    used = [tool for tool in config.params.tool_names if any(m.tool == tool for m in placements)]
+    by_tool = {tool: [m for m in placements if m.tool == tool] for tool in used}
+    budgets = {}
+    for tool, found in by_tool.items():
+        output = np.array([m.output_rad for m in found]).T
+        poses = Poses(tool, output, np.full((3, len(found)), np.nan))
+        sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
+        budgets[tool] = compute_tool_budget(model, model.case[case], poses, sensitivity)
+    budget = Budget(case, model.case[case], budgets)
+    error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
+    errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
+    return CoverageReport(
+        arms=len(trials),
+        error=errors,
+        budget=budget,
+        percentile={name: float(np.quantile(e, COVERAGE)) for name, e in errors.items()},
+        percentile_interval={name: quantile_interval(e, COVERAGE, len(trials)) for name, e in errors.items()},
+        by_rule={
+            rule: {
+                name: estimate_coverage(errors[name], budget.bounds(rule, name), COVERAGE, len(trials))
+                for name in COMPONENTS
+            }
+            for rule in next(iter(budgets.values())).by_rule
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
