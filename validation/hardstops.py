@@ -78,9 +78,10 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
         for repetition in range(repeats if place == "mars" else max(2, repeats // 5))
     ]
     results = context.each(run_trial, trials, "trials")
+    rated_Nm = [one.hardstop_rated_Nm for one in arm_named("nominal").params.joints.in_order()]
     never = {
         "failed": sum(r.outcome != "done" for r in results),
-        "above_rated_torque": sum(r.max_torque_Nm > _rated_Nm(r) for r in results),
+        "above_rated_torque": sum(r.max_torque_Nm > rated_Nm[r.joint] for r in results),
         "above_current_limit": sum(r.max_current_ratio > 1.0 + ROUNDING for r in results),
     }
     return {
@@ -94,16 +95,17 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
             for r in results
             if r.outcome != "done"
         ],
-        **{place: _summarize_place(results, place, joints) for place in PLACES},
+        **{
+            place: {
+                one.name.lower(): _summarize_joint([r for r in results if (r.place, r.joint) == (place, one)])
+                for one in joints
+            }
+            for place in PLACES
+        },
         "earth_less_mars_mrad": {
             "equal torque": _mean_difference(results, joints),
         },
     }
-
-
-def _summarize_place(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
-    here = [r for r in results if r.place == place]
-    return {joint.name.lower(): _summarize_joint([r for r in here if r.joint is joint]) for joint in joints}
 
 
 def _summarize_joint(results: Sequence[TrialResult]) -> dict[str, Any]:
@@ -141,7 +143,3 @@ def _by_arm(results: Sequence[TrialResult], name: str = "zero_error_mrad") -> np
 
 def _three_sigma(by_arm: np.ndarray) -> float:
     return 3 * float(np.sqrt(np.mean(np.nanvar(by_arm, axis=1, ddof=1))))
-
-
-def _rated_Nm(result: TrialResult) -> float:
-    return arm_named("nominal").params.joints.in_order()[result.joint].hardstop_rated_Nm

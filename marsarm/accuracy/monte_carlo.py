@@ -34,6 +34,8 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 SEED_FIELD: Final = "{seed}"
+MEASURED: Final = ("output_rad", "error", "backlash_position")
+"""Arrays of a placement in the results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,11 @@ def run_job(job: ArmJob) -> dict[str, Any]:
         found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
         return {**key, "failed": str(error)}
-    return {**key, "tool": found[0].tool, "places": [_measurement_record(m) for m in found]}
+    return {
+        **key,
+        "tool": found[0].tool,
+        "places": [{name: getattr(m, name).tolist() for name in MEASURED} for m in found],
+    }
 
 
 def run_jobs(
@@ -116,15 +122,8 @@ def check_arm_record(record: dict[str, Any]) -> None:
 def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
     """Read the measurements of an arm from its record."""
     for place in record.get("places", ()):
-        output, error, position = (
-            np.array(place[name]) for name in ("output_rad", "error", "backlash_position")
-        )
+        output, error, position = (np.array(place[name]) for name in MEASURED)
         yield MeasuredPlacement(str(record["tool"]), output, error, position)
-
-
-def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
-    values = asdict(measured)
-    return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

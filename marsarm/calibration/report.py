@@ -250,17 +250,12 @@ def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
     return svg.save_png(path, (11.0, 4.2), draw)
 
 
-def errors_without_backlash(found: Calibration) -> Array:
-    """Compute the error screws, (6, n), with calibrated parameters but without the state of the backlash."""
-    model = residual_model(found.nominal, found.campaign, with_backlash=False)
-    return model.errors(found.best.values)
-
-
 def _draw_errors(figure: Any, found: Calibration, part: slice) -> None:
     axes = figure.subplots()
+    stateless = residual_model(found.nominal, found.campaign, with_backlash=False)
     series = (
         ("uncalibrated", found.before, svg.RED, "o"),
-        ("calibrated, backlash state left out", errors_without_backlash(found), svg.MUTED, "x"),
+        ("calibrated, backlash state left out", stateless.errors(found.best.values), svg.MUTED, "x"),
         ("calibrated", found.after, svg.BLUE, "."),
     )
     for name, error, colour, marker in series:

@@ -1,7 +1,7 @@
 """Blind cases of this arm: the solver's campaign, sealed truth, logs of every case, and their diagnosis."""
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -54,7 +54,6 @@ from validation.cases.arm_truth import (
     SealedEffect,
     TrueCase,
     check_leakage,
-    find_contradictions,
     list_uncatalogued,
     load_outside_effects,
     plan_cases,
@@ -109,9 +108,6 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [])
-
-    def check(self, cases: Sequence[TrueCase]) -> Iterator[str]:
-        return find_contradictions(cases)
 
     def record(self, path: Path, case: TrueCase) -> None:
         """Record the sessions of a case; a session whose motion does not complete gets no log."""

@@ -90,7 +90,10 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
         covered=rate_of(
             _is_covered(classes, one, found) for one, found in given if found["level"] != "unlocated"
         ),
-        spurious=rate_of(_is_spurious(classes, true, one) for true, one in named),
+        spurious=rate_of(
+            not _classes(classes, one) & {_class(classes, effect) for effect in true.effects}
+            for true, one in named
+        ),
         interval=rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
         wrong={level: rate_of(hits) for level, hits in wrong.items()},
         by_effect={level: _bootstrap_over(names, hits) for level, hits in wrong.items()},
@@ -169,10 +172,6 @@ def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
 def _classes(classes: EquivalenceClasses, finding: FindingDocument) -> set[int | None]:
     """Return the class of a finding and those of its set of effects."""
     return {classes.of(one["name"], one["place"]) for one in (finding, *finding["effects"])}
-
-
-def _is_spurious(classes: EquivalenceClasses, true: TrueCase, finding: FindingDocument) -> bool:
-    return not _classes(classes, finding) & {_class(classes, one) for one in true.effects}
 
 
 def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:

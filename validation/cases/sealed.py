@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -104,10 +104,6 @@ class CaseMaker(Generic[Case]):
     def draw(self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress) -> tuple[Case, ...]:
         """Draw the truth of all cases, and write what solving may know before them."""
         raise NotImplementedError
-
-    def check(self, cases: Sequence[Case]) -> Iterator[str]:
-        """Yield how a sealed truth contradicts itself."""
-        yield from ()
 
     def record(self, path: Path, case: Case) -> None:
         """Record the logs of a case."""
@@ -284,8 +280,6 @@ def load_truth(folder: Path, maker: CaseMaker[Case]) -> SealedTruth[Case]:
         truth: SealedTruth[Case] = maker.truth_type.validate_json(raw)
     except ValidationError as error:
         raise BadRequest(f"{path}: was sealed, but is no truth ({describe_first_problem(error)})") from error
-    if contradiction := next(maker.check(truth.cases), None):
-        raise BadRequest(f"{path}: was sealed, but is no truth ({contradiction})")
     return truth
 
 
