@@ -26,7 +26,7 @@ from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
-from validation.joints import hardstops
+from validation.hardstops import campaign as hardstops
 
 pytestmark = [
     pytest.mark.slow,

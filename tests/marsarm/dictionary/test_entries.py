@@ -35,18 +35,14 @@ def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None
         assert (one.unit is not None) == one.type.startswith(("float", "int")), name
 
 
-def test_every_entry_has_a_text(whole: Dictionary) -> None:
+def test_every_entry_and_every_field_has_a_text(whole: Dictionary) -> None:
     for entry in (*whole.commands, *whole.evrs, *whole.packets):
         assert entry.text, entry.name
-
-
-def test_every_channel_parameter_and_argument_has_its_own_text(whole: Dictionary) -> None:
-    fields = [one for entry in (*whole.commands, *whole.packets) for one in entry.fields]
-    for one in (*fields, *whole.parameters):
+    for one in (
+        *(one for entry in (*whole.commands, *whole.packets) for one in entry.fields),
+        *whole.parameters,
+    ):
         assert one.text, one.name
-
-
-def test_every_field_of_an_evr_has_a_text_or_is_in_its_message(whole: Dictionary) -> None:
     for evr in whole.evrs:
         for one in evr.fields:
             assert one.text or f"{{e.{one.name}" in evr.message, f"{evr.name}.{one.name}"
