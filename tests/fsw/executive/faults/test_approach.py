@@ -58,10 +58,14 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
     assert braked(rig)
 
 
-@pytest.mark.parametrize("force_N", [0.8 * BOUNDS.guarded_force_N, -3.0 * BOUNDS.guarded_force_N])
-def test_a_small_force_or_one_that_pulls_does_not(force_N):
+@pytest.mark.parametrize(
+    ("share", "switches"),
+    [(0.8, ()), (-3.0, ()), (2.0, TOOL_SWITCHES["apxs"][:1])],
+    ids=["small", "pull", "touch"],
+)
+def test_a_force_that_is_small_or_pulls_or_that_a_switch_shows_does_not(share, switches):
     rig = in_guarded_motion()
-    pushed(rig, "apxs", force_N, LATEST)
+    pushed(rig, "apxs", share * BOUNDS.guarded_force_N, LATEST, **closed(*switches))
     assert not found(rig, Fault)
 
 
@@ -69,13 +73,6 @@ def test_a_large_force_is_felt_within_three_cycles():
     rig = in_guarded_motion()
     pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
     assert found(rig, PreloadOutside)
-
-
-def test_with_a_switch_closed_a_force_is_as_it_should_be():
-    rig = in_guarded_motion()
-    contact = closed(TOOL_SWITCHES["apxs"][0])
-    pushed(rig, "apxs", 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
-    assert not found(rig, Fault)
 
 
 def test_in_free_space_a_force_is_an_unexpected_contact():
