@@ -108,12 +108,8 @@ def readings(loop: ClosedLoop) -> list[bytes]:
     return found
 
 
-def test_a_fork_goes_on_bit_by_bit_as_the_run_does_with_all_of_them_on() -> None:
+def test_a_fork_goes_on_bit_by_bit_as_the_run_does_with_all_of_them_on_and_so_does_the_same_run() -> None:
     loop = running()
     assert abs(loop.state.joints.motor_rate_rad_s[JOINT]) > 1e-3
     first, second = loop.fork(), loop.fork()
-    assert readings(first) == readings(loop) == readings(second)
-
-
-def test_the_same_run_is_the_same_again() -> None:
-    assert readings(running()) == readings(running())
+    assert readings(first) == readings(loop) == readings(second) == readings(running())

@@ -58,21 +58,18 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
 
 
 @JOINTS
-def test_biases_of_a_resolver_add_up(joint: Joint) -> None:
+def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint: Joint) -> None:
+    here = np.arange(5) == joint
+    gain, bias = (
+        read(effect, current_A=1.5) for effect in (CurrentGain(joint, 1.3), CurrentBias(joint, -0.2))
+    )
+    np.testing.assert_allclose(gain.current_A, 1.5 * np.where(here, 1.3, 1.0))
+    np.testing.assert_allclose(bias.current_A - 1.5, -0.2 * here, atol=1e-12)
     more = read(ResolverBias(joint, 2e-3), ResolverBias(joint, 1e-3)).resolver_rad - read().resolver_rad
-    np.testing.assert_allclose(more, 3e-3 * (np.arange(5) == joint), atol=RESOLVER_LSB_RAD)
-
-
-@JOINTS
-def test_a_current_sensor_of_another_gain_reads_that_many_times_the_current(joint: Joint) -> None:
-    sensors = read(CurrentGain(joint, 1.3), current_A=1.5)
-    np.testing.assert_allclose(sensors.current_A, 1.5 * np.where(np.arange(5) == joint, 1.3, 1.0))
-
-
-@JOINTS
-def test_a_current_sensor_with_a_bias_reads_that_much_more(joint: Joint) -> None:
-    more = read(CurrentBias(joint, -0.2), current_A=1.5).current_A - 1.5
-    np.testing.assert_allclose(more, np.where(np.arange(5) == joint, -0.2, 0.0), atol=1e-12)
+    np.testing.assert_allclose(more, 3e-3 * here, atol=RESOLVER_LSB_RAD)
+    # a lost count is not there yet when joints look for their hardstops
+    assert ResolverBias.built_in
+    assert not EncoderZero.built_in
 
 
 def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before() -> None:
@@ -132,8 +129,3 @@ def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times:
     expected = np.zeros(3)
     expected[2], expected[leaning] = size * np.cos(angle), sign * size * np.sin(angle)
     np.testing.assert_allclose(g, expected, atol=1e-12)
-
-
-def test_a_lost_count_is_not_there_when_joints_look_for_their_hardstops() -> None:
-    assert not EncoderZero.built_in
-    assert ResolverBias.built_in
