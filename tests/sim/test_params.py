@@ -157,7 +157,8 @@ def test_each_axis_is_within_twenty_milliradians_of_the_orthogonal_arm(tmp_path,
         with pytest.raises(BadParams) as refused:
             params_over_nominal(path)
         for (link, angle), rad in right_rad.items():
-            said = rf"links\.{link}\.transform\.{angle}: \S+ is not within 0.02 of the orthogonal arm's {rad:.6g}$"
+            where = rf"links\.{link}\.transform\.{angle}: \S+ is not within 0.02 of "
+            said = f"{where}the orthogonal arm's {rad:.6g}$"
             assert re.search(said, str(refused.value), re.MULTILINE), said
 
 
