@@ -33,16 +33,11 @@ MARS = World()
 MOST_HOMING_ERROR_RAD = 0.3e-3
 
 
-def test_its_azimuth_joint_is_where_the_rover_carries_it() -> None:
+def test_its_azimuth_joint_is_where_the_rover_carries_it_and_it_weighs_what_it_weighs() -> None:
     X = build_arm(PARAMS)
     start = forward(X, np.zeros((5, 1)), np.zeros((6, 6, 1))).X_RF[0].p[:, 0]
     np.testing.assert_allclose(start + P_NR_M, [0.0900 + 1.1756, -0.4515, 0.3116 - 1.13338], atol=1e-9)
-
-
-def test_it_weighs_what_it_weighs() -> None:
-    model = build(MARS, MODEL).compile()
-    assert model.body("turret").mass[0] == 40.0
-    assert PARAMS.links.arm6.far.mass_kg == 40.0
+    assert build(MARS, MODEL).compile().body("turret").mass[0] == PARAMS.links.arm6.far.mass_kg == 40.0
 
 
 def test_plant_and_flight_software_put_its_tools_in_the_same_places() -> None:
