@@ -81,7 +81,7 @@ def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
 
 def test_the_first_cycle_says_which_parameters_it_runs_on_and_time_is_the_tick():
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
-    assert [rig.cycle().joint.tick for _ in range(6)] == [1, 2, 3, 4, 5, 6]
+    assert [rig.cycle().joint.tick for _ in range(6)] == [0, 1, 2, 3, 4, 5]
     assert rig.evrs == [Booted(CONFIG.params_sha256)]
 
 
