@@ -224,7 +224,7 @@ def test_over_the_inlet_is_near_its_upright_axis_at_any_height_with_the_tube_alo
         found = results(OverInlet(1, "inlet"), moment, world=world)
         assert found["from the axis"].value == pytest.approx(0.005)
         assert found["from gravity"].value == pytest.approx(lean_rad, abs=1e-9)
-        assert failed(found) == (["from gravity"] if lean_rad else [])
+        assert ("from gravity" in failed(found)) is bool(lean_rad)
 
 
 def test_docked_is_at_the_point_along_its_axis_and_in_contact():

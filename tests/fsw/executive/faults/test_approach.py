@@ -1,13 +1,10 @@
 """A guarded tool that touches something although no switch says so."""
 
-import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, PreloadOutside, UnexpectedContact
-from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import settle_output
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -18,28 +15,17 @@ from tests.fsw.executive.faults.lab import (
     in_guarded_motion,
     moving,
 )
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, levers_m
 from tests.tools import TOOL_SWITCHES, TOOLS
 
 PRESSING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 LATEST = 40
 
 
-def wind_up_rad_N(rig, tool):
-    """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    output, axis = rig.state.joints.output_rad, rig.tool_pose(tool).R[:, 0]
-
-    def along_m(step):
-        X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, output + step, MARS_R_m_s2).frames, tool)
-        return X_RT.p @ axis
-
-    torque = np.array([along_m(-step) - along_m(step) for step in 1e-5 * np.eye(5)]) / 2e-5
-    return torque / CONFIG.arm.gear_stiffness_Nm_rad
-
-
 def pushed(rig, tool, force_N, cycles, **readings):
     """Resolvers that show a force, and encoders that do not."""
-    wound = force_N * wind_up_rad_N(rig, tool)
+    levers = levers_m(CONFIG.arm, tool, rig.state.joints.output_rad, MARS_R_m_s2)
+    wound = force_N * levers / CONFIG.arm.gear_stiffness_Nm_rad
     for _ in range(cycles):
         rig.cycle(resolver_rad=rig.resolver_rad() + wound, **readings)
         if found(rig, Fault):
