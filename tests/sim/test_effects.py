@@ -75,16 +75,14 @@ def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None 
 
 
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
-def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(
-    frame: Frame, tool: str | None
-) -> None:
+def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(frame, tool):
     effect = FrameError(frame, SCREW, tool)
     plant = build(effect)
     assert rigid_difference_m(plant, NOMINAL) > 1e-3
     assert rigid_difference_m(plant, build_arm(params_with(effect))) < 1e-12
 
 
-def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
+def test_a_frame_error_at_a_tool_moves_that_tool_only():
     plant = build(FrameError(Frame.TOOL, SCREW, "drt"))
     mujoco.mj_resetData(plant.model, plant.data)
     truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
@@ -93,9 +91,7 @@ def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
 
 
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
-def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
-    frame: Frame, tool: str | None
-) -> None:
+def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(frame, tool):
     """Springs and masses that move with the frame in the plant do so in the flight parameters."""
     effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
     assert rest_difference_m(build(effect, world=TILTED_EARTH), build_arm(params_with(effect))) < 1e-6
@@ -106,9 +102,7 @@ def drawn_stops(params: Params) -> lab.Array:
 
 
 @pytest.mark.parametrize("joint", Joint)
-def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_knows_it(
-    joint: Joint,
-) -> None:
+def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_knows_it(joint):
     """Homing sets the zero so that the output meets its assumed hardstop: the error shows in the tool."""
     effect = HardstopAngle(joint, 0.02)
     plant = build(effect)
@@ -121,7 +115,7 @@ def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_
 
 
 @pytest.mark.parametrize("joint", Joint)
-def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint: Joint) -> None:
+def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint):
     effect = HardstopStiffness(joint, 0.6)
     plant = build(effect)
     mujoco.mj_resetData(plant.model, plant.data)
@@ -158,9 +152,7 @@ def test_an_arm_of_other_stiffness_or_mass_sags_otherwise_as_flight_software_the
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
 @pytest.mark.parametrize("kind", [BacklashWidth, GearStiffness])
-def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_software_then_says(
-    joint: Joint, kind: type[BacklashWidth] | type[GearStiffness]
-) -> None:
+def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_software_then_says(joint, kind):
     effect = kind(joint, 0.6)
     plant = build(effect, world=TILTED_EARTH)
     arm = build_arm(params_with(effect))
@@ -176,14 +168,14 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
 
 
 @pytest.mark.parametrize("joint", Joint)
-def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(joint: Joint) -> None:
+def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(joint):
     effect = GearFriction(joint, 1.5)
     for one, drawn in zip(motor_friction(build(effect)), motor_friction(build()), strict=True):
         np.testing.assert_allclose(one / drawn, np.where(np.arange(5) == joint, 1.5, 1.0))
     assert params_with(effect) == PARAMS
 
 
-def test_effects_add_up_in_any_order_of_different_places() -> None:
+def test_effects_add_up_in_any_order_of_different_places():
     effects = (FrameError(Frame.ARM3, SCREW), LinkStiffness(Frame.ARM3, 0.8), LinkMass(Frame.ARM3, 1.1))
     one, other = params_with(*effects), params_with(*effects[::-1])
     assert build_arm(one).theta_rad.tolist() == build_arm(other).theta_rad.tolist()
@@ -211,7 +203,7 @@ def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(tempe
     assert params_with(effect) == params_with(CurrentNoise(0.07)) == PARAMS
 
 
-def test_an_arm_with_nothing_to_touch_goes_through_the_rover() -> None:
+def test_an_arm_with_nothing_to_touch_goes_through_the_rover():
     for effects, touches in (((), True), ((NothingToTouch(),), False)):
         plant = build(*effects)
         mujoco.mj_resetData(plant.model, plant.data)

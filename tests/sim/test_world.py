@@ -30,7 +30,7 @@ def test_gravity_pulls_down_to_the_rear_or_to_the_right(roll, pitch, down):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_gravity_is_seen_from_the_rover_and_the_tilt_is_its_angle(seed: int) -> None:
+def test_gravity_is_seen_from_the_rover_and_the_tilt_is_its_angle(seed):
     roll, pitch = np.random.default_rng([19, seed]).uniform(-0.5, 0.5, 2)
     world = World("earth", float(roll), float(pitch))
     gravity = world.gravity_N_m_s2
@@ -42,9 +42,7 @@ def test_gravity_is_seen_from_the_rover_and_the_tilt_is_its_angle(seed: int) -> 
 @pytest.mark.parametrize(
     "normal", [NORMAL, (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -2.0, 0.0)]
 )
-def test_the_rock_face_goes_through_its_point_and_looks_along_its_normal(
-    normal: tuple[float, float, float],
-) -> None:
+def test_the_rock_face_goes_through_its_point_and_looks_along_its_normal(normal):
     model = build(World(surface=Surface(APEX, normal))).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -58,14 +56,14 @@ def test_the_rock_face_goes_through_its_point_and_looks_along_its_normal(
         assert distance_m == pytest.approx(0.2, abs=1e-9)
 
 
-def test_the_ground_is_under_the_rock_and_never_above_the_wheels() -> None:
+def test_the_ground_is_under_the_rock_and_never_above_the_wheels():
     low = build(World(surface=Surface((2.1, 0.0, 0.2), NORMAL)))
     assert low.geom("ground").pos[2] == pytest.approx(-0.3)
     assert build(World(surface=Surface((2.1, 0.0, -0.5), NORMAL))).geom("ground").pos[2] == 0.0
 
 
 @pytest.mark.parametrize("scene", ["mars", "earth"])
-def test_leaving_out_what_only_looks_leaves_the_state_as_it_is(scene: str) -> None:
+def test_leaving_out_what_only_looks_leaves_the_state_as_it_is(scene):
     world = World(scene, 0.1, 0.2, Surface(APEX, NORMAL))
     lean, full = build(world).compile(), build(world, for_pictures=True).compile()
     assert lean.ngeom < full.ngeom
@@ -89,18 +87,18 @@ def test_leaving_out_what_only_looks_leaves_the_state_as_it_is(scene: str) -> No
     ],
     ids=["body", "mast", "wheel", "workspace", "above", "below the ground"],
 )
-def test_a_target_may_not_be_inside_the_rover(p_N_m: tuple[float, float, float], inside: bool) -> None:
+def test_a_target_may_not_be_inside_the_rover(p_N_m, inside):
     assert inside_rover(p_N_m) is inside
 
 
-def test_another_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_mujoco_is_refused(monkeypatch):
     monkeypatch.setattr(mujoco, "__version__", "4.0.0")
     with pytest.raises(WrongMujoco, match=r"4\.0\.0 is installed, 4\.0\.1 is required"):
         build(World())
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed: int) -> None:
+def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed):
     arm = configure(nominal_params()).arm
     p_N_m, angles = random_targets(np.random.default_rng(seed), 1)
     approach = approach_from(angles)

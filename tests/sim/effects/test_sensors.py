@@ -40,9 +40,7 @@ def read(
 
 @TIMES
 @JOINTS
-def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
-    joint: Joint, times: float
-) -> None:
+def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(joint, times):
     effect = ResolverEccentricity(joint, 1e-3 * times, -2e-3 * times)
     angles = np.linspace(-0.3, 5.5, 9) if joint is not Joint.AZIMUTH else np.linspace(-3.0, 1.5, 9)
     for angle in angles:
@@ -58,7 +56,7 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
 
 
 @JOINTS
-def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint: Joint) -> None:
+def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint):
     here = np.arange(5) == joint
     gain, bias = (
         read(effect, current_A=1.5) for effect in (CurrentGain(joint, 1.3), CurrentBias(joint, -0.2))
@@ -72,7 +70,7 @@ def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_r
     assert not EncoderZero.built_in
 
 
-def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before() -> None:
+def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before():
     currents_A = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
     more = read(CurrentCrosstalk(Joint.WRIST, 0.1), current_A=currents_A).current_A - currents_A
     np.testing.assert_allclose(more, [0.0, 0.0, 0.0, -0.3, 0.0], atol=1e-12)
@@ -82,9 +80,7 @@ def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joi
 
 @TIMES
 @JOINTS
-def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(
-    joint: Joint, times: float
-) -> None:
+def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(joint, times):
     error = 3e-3 * times
     more = read(ResolverScale(joint, error)).resolver_rad - read().resolver_rad
     expected = error * np.where(np.arange(5) == joint, lab.LEFT_RAD, 0.0)
@@ -95,7 +91,7 @@ def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angl
     np.testing.assert_allclose(counts, expected, atol=1.0)
 
 
-def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle() -> None:
+def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle():
     effect = EncoderScale(Joint.ELBOW, 2e-3)
     known = configure(effect.on_params(nominal_params())).rad_per_count
     np.testing.assert_allclose(known, effect.on_hardware(nominal_hardware()).rad_per_count, rtol=1e-12)
@@ -103,9 +99,7 @@ def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle(
 
 @TIMES
 @JOINTS
-def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
-    joint: Joint, times: float
-) -> None:
+def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(joint, times):
     offset = 3e-3 * times
     plant, hardware = bench.build_arm(EncoderZero(joint, offset))
     drawn, lost = (
@@ -120,7 +114,7 @@ def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
 
 @pytest.mark.parametrize(("axis", "sign"), [("x", -1.0), ("y", 1.0)])
 @TIMES
-def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times: float) -> None:
+def test_an_imu_mounted_askew_sees_gravity_turned(axis, sign, times):
     """Down is z: a rotation about x tilts it to -y, one about y to +x."""
     angle = 5e-3 * times
     g = read(GravityDirection(axis, angle)).gravity_R_m_s2
