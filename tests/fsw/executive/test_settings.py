@@ -7,20 +7,10 @@ from fsw.config import digest
 from fsw.dictionary.commands import MoveJoint, MoveJoints, SetParam, SetTilt
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
+from tests.fsw.executive.lab import refusal
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats
 
 CONFIG = config_of()
-
-
-def refusal(rig: Rig, command) -> str:
-    before = rig.state
-    rig.evrs.clear()
-    rig.cycle(command)
-    (evr,) = rig.evrs
-    assert isinstance(evr, CommandRefused)
-    assert rig.state.changed_config is before.changed_config
-    assert rig.state.joints.down_R is before.joints.down_R
-    return evr.reason
 
 
 def test_a_parameter_takes_effect_and_the_digest_of_all_is_told():
