@@ -81,9 +81,7 @@ def test_the_table_speaks_of_every_mode_and_every_command():
 
 
 @pytest.mark.parametrize(
-    ("make_rig", "kind"),
-    list(product(RIGS, COMMANDS)),
-    ids=lambda value: getattr(value, "__name__", None),
+    ("make_rig", "kind"), list(product(RIGS, COMMANDS)), ids=lambda value: getattr(value, "__name__", None)
 )
 def test_every_command_in_every_situation(make_rig, kind):
     rig = make_rig()

@@ -113,7 +113,7 @@ def kinds(found):
 
 
 @pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
-def test_a_monitor_with_a_persistence_reports_from_it_on_and_counts_by_itself(kind):
+def test_a_monitor_with_a_persistence_reports_from_it_on_counts_by_itself_and_from_the_start(kind):
     persistence, name, arm, readings = PERSISTENT[kind]
     state = MonitorState()
     for cycle in range(1, persistence + 4):
@@ -122,13 +122,7 @@ def test_a_monitor_with_a_persistence_reports_from_it_on_and_counts_by_itself(ki
         counts = {field: getattr(state.counts, field) for field in state.counts.__slots__}
         assert counts.pop(name) == cycle
         assert set(counts.values()) == {0}
-
-
-@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
-def test_what_is_over_before_its_persistence_counts_from_the_start(kind):
-    persistence, _, arm, readings = PERSISTENT[kind]
-    quiet = pressing() if arm.mode is Mode.PRELOAD else moving()
-    state = MonitorState()
+    quiet, state = pressing() if arm.mode is Mode.PRELOAD else moving(), MonitorState()
     for cycle in range(1, 4 * persistence):
         if cycle % persistence:
             state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
@@ -263,14 +257,11 @@ def protected(arm, fault=None, unusable=(), of_move=(), last_rad=READY, state=No
     return protect(BOUNDS, state, fault, arm, live(1, **readings), last_rad, unusable, of_move)
 
 
-def test_if_nothing_happens_nothing_is_decided():
+def test_nothing_is_decided_unless_something_happens():
     for arm in (resting(), moving(), pressing()):
         state, decision = protected(arm, switch_closed=pressed(arm))
         assert decision is None
         assert state.cycle == 1
-
-
-def test_any_and_all_switches_that_close_in_free_space_are_noticed():
     for closed_ones in (closed("drt_1"), closed(*SWITCHES)):
         _, decision = protected(resting(), switch_closed=closed_ones)
         assert kinds(decision.evrs) == [ContactInFreeSpace, FaultResponse]
