@@ -178,7 +178,7 @@ def _sensor_columns(log: Log, arm: ArmNames) -> dict[str, NDArray[Any]]:
 
 OUTPUTS_PREFIX: Final = "outputs."
 OUTPUT_TOPICS: Final[tuple[Topic, ...]] = tuple(
-    topic for topic, _ in PACKET_TOPICS if topic.path.startswith(OUTPUTS_PREFIX)
+    topic for topic in PACKET_TOPICS.values() if topic.path.startswith(OUTPUTS_PREFIX)
 )
 
 

@@ -28,7 +28,7 @@ from marsarm.telemetry.schema import (
     packet_layout,
     strip_annotated,
 )
-from marsarm.telemetry.topics import PACKET_TOPICS, Topic
+from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams
 from simgap.common.errors import RobotError
@@ -45,7 +45,6 @@ IMPORT_PREFIX: Final = "/imported/"
 CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
 PLAIN_UNITS: Final = ("bool", "count", "cycle", "1")
 """Units of the log that a mapping need not name, for nothing else could be meant."""
-TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
 Value = bool | int | float | str
 Number = float | list[float]
 
@@ -260,14 +259,16 @@ def _conversion(where: str, target: ChannelTarget, name: str) -> Unit | None:
 @cache
 def topic_layout(name: str) -> Layout:
     """Return the layout of a flight topic, as the recorder writes it."""
-    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names, arm_names(nominal_params()))
+    return packet_layout(
+        PACKET_TOPICS[name].packet, PACKET_TOPICS[name].field_names, arm_names(nominal_params())
+    )
 
 
 @cache
 def known_targets() -> dict[str, ChannelTarget]:
     """Return every flight channel by name."""
     found = {}
-    for topic in TOPICS.values():
+    for topic in PACKET_TOPICS.values():
         hints = get_type_hints(topic.packet, include_extras=True)
         for field in topic_layout(topic.name).fields:
             kind = strip_annotated(hints[field.name])
@@ -301,7 +302,7 @@ def _custom_target(where: str, name: str, table: ChannelTable) -> ChannelTarget:
             f"{where}: write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as "
             "/imported/arm.speed_m_s"
         )
-    if f"/{match[1]}" in TOPICS:
+    if f"/{match[1]}" in PACKET_TOPICS:
         raise RobotError(f"{where}: {IMPORT_PREFIX}{match[1]} is reserved for an incomplete /{match[1]}")
     given = table.columns or table.value
     shape = (len(given),) if isinstance(given, list) else None

@@ -2,10 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from heapq import merge
-from itertools import chain, count, groupby, repeat
+from itertools import chain, groupby, repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -13,17 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from marsarm.telemetry.format import (
-    LAYOUT_KEY,
-    TICK_NS,
-    TRUTH_KEY,
-    TRUTH_TEXT,
-)
+from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.header import IMPORT, SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.import_mapping import (
     IMPORT_PREFIX,
     TICK,
-    TOPICS,
     ChannelTarget,
     GridTime,
     MappedChannel,
@@ -39,8 +34,8 @@ from marsarm.telemetry.import_times import (
     pick_rows,
     row_times,
 )
-from marsarm.telemetry.schema import ENCAPSULATION, Layout, ros_definition
-from marsarm.telemetry.topics import TopicSpec, begin_log, schema_name
+from marsarm.telemetry.schema import ENCAPSULATION, Layout
+from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout_spec
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output
@@ -177,9 +172,9 @@ def _build_topic(
     rows = _complete_rows(times, topic, named)
     chosen = pick_rows(times, time, rows)
     given = {one.target.field.name for one in channels}
-    fields = TOPICS[topic].field_names if topic in TOPICS else ()
+    fields = PACKET_TOPICS[topic].field_names if topic in PACKET_TOPICS else ()
     missing = tuple(name for name in fields if name not in given)
-    is_whole = topic in TOPICS and not missing
+    is_whole = topic in PACKET_TOPICS and not missing
     layout = topic_layout(topic) if is_whole else Layout(tuple(one.target.field for one in channels))
     data = np.zeros(chosen.ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
@@ -190,7 +185,7 @@ def _build_topic(
         held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.members else chosen
         values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
         data[one.target.field.name] = interpolate(values, held)
-    name = topic if is_whole or topic not in TOPICS else IMPORT_PREFIX + topic[1:]
+    name = topic if is_whole or topic not in PACKET_TOPICS else IMPORT_PREFIX + topic[1:]
     return TopicMessages(_spec(number, name, topic, layout), layout, chosen.ticks, data, missing), times
 
 
@@ -279,14 +274,11 @@ def _fault(
 
 def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:
     """Return the channel of a topic that has a name in the log."""
-    is_truth = topic in TOPICS and TOPICS[topic].is_truth
-    schema, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
-    if name in TOPICS:
-        schema, doc = TOPICS[name].packet.__name__, TOPICS[name].packet.__doc__ or ""
-    metadata = {LAYOUT_KEY: layout.to_json(), **({TRUTH_KEY: TRUTH_TEXT} if is_truth else {})}
-    return TopicSpec(
-        number, name, schema_name(schema), ros_definition(doc, layout.ros_text), metadata, layout
-    )
+    is_truth = topic in PACKET_TOPICS and PACKET_TOPICS[topic].is_truth
+    kind, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
+    if name in PACKET_TOPICS:
+        kind, doc = PACKET_TOPICS[name].packet.__name__, PACKET_TOPICS[name].packet.__doc__ or ""
+    return layout_spec(number, name, kind, doc, layout, is_truth)
 
 
 def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
@@ -296,17 +288,10 @@ def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
         OSError: the disk is full or gone.
     """
     writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
-    for tick, sequence, one in _in_order(made.series):
-        time_ns = tick * TICK_NS
-        writer.add_message(one.spec.id, time_ns, one.data[sequence].tobytes(), time_ns, sequence)
-    writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
-
-
-def _in_order(series: Sequence[TopicMessages]) -> Iterator[tuple[int, int, TopicMessages]]:
-    """Yield tick and number of each message, with its series, in order of tick, then of series."""
-    numbers = [zip(one.ticks.tolist(), repeat(k), count(), strict=False) for k, one in enumerate(series)]
-    for tick, k, sequence in merge(*numbers):
-        yield tick, sequence, series[k]
+    messages = [zip(one.ticks.tolist(), repeat(one.spec.id), one.data, strict=False) for one in made.series]
+    for tick, channel, message in merge(*messages, key=itemgetter(0)):
+        writer.add(tick * TICK_NS, [(channel, message.tobytes())])
+    writer.finish([])
 
 
 def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:

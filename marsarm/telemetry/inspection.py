@@ -269,18 +269,17 @@ def _title(channel: ChannelSeries, names: Sequence[str | None]) -> str:
 
 def _value_names(channel: ChannelSeries) -> dict[int, str]:
     """Return the names of the values of a channel, none if they are plain numbers."""
-    for topic, _ in PACKET_TOPICS:
-        if topic.name == channel.topic and channel.field in topic.field_names:
-            kind = get_type_hints(topic.packet)[channel.field]
-            if isinstance(kind, type) and issubclass(kind, IntEnum):
-                return {member.value: member.name for member in kind}
+    topic = PACKET_TOPICS.get(channel.topic)
+    kind = None if topic is None else get_type_hints(topic.packet).get(channel.field)
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return {member.value: member.name for member in kind}
     return {}
 
 
 def _line_names(channel: ChannelSeries) -> list[str | None]:
     """Return the label of each line: joint or index; None for a single number."""
     shape = channel.values.shape[1:]
-    if shape == (len(Joint),) and channel.topic in {topic.name for topic, _ in PACKET_TOPICS}:
+    if shape == (len(Joint),) and channel.topic in PACKET_TOPICS:
         return [joint.name.lower() for joint in Joint]
     return [", ".join(map(str, index)) or None for index in np.ndindex(*shape)]
 

@@ -1,12 +1,10 @@
 """Recorder of a run into an MCAP log that stays readable if the run is killed."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
-from itertools import compress
-from operator import add, attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -19,26 +17,22 @@ from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
 from marsarm.telemetry.format import (
-    CHANNELS_KEY,
     CHUNK_CYCLES,
     COMMAND_TOPIC,
     EVR_TOPIC,
     TICK_NS,
     end_metadata,
-    header_records,
 )
 from marsarm.telemetry.header import run_header
-from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
+from marsarm.telemetry.log_writer import ChunkWriter, Packer
 from marsarm.telemetry.robot_description import DrawnScene
 from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
 from marsarm.telemetry.topics import (
-    JOINT_STATES_TOPIC,
     PACKET_TOPICS,
     ROSOUT_TOPIC,
     TopicSpec,
-    encode_topics,
-    mcap_records,
+    begin_log,
     topic_specs,
 )
 from sim.arms import UnknownArm, arm_named
@@ -63,13 +57,12 @@ def create_log(
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
     target = _resolve_path(path)
-    metadata = header_records({**header, CHANNELS_KEY: encode_topics(channels)})
     try:
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
                 file = on_failure.enter_context(FileIO(part, "xb", opener=_open_above_stdio))
                 lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
-                log = ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)
+                log = begin_log(file, header, channels, chunk_cycles=chunk_cycles)
             on_failure.pop_all()
             return log
     except OSError as error:
@@ -130,15 +123,11 @@ class Recorder:
         self.path = Path(path)
         channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
         self._ids = {one.topic: one.id for one in channels}
-        self._sources = [
-            PacketSource(topic.path, one.id, one.layout)
-            for one, (topic, _) in zip(channels, PACKET_TOPICS, strict=False)
+        self._packers = [
+            (one.id, PACKET_TOPICS[one.topic], Packer(PACKET_TOPICS[one.topic].path, one.layout))
+            for one in channels
             if one.layout is not None
         ]
-        self._packets = attrgetter(*[source.path for source in self._sources])
-        self._packers: dict[tuple[bool, ...], Packer] = {}
-        self._counts = [0] * len(self._sources)
-        self._other_counts = dict.fromkeys(self._ids.values(), 0)
         self._encoder = None if config is None else RosEncoder(config, scene)
         self._last_tick = -1
         self._process = os.getpid()
@@ -168,16 +157,10 @@ class Recorder:
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
-        present = tuple([packet is not None for packet in self._packets(record)])
-        packer = self._packers.get(present) or self._packer(present)
-        data = packer.pack(record, time_ns, [*compress(self._counts, present)])
-        before, after = self._other_messages(record, time_ns)
+        messages = [*self._messages(record, time_ns)]
         with defer_interrupts:
-            if before or after:
-                data = self._number(time_ns, before) + data + self._number(time_ns, after)
             self._last_tick = record.tick
-            self._counts = [*map(add, self._counts, present)]
-            self._log.add(time_ns, data)
+            self._log.add(time_ns, messages)
 
     def close(self, interrupted_by: str = "") -> None:
         """Write the waiting cycles and the summary, and close the file; a second call does nothing.
@@ -200,32 +183,21 @@ class Recorder:
     ) -> None:
         self.close("" if error is None else describe_interruption(error))
 
-    def _packer(self, present: tuple[bool, ...]) -> Packer:
-        """Return the packer of cycles in which these packets are present."""
-        return self._packers.setdefault(present, Packer([*compress(self._sources, present)]))
-
-    def _other_messages(
-        self, record: CycleRecord, time_ns: int
-    ) -> tuple[list[tuple[str, bytes]], list[tuple[str, bytes]]]:
-        """Return topic and body of the commands, which come before the packets, and of what follows them."""
-        before = [(COMMAND_TOPIC, command_entry(record.tick, one).encode()) for one in record.commands]
-        after = [
-            message
-            for evr in record.outputs.evrs
-            for message in (
-                (EVR_TOPIC, evr_entry(record.tick, evr).encode()),
-                (ROSOUT_TOPIC, rosout_message(time_ns, evr)),
-            )
-        ]
-        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
-            is_first = not self._other_counts[self._ids[JOINT_STATES_TOPIC]]
-            after += self._encoder.static_messages(time_ns) if is_first else ()
-            after += self._encoder.cycle_messages(time_ns, record)
-        return before, after
-
-    def _number(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> bytes:
+    def _messages(self, record: CycleRecord, time_ns: int) -> Iterator[tuple[int, bytes]]:
+        """Yield channel and body of the commands, then of the packets, and of what follows them."""
         ids = self._ids
-        return number_messages(self._other_counts, time_ns, [(ids[topic], body) for topic, body in messages])
+        for command in record.commands:
+            yield ids[COMMAND_TOPIC], command_entry(record.tick, command).encode()
+        for channel, topic, packer in self._packers:
+            packet = topic.packet_in(record)
+            if packet is not None:
+                yield channel, packer.pack(packet)
+        for evr in record.outputs.evrs:
+            yield ids[EVR_TOPIC], evr_entry(record.tick, evr).encode()
+            yield ids[ROSOUT_TOPIC], rosout_message(time_ns, evr)
+        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
+            for name, body in self._encoder.messages(time_ns, record):
+                yield ids[name], body
 
 
 def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:

@@ -60,7 +60,7 @@ class RosEncoder:
             config: Configuration of the arm.
             scene: Visible shapes of the run; None for a log without a robot description.
         """
-        self._config = config
+        self._config, self._is_first = config, True
         self._fixed = fixed_frames(config.arm, {} if scene is None else scene.frames)
         self._turning = turning_frames(config)
         self._description = (
@@ -85,7 +85,14 @@ class RosEncoder:
             yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(self._description).data)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
-    def cycle_messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
+    def messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and message of constant data, in the first cycle, and of a cycle."""
+        if self._is_first:
+            yield from self.static_messages(time_ns)
+            self._is_first = False
+        yield from self._cycle_messages(time_ns, record)
+
+    def _cycle_messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
         """Yield topic and message of a cycle; transforms only if all angles are finite."""
         joint, current_A = record.outputs.joint, record.sensors.current_A.tolist()
         output_rad, rate_rad_s = joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist()

@@ -4,15 +4,17 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from fnmatch import fnmatchcase
+from io import FileIO
+from itertools import count
 from operator import attrgetter
 from typing import Any, BinaryIO, Final, get_origin, get_type_hints
 
 from mcap.records import Channel, Metadata, Schema
-from mcap.writer import IndexType, Writer
 
 from marsarm.telemetry.events import CommandEntry, EvrEntry, LogEntry
 from marsarm.telemetry.format import (
     CHANNELS_KEY,
+    CHUNK_CYCLES,
     COMMAND_TOPIC,
     DERIVED_KEY,
     EVR_TOPIC,
@@ -21,6 +23,7 @@ from marsarm.telemetry.format import (
     TRUTH_TEXT,
     header_records,
 )
+from marsarm.telemetry.log_writer import ChunkWriter
 from marsarm.telemetry.schema import (
     ArmNames,
     Layout,
@@ -155,6 +158,10 @@ class Topic:
         """True if `sim` defines the packet: flight software cannot see it."""
         return self.packet.__module__.split(".")[0] == "sim"
 
+    def packet_in(self, record: CycleRecord) -> Any:
+        """Return the packet of a cycle; None if it has none."""
+        return attrgetter(self.path)(record)
+
 
 def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
     """Yield the topics of a packet type: one for its plain fields, and one for each dataclass in it.
@@ -172,7 +179,7 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
 
 
 # The tick, the only plain field of CycleRecord, has no topic: it is the log time of every message.
-PACKET_TOPICS: Final = tuple((topic, attrgetter(topic.path)) for topic in topics_in(CycleRecord))
+PACKET_TOPICS: Final = {topic.name: topic for topic in topics_in(CycleRecord)}
 JOINT_STATES_TOPIC: Final = "/joint_states"
 TF_TOPIC: Final = "/tf"
 TF_STATIC_TOPIC: Final = "/tf_static"
@@ -183,18 +190,22 @@ ROSOUT_TOPIC: Final = "/rosout"
 DERIVED_TOPICS: Final = {
     JOINT_STATES_TOPIC: (
         "sensor_msgs/msg/JointState",
-        "/joint and /sensors: outputs as believed, torques from currents",
+        "from /joint and /sensors: outputs as believed, torques from currents",
     ),
-    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "/joint: outputs as believed, links rigid"),
-    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "the parameters"),
-    MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
-    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
+    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "from /joint: outputs as believed, links rigid"),
+    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "from the parameters"),
+    MARKERS_TOPIC: (
+        "visualization_msgs/msg/MarkerArray",
+        "from the parameters: shapes of the collision check",
+    ),
+    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "from /evr"),
     ROBOT_DESCRIPTION_TOPIC: (
         "std_msgs/msg/String",
-        "the parameters, and the scene of the run as it is drawn",
+        "from the parameters, and the scene of the run as it is drawn",
     ),
 }
 """Schema and source of each derived channel."""
+ENTRIES: Final[dict[str, type[LogEntry]]] = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,44 +216,58 @@ class TopicSpec:
     topic: str
     schema: str
     text: bytes
-    metadata: Mapping[str, str]
     layout: Layout | None = None
+    is_truth: bool = False
+    """True for the plant's own state."""
+    derived: str = ""
+    """From what a channel for other tools was computed; empty for the others."""
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Metadata in the record of the channel."""
+        layout = {} if self.layout is None else {LAYOUT_KEY: self.layout.to_json()}
+        truth = {TRUTH_KEY: TRUTH_TEXT} if self.is_truth else {}
+        return layout | truth | ({DERIVED_KEY: self.derived} if self.derived else {})
 
     @property
     def is_flight(self) -> bool:
         """True if a reader takes it: not of another program, nor computed from other channels."""
-        if self.topic in (EVR_TOPIC, COMMAND_TOPIC):
+        if self.topic in ENTRIES:
             return True
-        return self.layout is not None and DERIVED_KEY not in self.metadata
+        return self.layout is not None and not self.derived
 
-    @property
-    def is_truth(self) -> bool:
-        """True for the plant's own state."""
-        return TRUTH_KEY in self.metadata
+
+def layout_spec(
+    number: int, topic: str, kind: str, doc: str | None, layout: Layout, is_truth: bool
+) -> TopicSpec:
+    """Return the channel of messages with a layout; `kind` and `doc` name and describe their schema."""
+    text = ros_definition(doc, layout.ros_text)
+    return TopicSpec(number, topic, f"marsarm/msg/{kind}", text, layout, is_truth)
 
 
 def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
     """Return all channels of an arm with these tools and switches, flight channels first."""
+    number = count(1)
     packets = [
-        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names, arm), topic.is_truth)
-        for topic, _ in PACKET_TOPICS
-    ]
-    lines: list[tuple[str, type[LogEntry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]
-    found: list[TopicSpec] = []
-    for topic, kind, layout, is_truth in packets:
-        metadata = {LAYOUT_KEY: layout.to_json()}
-        if is_truth:
-            metadata[TRUTH_KEY] = TRUTH_TEXT
-        text = ros_definition(kind.__doc__, layout.ros_text)
-        found.append(TopicSpec(len(found) + 1, topic, schema_name(kind.__name__), text, metadata, layout))
-    for topic, entry in lines:
-        text = ros_definition(entry.__doc__, entry.ros_text())
-        found.append(TopicSpec(len(found) + 1, topic, schema_name(entry.__name__), text, {}))
-    for topic, (schema, source) in DERIVED_TOPICS.items():
-        found.append(
-            TopicSpec(len(found) + 1, topic, schema, ros_schema(schema), {DERIVED_KEY: f"from {source}"})
+        layout_spec(
+            next(number),
+            topic.name,
+            topic.packet.__name__,
+            topic.packet.__doc__,
+            packet_layout(topic.packet, topic.field_names, arm),
+            topic.is_truth,
         )
-    return tuple(found)
+        for topic in PACKET_TOPICS.values()
+    ]
+    lines = [
+        TopicSpec(next(number), topic, f"marsarm/msg/{entry.__name__}", entry.ros_definition())
+        for topic, entry in ENTRIES.items()
+    ]
+    derived = [
+        TopicSpec(next(number), topic, schema, ros_schema(schema), derived=source)
+        for topic, (schema, source) in DERIVED_TOPICS.items()
+    ]
+    return (*packets, *lines, *derived)
 
 
 def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
@@ -253,8 +278,8 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
                 "id": one.id,
                 "schema": one.schema,
                 "layout": None if one.layout is None else json.loads(one.layout.to_json()),
-                "truth": TRUTH_KEY in one.metadata,
-                "derived": DERIVED_KEY in one.metadata,
+                "truth": one.is_truth,
+                "derived": bool(one.derived),
             }
             for one in channels
         }
@@ -273,29 +298,22 @@ def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
 
 def _decode_topic(topic: str, about: Mapping[str, Any]) -> TopicSpec:
     layout = None if about["layout"] is None else Layout.from_json(json.dumps(about["layout"]))
-    entry: type[LogEntry] | None = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}.get(topic)
-    metadata = {} if layout is None else {LAYOUT_KEY: layout.to_json()}
-    if about["truth"]:
-        metadata[TRUTH_KEY] = TRUTH_TEXT
-    if about["derived"]:
-        metadata[DERIVED_KEY] = f"from {DERIVED_TOPICS[topic][1]}"
-        text = ros_schema(about["schema"])
+    schema, derived = str(about["schema"]), DERIVED_TOPICS[topic][1] if about["derived"] else ""
+    if derived:
+        text = ros_schema(schema)
+    elif topic in ENTRIES:
+        text = ENTRIES[topic].ros_definition()
     else:
-        text = ros_definition(None, layout.ros_text if layout else entry.ros_text() if entry else "")
-    return TopicSpec(int(about["id"]), topic, str(about["schema"]), text, metadata, layout)
+        text = ros_definition(None, layout.ros_text if layout else "")
+    return TopicSpec(int(about["id"]), topic, schema, text, layout, bool(about["truth"]), derived)
 
 
 def spec_of_channel(channel: Channel, schema: Schema) -> TopicSpec:
     """Return the specification of a channel from its records; errors as in `decode_topics`."""
-    layout = channel.metadata.get(LAYOUT_KEY)
-    return TopicSpec(
-        channel.id,
-        channel.topic,
-        schema.name,
-        schema.data,
-        channel.metadata,
-        None if layout is None else Layout.from_json(layout),
-    )
+    about = channel.metadata
+    layout = Layout.from_json(about[LAYOUT_KEY]) if LAYOUT_KEY in about else None
+    is_truth, derived = TRUTH_KEY in about, about.get(DERIVED_KEY, "")
+    return TopicSpec(channel.id, channel.topic, schema.name, schema.data, layout, is_truth, derived)
 
 
 def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:
@@ -309,29 +327,23 @@ def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Ch
             topic=one.topic,
             message_encoding="cdr",
             schema_id=ids[one.schema],
-            metadata=dict(one.metadata),
+            metadata=one.metadata,
         )
         for one in channels
     ]
 
 
 def begin_log(
-    file: BinaryIO, header: Mapping[str, str], channels: tuple[TopicSpec, ...], more: Sequence[Metadata] = ()
-) -> Writer:
-    """Write the beginning of a log by the library: header, more metadata, schemas and channels."""
-    # There are no attachments, and an empty index of them would point to nothing.
-    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
-    writer = Writer(file, index_types=indexes, enable_data_crcs=True)
-    writer.start(profile="", library="marsarm")
-    for one in (*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more):
-        writer.add_metadata(one.name, one.metadata)
-    texts = {one.schema: one.text for one in channels}
-    ids = {name: writer.register_schema(name, "ros2msg", text) for name, text in texts.items()}
-    for channel in channels:
-        writer.register_channel(channel.topic, "cdr", ids[channel.schema], dict(channel.metadata))
-    return writer
+    file: FileIO | BinaryIO,
+    header: Mapping[str, str],
+    channels: tuple[TopicSpec, ...],
+    more: Sequence[Metadata] = (),
+    chunk_cycles: int = CHUNK_CYCLES,
+) -> ChunkWriter:
+    """Begin a log with a header, more metadata, and channels, and return its writer.
 
-
-def schema_name(name: str) -> str:
-    """Return the full name of a marsarm schema."""
-    return f"marsarm/msg/{name}"
+    Raises:
+        OSError: the disk is full or gone.
+    """
+    metadata = [*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more]
+    return ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)

@@ -17,7 +17,6 @@ from marsarm.telemetry.errors import LogDamaged, LogNotReadable
 from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
-from marsarm.telemetry.schema import Layout
 
 N_CYCLES = 30
 LAYOUT = [["angle_rad", "<f8", None]]
@@ -92,16 +91,6 @@ def written(path: Path, messages: Iterable[tuple[str, int, int, float]], header:
             writer.add_message(ids[topic], time_ns, body, time_ns, sequence)
         writer.finish()
     return path
-
-
-def test_the_length_of_the_layout_is_that_of_the_messages() -> None:
-    assert Layout.from_json(json.dumps(LAYOUT)).dtype.itemsize == 12
-
-
-@pytest.mark.parametrize("kind", ["<,f8", "8(f8", "V8", "<f16", "O"])
-def test_a_layout_of_what_is_no_number_is_refused(kind: str) -> None:
-    with pytest.raises(ValueError, match="is no number"):
-        Layout.from_json(json.dumps([["angle_rad", kind, None]]))
 
 
 def test_the_header_says_what_the_messages_are_and_others_are_passed_over(tmp_path: Path) -> None:
@@ -217,7 +206,7 @@ def test_a_file_larger_than_any_log_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "sparse.mcap"
     path.touch()
     os.truncate(path, 30 << 30)
-    with pytest.raises(LogNotReadable, match="has 32212254720 bytes; a log has at most 4294967296"):
+    with pytest.raises(LogNotReadable, match="has 32212254720 bytes, more than 4294967296"):
         read_log(path)
 
 
