@@ -40,7 +40,7 @@ from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
-from simgap.common.report import ReportTable, print_parts
+from simgap.common.report import ReportTable
 from simgap.files.columns import Column, LogFile
 from simgap.files.log_file import open_log
 
@@ -48,15 +48,6 @@ UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
 MAX_EXACT_INT: Final = 1 << 53
 """Limit up to which every integer is exact as a float."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImportRequest:
-    """Request of an import: the table, its mapping and the new log."""
-
-    table: Path
-    mapping: Path
-    log: Path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,19 +75,19 @@ class ImportedLog:
     header: dict[str, str]
 
 
-def import_table(request: ImportRequest, progress: Progress) -> ImportedLog:
+def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> ImportedLog:
     """Write the log of a table.
 
     Raises:
         BadRequest: the path of the log is wrong; nothing was written.
         RobotError: the table or the mapping is wrong; nothing was written.
     """
-    check_distinct_files({"table": request.table, "mapping": request.mapping, "OUT": request.log})
-    check_output(request.log, (".mcap",), "OUT")
+    check_distinct_files({"table": table, "mapping": mapping, "OUT": log})
+    check_output(log, (".mcap",), "OUT")
     progress(0, 2, "reading the table")
-    made = convert_table(request.table, request.mapping)
+    made = convert_table(table, mapping)
     progress(1, 2, "writing the log")
-    with atomic_write(request.log, "OUT") as file:
+    with atomic_write(log, "OUT") as file:
         write_table_log(file, made)
     return made
 
@@ -294,19 +285,19 @@ def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
     writer.finish([])
 
 
-def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
-    """Return an import as a JSON document."""
+def import_document(log: Path, made: ImportedLog) -> dict[str, Any]:
+    """Collect an import."""
     return {
-        "log": str(request.log),
+        "log": log,
         "rows": made.rows,
         "rows_moved": made.rows_moved,
         "topics": [
             {
                 "topic": one.spec.topic,
                 "messages": one.ticks.size,
-                "first_tick": int(one.ticks[0]),
-                "last_tick": int(one.ticks[-1]),
-                "missing_ticks": int(one.ticks[-1] - one.ticks[0] + 1) - one.ticks.size,
+                "first_tick": one.ticks[0],
+                "last_tick": one.ticks[-1],
+                "missing_ticks": one.ticks[-1] - one.ticks[0] + 1 - one.ticks.size,
                 "missing_fields": one.missing_fields,
             }
             for one in made.series
@@ -314,21 +305,19 @@ def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
     }
 
 
-def import_tables(request: ImportRequest, made: ImportedLog) -> None:
-    """Print an import: a row for each topic, and the missing fields of incomplete topics."""
-    topics = import_json(request, made)["topics"]
+def import_parts(log: Path, made: ImportedLog) -> list[str | ReportTable]:
+    """Show an import: a row for each topic, and the missing fields of incomplete topics."""
+    topics = import_document(log, made)["topics"]
     rows = [[str(value) for key, value in one.items() if key != "missing_fields"] for one in topics]
     head = ("topic", "messages", "first tick", "last tick", "ticks without")
     moved = f"sorted    in {pluralize(made.rows_moved, 'place')} the file was not in order of time"
-    print_parts(
-        [
-            ReportTable(head, rows, f"{request.log}: {pluralize(made.rows, 'row')}"),
-            *([moved] if made.rows_moved else []),
-            *(
-                f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
-                f"{', '.join(one['missing_fields'])}"
-                for one in topics
-                if one["missing_fields"]
-            ),
-        ]
-    )
+    return [
+        ReportTable(head, rows, f"{log}: {pluralize(made.rows, 'row')}"),
+        *([moved] if made.rows_moved else []),
+        *(
+            f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
+            f"{', '.join(one['missing_fields'])}"
+            for one in topics
+            if one["missing_fields"]
+        ),
+    ]

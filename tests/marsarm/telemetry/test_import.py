@@ -18,9 +18,10 @@ from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.import_mapping import MAX_TICK, known_targets
-from marsarm.telemetry.import_table import ImportedLog, ImportRequest, convert_table, import_table
+from marsarm.telemetry.import_table import ImportedLog, convert_table, import_table
 from marsarm.telemetry.read import Log, read_log
 from simgap.common.errors import BadRequest, RobotError
+from simgap.common.progress import no_progress
 from validation.fuzz_inputs import BETWEEN, MAPPING, import_once, import_seeds, mutate_import, random_case
 
 DOC = Path(__file__).parents[3] / "docs" / "logs.md"
@@ -80,14 +81,17 @@ def exported(log: Log) -> tuple[dict[str, Any], str]:
     return columns, mapping
 
 
+def imported(folder: Path) -> Log:
+    """Import the table of a folder by its mapping."""
+    import_table(folder / "t.parquet", folder / "m.toml", folder / "o.mcap", no_progress)
+    return read_log(folder / "o.mcap")
+
+
 def test_a_table_of_a_run_is_that_run(run: Log, tmp_path: Path) -> None:
     columns, mapping = exported(run)
     parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'arm = "theirs"\n{mapping}')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
-    log = read_log(tmp_path / "o.mcap")
+    log = imported(tmp_path)
     assert log.packets.keys() == run.packets.keys()
     assert log.truth == run.truth
     for name, target in known_targets().items():
@@ -250,9 +254,7 @@ def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> 
     columns["/sensors.gravity_R_m_s2.2"] = np.full(N_CYCLES, 3.721)
     parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'{mapping}[session]\nname = "cold-again"\nblock = "cold"\n')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
+    imported(tmp_path)
     with pytest.raises(NotForDiagnosis, match=r"import it with a \[reference\]"):
         load_recording(tmp_path / "o.mcap")
     (tmp_path / "arm.toml").write_text("[monitors]\ntilt_rad = 0.02\n")
@@ -260,9 +262,7 @@ def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> 
         file.write("[reference]\nzero_rad = [0.1, -0.2, 0.3, 0.0, 1.5]\n")
     text = (tmp_path / "m.toml").read_text()
     (tmp_path / "m.toml").write_text(f'params = "arm.toml"\n{text}')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
+    imported(tmp_path)
     here = load_recording(tmp_path / "o.mcap")
     assert (here.name, here.block, here.params.monitors.tilt_rad) == ("cold-again", "cold", 0.02)
     assert here.start.zero_rad.tolist() == [0.1, -0.2, 0.3, 0.0, 1.5]
@@ -367,7 +367,7 @@ def test_the_tracker_s_table_of_the_page_becomes_a_log(real_data: Path, tmp_path
     examples = re.findall(r"```toml\n(.*?)```", DOC.read_text(), re.DOTALL)
     (tmp_path / "m.toml").write_text(next(text for text in examples if "UR10" in text))
     table = real_data / "ur10-tracker" / "series_a_grid.csv"
-    made = import_table(ImportRequest(table, tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None)
+    made = import_table(table, tmp_path / "m.toml", tmp_path / "o.mcap", no_progress)
     assert made.rows == 11_911
     assert made.rows_moved > 0
     log = read_log(tmp_path / "o.mcap")
