@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
@@ -58,16 +59,11 @@ def messages(path: Path) -> Any:
 
 
 def pose_of(transform: dict[str, Any]) -> Pose:
-    x, y, z, w = (transform["rotation"][name] for name in "xyzw")
-    assert np.hypot(np.hypot(x, y), np.hypot(z, w)) == pytest.approx(1.0, abs=1e-12)
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+    q = [transform["rotation"][name] for name in "xyzw"]
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+    return Pose(
+        Rotation.from_quat(q).as_matrix(), np.array([transform["translation"][name] for name in "xyz"])
     )
-    return Pose(R, np.array([transform["translation"][name] for name in "xyz"]))
 
 
 def pose_in_rover(frames: dict[str, tuple[str, Pose]], child: str) -> Pose:
