@@ -48,11 +48,6 @@ def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
 def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
     """Scale a vector to a largest component of 1, so that its length cannot overflow.
 
-    Args:
-        name: Name of the option, for the error.
-        vector: Vector of any length.
-        what: Description of a correct value, for the error.
-
     Raises:
         BadRequest: the vector has no direction.
     """
@@ -66,11 +61,6 @@ def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
 def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:
     """Return the arm of this name, with the flight parameters of a TOML file if one is given.
 
-    Args:
-        name: Name of the arm.
-        params: TOML file of flight parameters; None for those of the drawing.
-        mismatch: True to take parameters that do not fit the drawing.
-
     Raises:
         BadRequest: the name or the file is wrong.
     """
@@ -81,12 +71,7 @@ def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltA
 
 
 def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of the drawing of an arm.
-
-    Args:
-        name: Name of the arm that is flown with them.
-        path: The TOML file.
-        mismatch: True to take parameters that do not fit the drawing.
+    """Read a TOML file of flight parameters over those of the drawing of the arm that is flown with them.
 
     Raises:
         BadRequest: the file is wrong, or its parameters belong to another arm.
@@ -105,12 +90,7 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
 
 
 def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of a drawing.
-
-    Args:
-        model: Drawing of the arm.
-        path: The TOML file.
-        mismatch: True to take parameters that do not fit the drawing.
+    """Read a TOML file of flight parameters over those of a drawing; with `mismatch`, they need not fit it.
 
     Raises:
         BadRequest: the file is wrong, or no arm of this drawing can have its parameters.
@@ -130,11 +110,7 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
 
 
 def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Parse effects, each written as text or as the name of a TOML file of effects.
-
-    Args:
-        texts: Texts and names.
-        tools: Tools of the arm.
+    """Parse effects, each written as text or as the name of a TOML file, for an arm with these tools.
 
     Raises:
         BadRequest: some are wrong; the message lists all errors.
@@ -181,12 +157,6 @@ def parse_tool(name: str, tools: Sequence[str]) -> str:
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
     """Make a world without a surface, with a rover tilted up to the limit of the arm.
 
-    Args:
-        scene: mars or earth.
-        roll_deg: Roll of the rover, right side down.
-        pitch_deg: Pitch of the rover, nose up.
-        scene_option: Name of the option that gave the scene, for the error.
-
     Raises:
         BadRequest: the scene is unknown, or the tilt is not finite or too large.
     """
@@ -226,12 +196,7 @@ WRONG_WIDTH: Final = re.compile(
 
 
 def describe_bad_table(error: Exception, kind: str) -> str:
-    """Describe why a table cannot be read, in place of the words and bytes that a library gives.
-
-    Args:
-        error: Error of the library.
-        kind: Expected format.
-    """
+    """Describe why a table of a format cannot be read, in place of the words and bytes of a library."""
     text = str(error)
     if "pickle" in text:
         return "holds Python objects; only arrays of numbers are read"

@@ -17,10 +17,10 @@ from marsarm.common.requests import (
     scale_direction,
     select_arm,
 )
+from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
     Execution,
-    check_files,
     execute,
     execution_not_begun,
     initialise,
@@ -63,7 +63,8 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
     check_options(request)
-    check_files(request.files)
+    if request.files.movie is not None:
+        check_movie_path(request.files.movie)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
     check_target_distance("target", request.target_m)

@@ -14,7 +14,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.validity import MAX_FLOAT
 from marsarm.telemetry.errors import SchemaError
-from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, ros_time, strip_optional
+from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 
 COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
@@ -263,5 +263,5 @@ def command_entry(tick: int, command: Command) -> CommandEntry:
 
 def rosout_message(time_ns: int, evr: Evr) -> bytes:
     """Encode an EVR as rcl_interfaces/Log, for the log panels of other tools."""
-    out = CdrWriter().add("iI", *ros_time(time_ns)).add("B", LOG_LEVELS[evr.severity])
+    out = CdrWriter().add("I", *divmod(time_ns, 1_000_000_000)).add("B", LOG_LEVELS[evr.severity])
     return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

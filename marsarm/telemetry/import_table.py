@@ -1,6 +1,5 @@
 """Import of a table: its columns become the messages of a log, in the cycles of 64 Hz."""
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +21,10 @@ from marsarm.telemetry.import_mapping import (
     ChannelTarget,
     GridTime,
     MappedChannel,
-    read_mapping,
+    MappingFile,
+    map_channels,
+    read_params,
+    stored_reference,
     topic_layout,
 )
 from marsarm.telemetry.import_times import (
@@ -38,9 +40,10 @@ from marsarm.telemetry.schema import ENCAPSULATION, Layout
 from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout_spec
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
-from simgap.common.files import atomic_write, check_distinct_files, check_output
+from simgap.common.files import atomic_write, check_distinct_files, check_output, file_sha256
 from simgap.common.progress import Progress
 from simgap.common.report import ReportTable
+from simgap.common.toml import parse_record, read_toml
 from simgap.files.columns import Column, LogFile
 from simgap.files.log_file import open_log
 
@@ -94,32 +97,29 @@ def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> I
 
 def convert_table(table: Path, mapping: Path) -> ImportedLog:
     """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
-    parsed = read_mapping(mapping)
-    time = parsed.file.time
-    numbers = [n for one in parsed.channels if one.target.members is None for n in one.columns]
-    texts = [n for one in parsed.channels if one.target.members is not None for n in one.columns]
+    file = parse_record(MappingFile, read_toml(mapping), mapping)
+    params, mapped = read_params(mapping, file), map_channels(mapping, file)
+    numbers = [n for one in mapped if one.target.field.members is None for n in one.columns]
+    texts = [n for one in mapped if one.target.field.members is not None for n in one.columns]
     if not numbers and not texts:
         raise RobotError(f"{mapping}: channels: none has columns; there is nothing to take from the table")
-    if time.column:
-        (texts if time.format else numbers).append(time.column)
-    log = open_log(table, numbers, texts, parsed.file.csv)
-    groups = [list(some) for _, some in groupby(sorted(parsed.channels, key=_topic_of), key=_topic_of)]
+    if file.time.column:
+        (texts if file.time.format else numbers).append(file.time.column)
+    log = open_log(table, numbers, texts, file.csv)
+    groups = [list(some) for _, some in groupby(sorted(mapped, key=_topic_of), key=_topic_of)]
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused, what was stays
-        made = [_build_topic(log, time, channels, k + 1) for k, channels in enumerate(groups)]
+        made = [_build_topic(log, file.time, channels, k + 1) for k, channels in enumerate(groups)]
     series, times = tuple(one for one, _ in made), made[0][1]
-    session = parsed.file.session
-    about = {"table": str(table), "mapping": str(mapping)} | {
-        f"{name}_sha256": hashlib.sha256(path.read_bytes()).hexdigest()
-        for name, path in (("table", table), ("mapping", mapping))
-    }
-    start = start_header(parsed.params, Mode.DEPLOYED, parsed.reference)
+    about = {"table": str(table), "mapping": str(mapping)}
+    about |= {"table_sha256": file_sha256(table), "mapping_sha256": file_sha256(mapping)}
+    reference = stored_reference(file.reference, params)
     header = {
         **versions_header(),
-        **({} if parsed.reference is None else start),
+        **({} if reference is None else start_header(params, Mode.DEPLOYED, reference)),
         **commands_header(()),
-        **({} if session is None else {SESSION: json.dumps(session.model_dump())}),
+        **({} if file.session is None else {SESSION: json.dumps(file.session.model_dump())}),
         "cpu": UNKNOWN_CPU,
-        "arm": parsed.file.arm,
+        "arm": file.arm,
         "seed": "unknown",
         "request": json.dumps({IMPORT: about}, sort_keys=True),
         "mjcf_sha256": "unknown",
@@ -134,7 +134,7 @@ def _topic_of(channel: MappedChannel) -> str:
 
 def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
     """Read a column as numbers; a name becomes its number, -1 if it is unknown."""
-    if target.members is None:
+    if target.field.members is None:
         return log.numbers(name)
     words, index = np.unique(np.char.strip(log.texts(name)), return_inverse=True)
     known = [target.member(word.removesuffix(".0")) for word in words.tolist()]
@@ -142,7 +142,7 @@ def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
         if word and number is None:
             raise RobotError(
                 f"{log.path}: column {name!r}: {word!r:.60} is not known; there are "
-                f"{', '.join(target.members)}"
+                f"{', '.join(target.field.members)}"
             )
     values = np.array([-1 if number is None else number for number in known], np.float64)[index]
     return Column(values, None if (values >= 0).all() else values >= 0)
@@ -173,7 +173,7 @@ def _build_topic(
         if one.constant == TICK and one.target.unit == "cycle":
             data[one.target.field.name] = chosen.ticks
             continue
-        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.members else chosen
+        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.field.members else chosen
         values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
         data[one.target.field.name] = interpolate(values, held)
     name = topic if is_whole or topic not in PACKET_TOPICS else IMPORT_PREFIX + topic[1:]
@@ -231,9 +231,9 @@ def _values(
 
 
 def _constant(times: RowTimes, target: ChannelTarget, value: Any) -> float:
-    number = target.member(str(value)) if target.members is not None else value
+    number = target.member(str(value)) if target.field.members is not None else value
     if number is None or isinstance(number, str):
-        words = f"one of {', '.join(target.members)}" if target.members else "a number"
+        words = f"one of {', '.join(target.field.members)}" if target.field.members else "a number"
         raise RobotError(f"channels.{target.name}.value: {value!r:.60} is not {words}")
     return float(number)
 

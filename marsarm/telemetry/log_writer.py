@@ -124,6 +124,11 @@ class ChunkWriter:
         self._metadata: list[MetadataIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._counts: dict[int, int] = defaultdict(int)
+        self._first_ns: int | None
+        self._last_ns = 0
+        self._plain_bytes: int
+        self._parts: list[bytes]
+        self._entries: dict[int, list[int]]  # log time and place of each message, by channel
         self._begin_chunk()
         self._chunk_ns = chunk_cycles * TICK_NS
         self.written_ns: int | None = None
@@ -180,11 +185,8 @@ class ChunkWriter:
         self._file.close()
 
     def _begin_chunk(self) -> None:
-        self._first_ns: int | None = None
-        self._parts: list[bytes] = []
-        self._plain_bytes = 0
-        self._entries: dict[int, list[int]] = defaultdict(list)
-        """Log time and place of each message, by channel."""
+        self._first_ns, self._plain_bytes = None, 0
+        self._parts, self._entries = [], defaultdict(list)
 
     def _close_chunk(self, first_ns: int) -> None:
         self._write_chunk(b"".join(self._parts), first_ns, self._last_ns, self._entries)

@@ -41,7 +41,8 @@ from sim.loop import ClosedLoop
 from sim.params import nominal_params
 from sim.record import CycleRecord
 from sim.sequence import SequenceResult, never, run_commands
-from simgap.common.files import atomic_path, lock_file
+from simgap.common.errors import BadOutput
+from simgap.common.files import atomic_path, check_output, lock_file
 from simgap.common.interruption import defer_interrupts, describe_interruption
 
 NOT_CLOSED: Final = "a recorder that nobody closed"
@@ -56,8 +57,9 @@ def create_log(
     Raises:
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
-    target = _resolve_path(path)
     try:
+        target = Path(os.path.realpath(path))  # a link stays a link
+        check_output(target, (target.suffix.lower(),), "log")
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
                 file = on_failure.enter_context(FileIO(part, "xb", opener=_open_above_stdio))
@@ -65,9 +67,11 @@ def create_log(
                 log = begin_log(file, header, channels, chunk_cycles=chunk_cycles)
             on_failure.pop_all()
             return log
-    except OSError as error:
-        why = f"cannot be written ({error.strerror}); give a path with room that you may write"
-        raise LogNotWritable(path, why) from error
+    except BadOutput as error:
+        raise LogNotWritable(path, str(error).partition(": ")[2]) from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise LogNotWritable(path, f"cannot be written ({why}); give a path with room") from error
 
 
 def _open_above_stdio(path: str, flags: int) -> int:
@@ -77,24 +81,6 @@ def _open_above_stdio(path: str, flags: int) -> int:
         return fcntl(descriptor, F_DUPFD_CLOEXEC, 3)
     finally:
         os.close(descriptor)
-
-
-def _resolve_path(path: Path) -> Path:
-    """Return the path with links resolved; LogNotWritable if no file can be written there."""
-    try:
-        if path.is_dir():
-            raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
-        exists = path.exists()
-        if exists and not path.is_file():
-            raise LogNotWritable(path, "is not a regular file; give the path of a new file")
-        if not path.parent.is_dir():
-            raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
-        if exists and not os.access(path, os.W_OK):
-            raise LogNotWritable(path, "is there and you may not write it; give the path of a new file")
-        return Path(os.path.realpath(path))
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
 
 
 class Recorder:

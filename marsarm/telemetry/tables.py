@@ -94,7 +94,9 @@ def info_parts(log: Log) -> list[str | ReportTable]:
         for one in info["topics"]
     ]
     evrs = ", ".join(f"{count} {name}" for name, count in info["evrs"].items())
-    recovered = ["This log was recovered from a damaged one.", _lost_table(log.lost)] if log.lost else []
+    recovered: list[str | ReportTable] = []
+    if log.lost:
+        recovered = ["This log was recovered from a damaged one.", _lost_table(log.lost)]
     return [
         *(f"{name:<16}  {text}" for name, text in about.items()),
         *([ReportTable(("topic", "messages", "rate Hz", ""), rows)] if rows else []),

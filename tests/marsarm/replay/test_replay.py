@@ -46,12 +46,6 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     assert document["channels"][0]["waveform"]
 
 
-def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
-    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.03490658503988659\n")
-    assert report.changed_params == ()
-    assert report.differences.identical
-
-
 def test_a_channel_that_nobody_has_is_refused(tmp_path):
     with pytest.raises(BadRequest, match=r"channel: nothing is called 'motor'; .*there are /drive\.setpoint"):
         replayed(tmp_path, channel="motor")

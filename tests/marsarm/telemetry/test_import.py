@@ -72,11 +72,11 @@ def exported(log: Log) -> tuple[dict[str, Any], str]:
     mapping = '[time]\ncolumn = "t"\n'
     for name, target in known_targets().items():
         numbers = log[target.topic][target.field.name].reshape(N_CYCLES, -1)
-        if target.field.kind == "<i8" and target.members is None:
+        if target.field.kind == "<i8" and target.field.members is None:
             numbers = numbers % 1000
         names = [f"{name}.{k}" for k in range(target.size)]
         columns |= dict(zip(names, numbers.T, strict=True))
-        unit = "" if target.members is not None else f'unit = "{target.unit}"'
+        unit = "" if target.field.members is not None else f'unit = "{target.unit}"'
         mapping += channel(name, f"columns = {json.dumps(names)}\n{unit}")
     return columns, mapping
 
@@ -95,7 +95,7 @@ def test_a_table_of_a_run_is_that_run(run: Log, tmp_path: Path) -> None:
     assert log.packets.keys() == run.packets.keys()
     assert log.truth == run.truth
     for name, target in known_targets().items():
-        if target.field.kind != "<i8" or target.members is not None:
+        if target.field.kind != "<i8" or target.field.members is not None:
             here, there = (one[target.topic][target.field.name] for one in (log, run))
             assert here.tobytes() == there.tobytes(), name
     assert json.loads(log.header["request"])["import"]["table"].endswith("t.parquet")
