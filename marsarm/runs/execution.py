@@ -73,19 +73,18 @@ class Artifacts:
     """Time [s] and event of each event of the ground."""
 
 
-def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
-    """Find the hardstop of every joint in turn, until one fails; return the result of each.
+def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationResult:
+    """Find the hardstop of every joint in turn, until one fails; return the last result.
 
     Raises:
         Exception: the one that ended flight software.
     """
-    stops: list[InitialisationResult] = []
-    for run in initialise_joints(arm, seed=seed):
-        if run.failure is not None:
-            raise run.failure
-        stops.append(run)
-        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
-    return stops
+    initialising = part_of(progress, 0.0, INITIALISATION_SHARE)
+    for number, last in enumerate(initialise_joints(arm, seed=seed), 1):
+        if last.failure is not None:
+            raise last.failure
+        initialising(number, len(HARDSTOP_ORDER), "initialising")
+    return last
 
 
 @dataclass(slots=True)
@@ -276,8 +275,8 @@ def execute(
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
-    share = 1.0 if files.movie is None else 0.5
-    running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
+    share = 1.0 if files.movie is None else 0.5 * (1.0 + INITIALISATION_SHARE)
+    running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
     drawn = DrawnPoses()
     started = time.perf_counter()
     with RunLog(files.log, header, loop.config, world, arm) as log:

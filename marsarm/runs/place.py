@@ -19,7 +19,6 @@ from marsarm.common.requests import (
 )
 from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
-    INITIALISATION_SHARE,
     Execution,
     execute,
     execution_not_begun,
@@ -37,7 +36,7 @@ from sim.world import Surface, World, inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.server import LiveView
@@ -124,7 +123,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
 def _carry_out(
     request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
 ) -> PlaceReport:
-    last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    last = initialise(job.arm, request.seed, progress)
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
@@ -141,7 +140,7 @@ def _carry_out(
         header,
         request.files,
         job.world,
-        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress,
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
         arm=job.arm.model,

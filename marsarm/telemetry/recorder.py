@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -110,7 +111,7 @@ class Recorder:
         channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
         self._ids = {one.topic: one.id for one in channels}
         self._packers = [
-            (one.id, PACKET_TOPICS[one.topic], Packer(PACKET_TOPICS[one.topic].path, one.layout))
+            (one.id, attrgetter(path := PACKET_TOPICS[one.topic].path), Packer(path, one.layout))
             for one in channels
             if one.layout is not None
         ]
@@ -174,8 +175,8 @@ class Recorder:
         ids = self._ids
         for command in record.commands:
             yield ids[COMMAND_TOPIC], command_entry(record.tick, command).encode()
-        for channel, topic, packer in self._packers:
-            packet = topic.packet_in(record)
+        for channel, packet_in, packer in self._packers:
+            packet = packet_in(record)
             if packet is not None:
                 yield channel, packer.pack(packet)
         for evr in record.outputs.evrs:

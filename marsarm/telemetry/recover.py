@@ -111,7 +111,11 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     if duplicates:
         notes.append(f"{duplicates} duplicate messages left out")
     is_end_known = _reaches_end(data, chunks[-1][1])
-    lost = (*_earlier_losses(metadata), *find_losses(found, specs, is_end_known))
+    try:
+        earlier = losses_in(metadata.get(RECOVERED_RECORD, {}))
+    except PARSE_ERRORS:
+        earlier = (LostMessages(None, None, None, None),)
+    lost = (*earlier, *find_losses(found, specs, is_end_known))
     with atomic_write(good, "GOOD") as file:
         saved = _write(file, metadata, specs, lost, found, progress)
         parse_log(bad, Path(file.name).read_bytes())
@@ -233,14 +237,6 @@ def find_losses(
         lost.append(LostMessages(None, None, max(one.time_ns for one in messages), None))
     order = [*names.values(), None]
     return tuple(sorted(lost, key=lambda one: (one.count is None, order.index(one.topic))))
-
-
-def _earlier_losses(metadata: Mapping[str, Mapping[str, str]]) -> tuple[LostMessages, ...]:
-    """Return the losses that earlier recoveries reported."""
-    try:
-        return losses_in(metadata.get(RECOVERED_RECORD, {}))
-    except PARSE_ERRORS:
-        return (LostMessages(None, None, None, None),)
 
 
 def _write(

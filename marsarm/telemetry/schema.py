@@ -243,8 +243,8 @@ class CdrWriter:
         """Add a string."""
         # Text from the operating system may hold bytes that UTF-8 does not have.
         content = text.encode(errors="backslashreplace") + b"\0"
-        self.add("I", len(content))
-        self.data += content
+        padding = -len(self.data) % 4
+        self.data += struct.pack(f"<{padding}xI", len(content)) + content
         return self
 
     def header(self, time_ns: int, frame: str) -> Self:
