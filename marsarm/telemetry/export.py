@@ -72,10 +72,8 @@ def export(
     """Write topics to one file, or to one file each in a folder; all files appear together at the end.
 
     Args:
-        log: Log to export.
         out: File for one topic, or folder.
         topics: Topics to write; all if empty.
-        progress: Called for each topic.
         kind: Suffix of the files in a folder.
 
     Returns:

@@ -111,24 +111,15 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
 def _matching(every: Sequence[ChannelSeries], glob: str) -> list[ChannelSeries]:
     """Return the channels, or single numbers of them, that match a pattern."""
     indexed = INDEXED_PATTERN.fullmatch(glob)
-    if indexed is not None:
-        base, index = indexed[1], tuple(map(int, indexed[2].split(",")))
-        return [
-            _select_number(one, index)
-            for one in every
-            if channel_matches(one.topic, one.field, base) and _has_index(one, index)
-        ]
-    return [one for one in every if channel_matches(one.topic, one.field, glob)]
-
-
-def _has_index(channel: ChannelSeries, index: tuple[int, ...]) -> bool:
-    shape = channel.values.shape[1:]
-    return len(shape) == len(index) and all(k < size for k, size in zip(index, shape, strict=True))
-
-
-def _select_number(channel: ChannelSeries, index: tuple[int, ...]) -> ChannelSeries:
+    if indexed is None:
+        return [one for one in every if channel_matches(one.topic, one.field, glob)]
+    index = tuple(map(int, indexed[2].split(",")))
     key: tuple[slice | int, ...] = (slice(None), *index)
-    return replace(channel, values=channel.values[key], index=index)
+    return [
+        replace(one, values=one.values[key], index=index)
+        for one in _matching(every, indexed[1])
+        if index in np.ndindex(*one.values.shape[1:])
+    ]
 
 
 MAX_PANELS: Final = 12

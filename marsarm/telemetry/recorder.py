@@ -98,7 +98,6 @@ class Recorder:
         """Replace the file at `path` by a log with header and channels.
 
         Args:
-            path: File.
             header: Versions, digests, seed and more, as `run_header` returns them.
             config: Configuration of the arm, to record messages for other tools too; None for none.
             chunk_cycles: Cycles in a chunk; a killed run loses less than a chunk.

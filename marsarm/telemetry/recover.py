@@ -78,11 +78,6 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     Messages are renumbered, so the new log is complete in itself. Metadata in it lists the losses. The new
     file appears only after it was read back without an error.
 
-    Args:
-        bad: Damaged log.
-        good: New file.
-        progress: Called for each chunk.
-
     Raises:
         LogNotReadable: `bad` cannot be read, or has no part of a marsarm log.
         LogDamaged: the readable parts do not form a log.
