@@ -2,14 +2,16 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Position, Vector3, match_name
+from fsw.dictionary.types import Position, match_name
+from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
@@ -27,35 +29,41 @@ NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
-NEAR_HINT: Final = "give metres, as in 2.1 0 -0.3"
+TargetLabel = Callable[[int], tuple[str, str]]
+"""Function from the index of a target to the names of its position and direction in messages."""
 
 
-def check_finite(name: str, values: tuple[float, ...]) -> None:
-    """Refuse NaN and infinity."""
-    if not np.all(np.isfinite(values)):
-        raise BadRequest(f"{name}: {format_numbers(values)} is not three finite numbers")
+def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what: str) -> Array:
+    """Check points and directions, shape (3, n) each.
 
+    Args:
+        position_m: Points, in metres.
+        direction: Vectors of any length.
+        naming: Names of position and direction in messages.
+        what: Description of a correct direction, for the error.
 
-def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
-    """Refuse a point that is much too far from the rover."""
-    if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
-        raise BadRequest(
-            f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
-            f"rover; {NEAR_HINT}"
-        )
-
-
-def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
-    """Scale a vector to a largest component of 1, so that its length cannot overflow.
+    Returns:
+        Directions, scaled to a largest component of 1, so that no length can overflow.
 
     Raises:
-        BadRequest: the vector has no direction.
+        BadRequest: a number is not finite, a point is too far from the rover, or a direction is 0.
     """
-    largest = max(abs(component) for component in vector)
-    if largest < MIN_COMPONENT:
-        raise BadRequest(f"{name}: {format_numbers(vector)} has no direction; give {what}")
-    x, y, z = (component / largest for component in vector)
-    return (x, y, z)
+
+    def refuse(wrong: NDArray[np.bool_], which: int, complaint: str) -> None:
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            numbers = format_numbers(tuple((position_m, direction)[which][:, first].tolist()))
+            raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
+
+    for which, values in enumerate((position_m, direction)):
+        refuse(~np.isfinite(values).all(axis=0), which, "is not three finite numbers")
+    with np.errstate(over="ignore"):
+        distance_m = np.hypot(np.hypot(position_m[0], position_m[1]), position_m[2])
+    far = f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; give metres, as in 2.1 0 -0.3"
+    refuse(distance_m > MAX_TARGET_DISTANCE_M, 0, far)
+    largest = np.abs(direction).max(axis=0)
+    refuse(largest < MIN_COMPONENT, 1, f"has no direction; give {what}")
+    return np.asarray(direction / largest)
 
 
 def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:

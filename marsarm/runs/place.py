@@ -3,18 +3,18 @@
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import match_name
+from fsw.dictionary.types import match_name, vector3
 from marsarm.common.requests import (
-    check_finite,
-    check_target_distance,
+    check_targets,
     fit_effects,
     format_numbers,
     make_world,
     parse_effects,
-    scale_direction,
     select_arm,
 )
 from marsarm.render.picture import check_movie_path
@@ -64,12 +64,9 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     check_options(request)
     if request.files.movie is not None:
         check_movie_path(request.files.movie)
-    check_finite("target", request.target_m)
-    check_finite("normal", request.normal)
-    check_target_distance("target", request.target_m)
-    normal = scale_direction(
-        "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
-    )
+    point, normals = (np.array(vector, float)[:, None] for vector in (request.target_m, request.normal))
+    what = "the direction out of the surface, such as 0 0 -1 for up"
+    normal = vector3(check_targets(point, normals, lambda _: ("target", "normal"), what)[:, 0])
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
     arm = fit_effects(arm, effects)
