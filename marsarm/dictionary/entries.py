@@ -88,7 +88,7 @@ def build_dictionary() -> Dictionary:
     return Dictionary(
         commands=tuple(_command(kind) for kind in get_args(Command)),
         evrs=tuple(_evr(kind) for kind in _evr_types()),
-        packets=tuple(_packet(topic) for topic, _ in PACKET_TOPICS),
+        packets=tuple(_packet(topic) for topic in PACKET_TOPICS.values()),
         parameters=tuple(_parameters(Params, nominal_params(), "")),
     )
 
