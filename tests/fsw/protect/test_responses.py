@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +20,8 @@ from fsw.dictionary.faults import (
 )
 from fsw.dictionary.motion_params import MonitorParams
 from fsw.protect.responses import RESPONSE_TO, Response, StandingFault, decide, identify, response_to
-from tests.fsw.protect.lab import BOUNDS, CONFIG, MONITORS, READY, at
+from tests.fsw.protect.lab import BOUNDS, CONFIG, MONITORS, READY, at, rows
 
-PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
     Fault
 }
@@ -32,13 +30,6 @@ FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and i
 def test_every_fault_has_a_response_and_every_response_is_used():
     assert set(RESPONSE_TO) == FAULTS
     assert set(RESPONSE_TO.values()) == set(Response)
-
-
-def rows(heading):
-    """The cells of the table under a heading of the page."""
-    section = PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
-    lines = [line for line in section.splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def test_the_page_says_of_every_fault_what_is_done_about_it():

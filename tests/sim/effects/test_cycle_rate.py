@@ -74,7 +74,7 @@ def test_looked_at_twice_as_often_it_is_nearer(effect):
     assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_but_for_four():
+def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() -> None:
     """Delay and voltage are defined per cycle, and grease keeps its temperature.
 
     The joint that would turn another one stands still here.

@@ -1,10 +1,10 @@
-"""Log files as columns: Parquet, CSV and npz here, MCAP in `mcap_log`; `open_log` chooses the format."""
+"""Log files as columns; `FORMATS` has the suffixes, and `open_log` chooses by them."""
 
 import csv
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +21,6 @@ from simgap.files.columns import Column, LogFile, check_columns
 from simgap.files.mcap_log import open_mcap
 from simgap.files.robot_file import CsvTable
 
-SUFFIXES: Final = (".parquet", ".csv", ".tsv", ".txt", ".npz", ".mcap")
 MAX_VALUES: Final = 100_000_000
 """Largest number of values that are read: a small file can claim any number of rows."""
 MAX_BYTES: Final = 1 << 32
@@ -40,23 +39,17 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
         raise RobotError(f"{path}: there is no such log; name a file that exists")
     if path.stat().st_size == 0:
         raise RobotError(f"{path}: is an empty file; name a log with samples")
+    opener = FORMATS.get(path.suffix.lower())
+    if opener is None:
+        raise RobotError(
+            f"{path}: is no log by its suffix; name a file that ends in one of {', '.join(FORMATS)}"
+        )
     try:
-        match path.suffix.lower():
-            case ".parquet":
-                return _open_parquet(path, [*numbers, *texts])
-            case ".csv" | ".tsv" | ".txt":
-                return _open_csv(path, numbers, texts, csv_table)
-            case ".npz":
-                return _open_npz(path, [*numbers, *texts])
-            case ".mcap":
-                return open_mcap(path, numbers)
+        return opener(path, numbers, texts, csv_table)
     except (OSError, OverflowError, ValueError, pa.ArrowException, zipfile.BadZipFile) as error:
         raise RobotError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     except MemoryError as error:
         raise RobotError(f"{path}: is too large for the memory; give it in parts") from error
-    raise RobotError(
-        f"{path}: is no log by its suffix; name a file that ends in one of {', '.join(SUFFIXES)}"
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,3 +182,12 @@ def _not_empty(path: Path, table: pa.Table) -> pa.Table:
     if table.num_rows == 0:
         raise RobotError(f"{path}: has no rows; name a log with samples")
     return table
+
+
+FORMATS: Final[dict[str, Callable[[Path, Sequence[str], Sequence[str], CsvTable], LogFile]]] = {
+    ".parquet": lambda path, numbers, texts, _: _open_parquet(path, [*numbers, *texts]),
+    **dict.fromkeys((".csv", ".tsv", ".txt"), _open_csv),
+    ".npz": lambda path, numbers, texts, _: _open_npz(path, [*numbers, *texts]),
+    ".mcap": lambda path, numbers, *_: open_mcap(path, numbers),
+}
+"""Functions that open a log of each suffix for these numbers and texts."""

@@ -51,11 +51,9 @@ from tests.fsw.executive.faults.lab import (
     skip,
     windings,
 )
+from tests.fsw.protect.lab import persistence_of
 from tests.fsw.rig import Rig, alive, floats
 
-FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
-    Fault
-}
 RESPONDED = {
     Response.BRAKE_AND_REFUSE: REFUSED,
     Response.POWER_OFF: UNPOWERED,
@@ -79,31 +77,25 @@ def seized(rig):
 
 
 HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
-PERSISTENT = {
-    SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
-    GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
-    StructureTemperatureImplausible: (1, lambda rig: {"structure_C": 90.0}),
-    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.zeros(5)}),
-    CyclesMissed: (1, lambda rig: MISSED),
-    CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
-    TiltChanged: (
-        BOUNDS.tilt_persistence,
-        lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
-    ),
-    SetpointUnsafe: (1, tamper),
-    SoftLimitPassed: (1, lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3)),
-    MotorStalled: (BOUNDS.stall_persistence, seized),
-    FollowingErrorHigh: (BOUNDS.following_persistence, lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025)),
-    OverCurrent: (
-        BOUNDS.over_current_persistence,
-        lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
-    ),
-    OverTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, 150.0)),
-    UnderTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, -100.0)),
-    ResolverDisagrees: (BOUNDS.resolver_persistence, lambda rig: resolver_off(rig, Joint.ELBOW, 1.0)),
-    ContactInFreeSpace: (1, lambda rig: closed("drt_1")),
+BEYOND = {
+    SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
+    GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
+    StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
+    SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
+    CyclesMissed: lambda rig: MISSED,
+    CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
+    TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    SetpointUnsafe: tamper,
+    SoftLimitPassed: lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
+    MotorStalled: seized,
+    FollowingErrorHigh: lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025),
+    OverCurrent: lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
+    OverTemperature: lambda rig: windings(Joint.WRIST, 150.0),
+    UnderTemperature: lambda rig: windings(Joint.WRIST, -100.0),
+    ResolverDisagrees: lambda rig: resolver_off(rig, Joint.ELBOW, 1.0),
+    ContactInFreeSpace: lambda rig: closed("drt_1"),
 }
-"""How long, and which readings of a moving arm, passing the bound with the first of them."""
+"""Readings of a moving arm that pass the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
 """Tested in tests/fsw/protect and in test_touch.py, test_approach.py and test_resistance.py."""
 BY_THE_MOVE = {
@@ -121,7 +113,7 @@ BY_THE_MOVE = {
 
 
 def test_every_monitor_is_timed_here_but_those_of_moves_about_themselves():
-    assert set(PERSISTENT) | BY_A_CALL | BY_THE_MOVE == FAULTS
+    assert set(BEYOND) | BY_A_CALL | BY_THE_MOVE == set(RESPONSE_TO)
 
 
 def until_the_drive_differs(rig, twin, trouble):
@@ -140,9 +132,9 @@ def until_the_drive_differs(rig, twin, trouble):
     raise AssertionError("the drive never changed")
 
 
-@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", BEYOND, ids=lambda kind: kind.__name__)
 def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles(kind):
-    persistence, trouble = PERSISTENT[kind]
+    persistence, trouble = persistence_of(kind), BEYOND[kind]
     command = MoveJoints(floats(START + 0.3))
     rig, twin = moving(command), moving(command)
     for _ in range(60):
