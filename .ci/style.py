@@ -26,6 +26,17 @@ NUMERIC: Final = (
 SAID_ONCE: Final = (
     *(f"fsw/kinematics/{name}.py" for name in ("transforms", "azimuth", "closed_form")),
     *(
+        f"marsarm/calibration/{name}.py"
+        for name in (
+            "arm_parameters",
+            "calibrate",
+            "campaign",
+            "campaign_data",
+            "consensus",
+            "residual_model",
+        )
+    ),
+    *(
         f"simgap/src/simgap/{name}.py"
         for name in (
             *("assemble", "residuals/noise", "serial_arm/calibrate", "serial_arm/chain", "serial_arm/fit"),

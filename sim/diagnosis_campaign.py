@@ -204,10 +204,7 @@ def placement_session(
     p_N = touch - p_R_from_N(np.zeros(3))
     world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
     end = vector3(touch + OVERTRAVEL_M * approach_R)
-    commands: tuple[Command, ...] = (
-        GuardedMove(tool, end, vector3(approach_R)),
-        Preload(tool, PRESS_N),
-    )
+    commands: tuple[Command, ...] = (GuardedMove(tool, end, vector3(approach_R)), Preload(tool, PRESS_N))
     return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, False)
 
 

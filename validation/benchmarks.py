@@ -1,7 +1,4 @@
-"""Measure speeds in two minutes, and the memory of a run without a log.
-
-Ratios are medians of quotients of times that are measured alternately. Times alone depend on the machine.
-"""
+"""Measure speeds in two minutes, and the memory of a run without a log."""
 
 import os
 import platform
@@ -14,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.budget import run_budget
@@ -23,8 +19,8 @@ from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
 from validation.campaigns import Context, Document
-from validation.kinematics_trials import arm_of
-from validation.oracle import KINDS, random_targets
+from validation.kinematics_samples import workspace_targets
+from validation.kinematics_trials import Trial, arm_of
 from validation.speed import closed_loop, log_reading, recording
 
 FROM_CYCLE: Final = 2_000
@@ -37,6 +33,8 @@ IK_TARGETS: Final = 10_000
 IK_SINGLE_TARGETS: Final = 100
 IK_REPEATS: Final = 5
 IK_TOOL: Final = "apxs"
+KINDS: Final = ("workspace", "vectors")
+"""Targets of the workspace, and those of random joint vectors."""
 MARS_R_m_s2: Final = np.array([0.0, 0.0, 3.711])
 ARMS: Final = ("nominal", "calibrated:3")
 
@@ -98,13 +96,23 @@ def budget_speed() -> Document:
 def kinematics_speed() -> Document:
     """Measure the inverse kinematics in microseconds for each target, with all branches and checks."""
     return {
-        "rigid": {kind: _time_rigid(*random_targets(IK_TOOL, kind, _rng(), IK_TARGETS)) for kind in KINDS},
+        "rigid": {kind: _time_rigid(*_draw_targets(kind)) for kind in KINDS},
         "compensated": {f"{name}, {kind}": _time_compensated(name, kind) for name in ARMS for kind in KINDS},
     }
 
 
 def _rng() -> np.random.Generator:
     return np.random.default_rng(11)
+
+
+def _draw_targets(kind: str) -> tuple[Array, Array]:
+    """Draw positions [m] and unit approach vectors in the rover frame, (3, n) each."""
+    if kind == "workspace":
+        return workspace_targets(_rng(), IK_TARGETS)
+    arm = arm_of("nominal")
+    q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
+    X_RT = Trial("nominal", arm, IK_TOOL, None).tool_pose(q)
+    return X_RT.p, X_RT.R[:, 0]
 
 
 def _us(job: Callable[[], Any], count: int) -> float:
@@ -123,34 +131,19 @@ def _time_rigid(p_m: Array, approach: Array) -> float:
 
 
 def _time_compensated(name: str, kind: str) -> Document:
-    """Measure a batch on Mars, single targets, and forward kinematics of as many poses."""
+    """Measure a batch on Mars, and single targets: those near double roots take longer."""
     arm = arm_of(name)
-    p_m, approach = random_targets(IK_TOOL, kind, _rng(), IK_TARGETS)
-    q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
+    p_m, approach = _draw_targets(kind)
 
-    def batch() -> None:
+    def solve(p_m: Array, approach: Array) -> None:
         inverse_kinematics(arm, IK_TOOL, p_m, approach, MARS_R_m_s2)
 
-    def singles() -> list[float]:
-        """Measure each target in milliseconds: those near double roots take longer."""
-        return [
-            1e-3 * _us(partial(inverse_kinematics, arm, IK_TOOL, p, a, MARS_R_m_s2), 1)
-            for p, a in zip(p_m.T[:IK_SINGLE_TARGETS], approach.T[:IK_SINGLE_TARGETS], strict=True)
-        ]
-
-    batches_us, forwards_us, single_ms, single_forward_ms = [], [], [], []
-    for _ in range(IK_REPEATS):
-        batches_us.append(_us(batch, IK_TARGETS))
-        forwards_us.append(_us(lambda: forward(arm, q), IK_TARGETS))
-        single_ms.append(singles())
-        single_forward_ms.append(
-            median(1e-3 * _us(lambda: forward(arm, q[:, 0]), 1) for _ in range(IK_SINGLE_TARGETS))
-        )
-    typical_ms = [median(times) for times in single_ms]
+    alone = list(zip(p_m.T[:IK_SINGLE_TARGETS], approach.T[:IK_SINGLE_TARGETS], strict=True))
+    batch_us = [_us(partial(solve, p_m, approach), IK_TARGETS) for _ in range(IK_REPEATS)]
+    single_us = [[_us(partial(solve, *one), 1) for one in alone] for _ in range(IK_REPEATS)]
+    single_ms = 1e-3 * np.median(single_us, axis=0)
     return {
-        "batch_us": median(batches_us),
-        "batch_ratio_to_forward": median(b / f for b, f in zip(batches_us, forwards_us, strict=True)),
-        "single_ms": median(typical_ms),
-        "single_p99_ms": float(np.percentile(np.median(single_ms, axis=0), 99)),
-        "single_ratio_to_forward": median(s / f for s, f in zip(typical_ms, single_forward_ms, strict=True)),
+        "batch_us": median(batch_us),
+        "single_ms": float(np.median(single_ms)),
+        "single_p99_ms": float(np.percentile(single_ms, 99)),
     }

@@ -79,15 +79,19 @@ def original(data: bytes) -> Original:
     return Original(data, parse_log(HERE, data), tuple(chunks))
 
 
-def is_same_log(log: Log, written: Log) -> bool:
-    """Check that a log holds all that was written, bit for bit."""
-    return (
-        log.header == written.header
-        and log.time_ns.keys() == written.time_ns.keys()
-        and all(np.array_equal(log.time_ns[topic], times) for topic, times in written.time_ns.items())
-        and all(log[topic].tobytes() == packets.tobytes() for topic, packets in written.packets.items())
-        and (log.evrs, log.commands) == (written.evrs, written.commands)
+def count_messages(log: Log) -> dict[str, int]:
+    """Return the number of messages by topic."""
+    return {topic: len(times) for topic, times in log.time_ns.items()}
+
+
+def is_start_of(log: Log, whole: Log) -> bool:
+    """Check that a log holds the beginning of the complete one, bit for bit, and nothing else."""
+    packets = all(
+        rows.tobytes() == whole[topic][: len(rows)].tobytes() for topic, rows in log.packets.items()
     )
+    times = all(np.array_equal(ns, whole.time_ns[topic][: len(ns)]) for topic, ns in log.time_ns.items())
+    evrs, commands = whole.evrs[: len(log.evrs)], whole.commands[: len(log.commands)]
+    return packets and times and log.evrs == evrs and log.commands == commands and log.header == whole.header
 
 
 def packet_bytes(packets: NDArray[np.void]) -> NDArray[np.uint8]:
@@ -137,7 +141,7 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
         return "refused"
     except LogError as error:
         return f"WRONG: {error}"
-    if is_same_log(log, made.log):
+    if count_messages(log) == count_messages(made.log) and is_start_of(log, made.log):
         return "harmless"
     if cut_ns is None or not log.truncated:
         return "WRONG: other values"
@@ -259,16 +263,6 @@ def fork_run(loop: ClosedLoop, header: Mapping[str, str], path: Path, recorded: 
     os._exit(0)
 
 
-def is_start_of(log: Log, whole: Log) -> bool:
-    """Check that a log holds the beginning of the complete one, bit for bit, and nothing else."""
-    packets = all(
-        rows.tobytes() == whole[topic][: len(rows)].tobytes() for topic, rows in log.packets.items()
-    )
-    times = all(np.array_equal(ns, whole.time_ns[topic][: len(ns)]) for topic, ns in log.time_ns.items())
-    evrs, commands = whole.evrs[: len(log.evrs)], whole.commands[: len(log.commands)]
-    return packets and times and log.evrs == evrs and log.commands == commands and log.header == whole.header
-
-
 def stock_counts(path: Path) -> dict[str, int]:
     """Return the number of messages by topic that the reader of the library finds before the cut."""
     counts: dict[str, int] = {}
@@ -285,7 +279,7 @@ def stock_counts(path: Path) -> dict[str, int]:
 
 def find_fault(path: Path, log: Log, whole: Log) -> str:
     """Return what is wrong with a truncated log, or with its copy; empty if nothing is."""
-    counts = {topic: len(times) for topic, times in log.time_ns.items()}
+    counts = count_messages(log)
     if not is_start_of(log, whole):
         return "not what the run was"
     if not counts.items() <= stock_counts(path).items():
@@ -296,7 +290,7 @@ def find_fault(path: Path, log: Log, whole: Log) -> str:
         copy = read_log(good)
     except (LogError, BadOutput) as error:
         return f"not recovered: {error}"
-    if copy.truncated or {topic: len(times) for topic, times in copy.time_ns.items()} != counts:
+    if copy.truncated or count_messages(copy) != counts:
         return "not all of it was recovered"
     if not is_start_of(copy, whole):
         return "recovered as something else"

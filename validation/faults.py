@@ -167,7 +167,7 @@ def _inject(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Comma
     refusing = any(isinstance(evr, CommandRefused) for evr in reaction)
     return FaultOutcome(
         scenario=name,
-        fault=_fault_name(fault),
+        fault=f"{fault.sensor} {fault.kind}" if isinstance(fault, SensorFault) else type(fault).__name__,
         mode=initial_mode.name,
         found=observed.found[0] if observed.found else "none",
         end=_classify_end(loop, observed, braked, refusing, _must_be_found(loop, fault, moving)),
@@ -277,12 +277,6 @@ def _continue_run(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[Cycle
         record = loop.cycle()
         yield record
     yield from run_sequence(loop, rest)
-
-
-def _fault_name(fault: InjectedFault) -> str:
-    if isinstance(fault, SensorFault):
-        return f"{fault.sensor} {fault.kind}"
-    return type(fault).__name__
 
 
 def summary(cases: list[FaultOutcome]) -> Document:

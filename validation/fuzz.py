@@ -20,9 +20,10 @@ from typing import Any, Final
 import numpy as np
 
 from marsarm.telemetry.errors import LogError
-from marsarm.telemetry.inspection import range_of, select_channels, summarize_log
+from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.read import parse_log
 from marsarm.telemetry.recover import recover
+from marsarm.telemetry.tables import channels_document, info_document
 from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document
 from validation.fuzz_inputs import (
@@ -73,9 +74,8 @@ def fuzz_reader(data: bytes) -> bool:
         log = parse_log(path, data)
     except LogError:
         return False
-    summarize_log(log)
-    for channel in select_channels(log):
-        range_of(channel)
+    info_document(log)
+    channels_document(log, select_channels(log))
     return True
 
 

@@ -78,13 +78,13 @@ class Tally:
 
     def add(self, other: "Tally") -> None:
         """Add the counts of another tally."""
-        self.worst_error = max(self.worst_error, other.worst_error)
+        worst_error = max(self.worst_error, other.worst_error)
         for example in other.examples:
             self._keep(example)
-        for name in ("missed", "unanswered"):
-            getattr(self, name).update(getattr(other, name))
-        for name in COUNTS:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for name in self.__slots__:
+            if name != "examples":
+                setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.worst_error = worst_error
 
     @property
     def failures(self) -> int:
@@ -109,20 +109,6 @@ class Tally:
         similar = [e for e in self.examples if all(e[key] == example[key] for key in ("what", "near"))]
         if len(similar) < EXAMPLES:
             self.examples.append(example)
-
-
-COUNTS: Final = (
-    "targets",
-    "vectors",
-    "roots",
-    "off",
-    "valid_outside_limits",
-    "not_called_valid",
-    "indistinct",
-    "workspace",
-    "workspace_at_most_four",
-    "exceptions",
-)
 
 
 def plan_chunks(n_targets: int, n_vectors: int, seed: int, case: Case | None = None) -> list[Chunk]:

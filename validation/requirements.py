@@ -202,7 +202,8 @@ def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
             lines.append(f"| {row.name} | {cells} | {ours / row.paper:.2f} | {row.why} |")
     lines += ["", "## Campaigns", "| name | what is measured | command | commit |", "|---|---|---|---|"]
     for campaign in table.campaigns:
-        commit = shorten_commit(measured[campaign.name]["commit"])
+        commit = measured[campaign.name]["commit"]
+        commit = commit[:7] + commit[40:]  # "-dirty" stays: nobody can repeat such a number
         lines.append(f"| {campaign.name} | {campaign.about} | `{campaign.command}` | `{commit}` |")
     met = sum(row.margin(values[row.name]) >= 0 for row in table.rows)
     as_paper = sum(row.paper is not None and row.margin(row.paper) < 0 for row in table.rows)
@@ -219,11 +220,6 @@ def _result(row: RequirementRow, value: float) -> str:
     sign = "≤" if row.least is None else "≥"
     left = f"{'' if margin >= 0 else '**not met**, '}{int(100 * margin)} %"
     return f"{sign} {row.bound:g} {row.unit} | {value:.3g} {row.unit} | {left}"
-
-
-def shorten_commit(commit: str) -> str:
-    """Shorten a commit to seven digits; "-dirty" stays, because nobody can repeat such a number."""
-    return commit[:7] + commit[40:]
 
 
 def campaign(context: Context, measure_anew: bool = True, check: bool = False, only: str = "") -> Document:

@@ -149,12 +149,6 @@ class Twins:
         return {"named": [one.effect for one in found.findings]}
 
 
-def twin_control(named: Sequence[Sequence[str]]) -> Document:
-    """Count how many twins end as none."""
-    none = sum(not one for one in named)
-    return {"none": none, "of": len(named), "named": named, "in_bounds": none >= NONE_SHARE * len(named)}
-
-
 def delay_control(robot: Robot, logs: Logs, seed: int) -> Document:
     """Compare the delays of logs with those of logs whose positions are later."""
     later = delay_positions(logs.motions, ADDED_S)
@@ -214,5 +208,7 @@ def campaign(context: Context, twins: int = 20, only: str = "") -> Document:
             document[name] = once(name, work)
     named = [document.pop(name)["named"] for name in controls if name.startswith(TWIN)]
     if named:
-        document["twins, XL330"] = twin_control(named)
+        none = sum(not one for one in named)
+        is_right = none >= NONE_SHARE * len(named)
+        document["twins, XL330"] = {"none": none, "of": len(named), "named": named, "in_bounds": is_right}
     return {**document, "in_bounds": all(one["in_bounds"] for one in document.values())}

@@ -1,53 +1,39 @@
-"""Cost and worth of a diagnosis of a robot: CPU time, its simulation against bare MuJoCo, and simpler fits.
+"""Cost and worth of a diagnosis of a robot: CPU time, and simpler fits.
 
 Cost: cases of the pendulum and of the arm with two joints are drawn from tuning seeds; motions are left out
 at the end. Costs are CPU seconds of one process. docs/robot-cost.png shows them.
-
-Engine: steps in a second with Stribeck friction at every joint, which acts in every control period, are
-divided by those of `mujoco.rollout` with the same model, starts, commands and threads. Both are measured
-alternately; the median of the ratios counts. On a loaded machine the ratio is too low: the engine waits for
-all threads after every control period, rollouts wait at their end alone. The engine switches the profiler of
-MuJoCo off; bare rollouts keep it, as the Python package installs it.
 
 Baselines: every fit reads the same motions with the same loss; only the effects differ. Effects at a body
 take no part. The errors are mean absolute residuals of motions that took no part, by joint.
 """
 
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
-import mujoco
-import mujoco.rollout
 import numpy as np
 
 from marsarm.render.svg import save_figure
-from simgap.arrays import Array
 from simgap.assemble import simulate_models
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
 from simgap.checks.records import Audit
 from simgap.diagnosis import diagnose
 from simgap.effects.actuation import GainError
-from simgap.effects.effect import Effect, joint_scales
+from simgap.effects.effect import Effect
 from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
 from simgap.loading import load
-from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 from simgap.selection.checkpoint import Meter, Progress
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.simulation.compiled import Models, control_laws, nominal_gains
-from simgap.simulation.simulation import Engine
-from simgap.simulation.windows import cut_windows
 from validation.campaigns import Context, Document, keep_results
 from validation.cases.robot_draw import Kind, draw_case
 from validation.cases.robot_setup import PERIOD_S, SAMPLES
@@ -128,92 +114,6 @@ def cost(context: Context, settings: int = len(SETTINGS)) -> Document:
     if context.out is not None:
         save_figure(context.out.with_suffix(".png"), (8.0, 3.4), 150, partial(plot, rows))
     return {"costs": rows}
-
-
-ROBOT: Final = "models/robots/so101/robot.toml"
-LOG_S: Final = 10.0
-"""As long as the logs of the KR300; those of the XL330 last 6 s, those of the SO-101 a minute or two."""
-ENGINE_MOTIONS: Final = 8
-CANDIDATES: Final = (5, 20)
-"""Candidates in 8 motions: 40 simulations, the fewest for which the bar holds, and 160."""
-REPEATS: Final = 5
-LEAST_RATIO: Final = 0.6
-
-
-def engine(context: Context) -> Document:
-    """Measure with one thread and with all; in bounds if no ratio is below its bound."""
-    threads = os.cpu_count() or 1
-    results = [engine_speed(count, n) for n in sorted({1, threads}) for count in CANDIDATES]
-    return {"robot_engine": results, "in_bounds": all(result["in_bounds"] for result in results)}
-
-
-def engine_speed(candidates: int, threads: int) -> Document:
-    """Measure both with this number of candidates and threads."""
-    robot = Robot.from_toml(ROBOT)
-    motions = [_make_sines(robot, seed) for seed in range(ENGINE_MOTIONS)]
-    windows = [window for motion in motions for window in cut_windows(robot, motion, None, 0.02)]
-    models, scales = Models(robot), joint_scales(robot, motions)
-    names = [joint.name for joint in robot.joints]
-    effects: list[Effect] = [StribeckFriction.at(robot, name, scales) for name in names]
-    typical = np.array([size.typical for effect in effects for size in effect.sizes])
-    sizes = np.linspace(0.5, 1.5, candidates)[:, None] * typical
-    engine = Engine(models, effects, windows, threads)
-    model = _bare_model(models)
-    starts = np.repeat([window.q_rad for window in windows], candidates, axis=0)
-    commands = np.repeat([window.command[window.n_lead :] for window in windows], candidates, axis=0)
-    n_steps = commands.shape[0] * commands.shape[1]
-    times = []
-    for _ in range(REPEATS):
-        began = time.perf_counter()
-        engine.positions(sizes)
-        middle = time.perf_counter()
-        _rollout(model, starts, commands, threads)
-        times.append((middle - began, time.perf_counter() - middle))
-    ratio = median(bare / ours for ours, bare in times)
-    return {
-        "simulations": commands.shape[0],
-        "steps_each": commands.shape[1],
-        "effects_in_each_period": len(effects),
-        "threads": threads,
-        "steps_per_s": n_steps / median(ours for ours, _ in times),
-        "bare_steps_per_s": n_steps / median(bare for _, bare in times),
-        "ratio": ratio,
-        "least_ratio": LEAST_RATIO,
-        "in_bounds": ratio >= LEAST_RATIO,
-    }
-
-
-def _make_sines(robot: Robot, seed: int) -> Motion:
-    """Make sines at all joints, which begin at rest."""
-    random = np.random.default_rng(seed)
-    time_s = np.arange(0.0, LOG_S, 0.02)
-    joints = {}
-    for joint in robot.joints:
-        value = 0.5 * (1.0 - np.cos(random.uniform(1.0, 6.0) * time_s))
-        joints[joint.name] = JointLog(Signal(time_s, value), Signal(time_s, value))
-    return Motion(f"sines {seed}", joints, {})
-
-
-def _bare_model(models: Models) -> mujoco.MjModel:
-    """Return the model with its nominal gains, which the engine otherwise sets for each simulation."""
-    compiled = models.compiled([])
-    model = compiled.robot.model
-    kp, kd = nominal_gains(models.robot)
-    gain, bias = control_laws(models.robot, kp[None], kd[None])
-    limit = np.array([joint.torque_limit_Nm for joint in models.robot.joints])
-    model.actuator_gainprm[compiled.actuator, 0] = gain[0]
-    model.actuator_biasprm[compiled.actuator, :3] = bias[0]
-    model.actuator_forcerange[compiled.actuator] = np.stack([-limit, limit], axis=1)
-    return model
-
-
-def _rollout(model: mujoco.MjModel, starts: Array, commands: Array, threads: int) -> None:
-    """Simulate the same motions without effects."""
-    states = np.zeros((starts.shape[0], mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
-    states[:, 1 : 1 + model.nq] = starts
-    data = [mujoco.MjData(model) for _ in range(threads)]
-    with mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        pool.rollout([model] * starts.shape[0], data, states, commands)
 
 
 BASE: Final = (GainError, Armature, ViscousFriction, CoulombFriction)

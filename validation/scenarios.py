@@ -1,11 +1,11 @@
-"""Campaigns of the scenarios: each is done on many arms, and the log of each replays with equal outputs.
+"""Campaign of the scenarios: each is done on many arms, and the log of each replays with equal outputs.
 
 The tilt is the largest that the requirement allows, in a random direction: 30 deg to place an instrument,
 20 deg to take and move samples. Every arm is taught its places.
 """
 
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,9 +14,8 @@ import numpy as np
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
 from marsarm.replaying.replay import ReplayRequest, replay
-from marsarm.replaying.tables import verdict_line
-from marsarm.runs.request import RunFiles, RunRequest
-from marsarm.runs.scenario import run_scenario
+from marsarm.telemetry.header import run_header
+from marsarm.telemetry.recorder import Recorder
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
@@ -24,7 +23,6 @@ from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
-from simgap.common.progress import no_progress
 from validation.campaigns import Context, Document
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
@@ -45,15 +43,21 @@ class ScenarioOutcome:
     failed: tuple[str, ...]
     measured: dict[str, float]
     faults: tuple[str, ...]
+    replays: bool | None
+    """Whether the log replays without a difference; None if there is none."""
 
 
 def run_on_arm(name: str, names: tuple[str, ...]) -> list[ScenarioOutcome]:
-    """Run scenarios on one arm, after it has found its hardstops."""
+    """Run scenarios on one arm, after it has found its hardstops, and replay their logs."""
     reference = initial_reference(arm_named(name))
-    return [run_scenario_on(name, scenario_name, reference) for scenario_name in names]
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "run.mcap"
+        return [run_scenario_on(name, scenario_name, reference, log) for scenario_name in names]
 
 
-def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> ScenarioOutcome:
+def run_scenario_on(
+    name: str, scenario_name: str, reference: Reference, log: Path | None = None
+) -> ScenarioOutcome:
     """Run a scenario on one arm, taught its places; the direction of the tilt depends on both."""
     seed, k = int(name.partition(":")[2] or 0), list(built_in_scenarios()).index(scenario_name)
     tilt = np.radians(TILT_DEG.get(scenario_name, SAMPLING_TILT_DEG)) * (1 - 1e-9)
@@ -65,8 +69,11 @@ def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> Scen
     arm = teach(arm_named(name), reference, scenario.taught, scenario.world)
     loop = ClosedLoop(scenario_setup(scenario, arm, reference, seed))
     run = ScenarioRun(loop, scenario)
-    for _ in run:
-        pass
+    header = run_header(loop, name, seed, {}, scenario.commands)
+    with nullcontext() if log is None else Recorder(log, header, loop.config) as recorder:
+        for record in run:
+            if recorder is not None:
+                recorder.write(record)
     result = run.result()
     return ScenarioOutcome(
         scenario=scenario.name,
@@ -83,12 +90,14 @@ def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> Scen
             if m.unit or m.name.startswith("lateral over")
         },
         faults=tuple(evr.message for _, evr in result.evrs if isinstance(evr, Fault)),
+        replays=None if log is None else replay(ReplayRequest(log)).differences.identical,
     )
 
 
 def in_bounds(case: ScenarioOutcome) -> bool:
     """Check an outcome: an as-built arm must complete its scenario, other arms must also pass all checks."""
-    return case.outcome == Outcome.DONE if case.arm.startswith("as-built") else case.passed
+    is_done = case.outcome == Outcome.DONE if case.arm.startswith("as-built") else case.passed
+    return is_done and case.replays is not False
 
 
 def summary(ran: list[ScenarioOutcome]) -> Document:
@@ -105,9 +114,10 @@ def summary(ran: list[ScenarioOutcome]) -> Document:
             table[kind][scenario] = {
                 "arms": len(cases),
                 "passed": sum(case.passed for case in cases),
+                "replayed": sum(case.replays is True for case in cases),
                 "range": {name: [min(v), max(v)] for name, v in values.items()},
             }
-    failed = [asdict(r) for r in ran if not r.passed]
+    failed = [asdict(r) for r in ran if not r.passed or r.replays is False]
     return {"table": table, "failed": failed, "in_bounds": all(map(in_bounds, ran))}
 
 
@@ -125,60 +135,3 @@ def choose(only: str) -> tuple[str, ...]:
     if only and only not in built_in_scenarios():
         raise BadRequest(f"set only: there are {', '.join(built_in_scenarios())}")
     return (only,) if only else tuple(built_in_scenarios())
-
-
-REPLAY_TILT_DEG = (6.0, -4.0)
-"""Roll and pitch of the rover, with arms other than the nominal one."""
-NOT_REPLAYED = "not replayed"
-"""Outcome of a run that was refused, or whose log was refused; it counts as not identical."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayOutcome:
-    """Scenario on an arm and its replay."""
-
-    scenario: str
-    arm: str
-    outcome: str
-    verdict: str
-    identical: bool
-    ticks: int
-
-
-def replay_one(scenario: str, arm: str) -> ReplayOutcome:
-    """Run a scenario on an arm, record it, and replay its log."""
-    with TemporaryDirectory() as folder:
-        log = Path(folder) / "run.mcap"
-        seed = int(arm.partition(":")[2] or 0)
-        tilt_deg = None if arm == "nominal" else REPLAY_TILT_DEG
-        try:
-            ran = run_scenario(RunRequest(scenario, arm, tilt_deg, seed, files=RunFiles(log)), no_progress)
-            found = replay(ReplayRequest(log), no_progress).differences
-        except BadRequest as error:
-            return ReplayOutcome(scenario, arm, NOT_REPLAYED, str(error), False, 0)
-        return ReplayOutcome(
-            scenario=scenario,
-            arm=arm,
-            outcome=str(ran.execution.result.outcome),
-            verdict=verdict_line(found),
-            identical=found.identical and found.tolerance == 0.0,
-            ticks=found.ticks[0],
-        )
-
-
-def replays(context: Context, arms: int = 3, only: str = "") -> Document:
-    """Record and replay scenarios on the nominal arm and on this many of each other kind."""
-    others = [f"{k}:{context.seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built")]
-    return summarize(context.each(replay_one, product(choose(only), ["nominal", *others]), "replays"))
-
-
-def summarize(ran: list[ReplayOutcome]) -> Document:
-    """Count the requested runs, and those that replay identically."""
-    return {
-        "requested": len(ran),
-        "replayed": sum(r.outcome != NOT_REPLAYED for r in ran),
-        "identical": sum(r.identical for r in ran),
-        "ticks": sum(r.ticks for r in ran),
-        "runs": [asdict(r) for r in ran],
-        "in_bounds": all(r.identical for r in ran),
-    }

@@ -1,10 +1,5 @@
 """Speed of the closed loop, of recording and of reading a log.
 
-The closed loop: as a ratio to a bare step of the model of commit 50fd31b, in one process.
-
-`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is a fixed reference, so that
-ratios of different days are comparable even if the plant becomes faster.
-
 Recording: processor time of the plant's truth and of the recorder in a cycle of `contact-science`. Opening
 and closing the log count once in the run. So would other processes of the recorder, which has none. The
 slowest writes are those that close a chunk.
@@ -24,7 +19,6 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 from mcap.reader import make_reader
 
@@ -40,16 +34,12 @@ from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
-from sim.plant import JOINT_NAMES
 from sim.record import CycleRecord
 from sim.scenario.file import load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.world import Surface, World
 
 REPEATS = 5
-BARE_STEPS = 40_000
-SETTLING_STEPS = 4_096
-REFERENCE_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
 TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
@@ -66,26 +56,6 @@ def placement_loop(with_truth: bool = False) -> ClosedLoop:
     return ClosedLoop(
         Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
     )
-
-
-@cache
-def _reference_model() -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Load the reference model at rest in the ready pose, held by its motors, brakes released."""
-    model = mujoco.MjModel.from_binary_path(str(REFERENCE_MODEL))
-    data = mujoco.MjData(model)
-    ready = arm_named("nominal").params.poses.ready_rad
-    data.qpos[[model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]] = ready
-    data.ctrl[0::2] = ready
-    mujoco.mj_step(model, data, SETTLING_STEPS)
-    return model, data
-
-
-def bare_step_s() -> float:
-    """Measure the seconds of a bare mj_step of the reference model, to which every speed is a ratio."""
-    model, data = _reference_model()
-    began = time.perf_counter()
-    mujoco.mj_step(model, data, BARE_STEPS)
-    return (time.perf_counter() - began) / BARE_STEPS
 
 
 def _realtime_factor() -> float:
@@ -123,15 +93,10 @@ def _step_times_us() -> list[float]:
 
 
 def closed_loop() -> dict[str, Any]:
-    """Measure the speed of the closed loop; each ratio is the median of alternating pairs."""
-    pairs = [(bare_step_s(), _realtime_factor()) for _ in range(REPEATS)]
-    bare_us = 1e6 * median(bare for bare, _ in pairs)
-    step_s = _reference_model()[0].opt.timestep
+    """Measure the speed of the closed loop, and that of flight software in it."""
     fsw_us = np.array(_step_times_us())
     return {
-        "bare_step_us": bare_us,
-        "ratio": median(factor * bare / step_s for bare, factor in pairs),
-        "realtime_factor": median(factor for _, factor in pairs),
+        "realtime_factor": median(_realtime_factor() for _ in range(REPEATS)),
         "fsw_step_us": {
             "median": float(np.median(fsw_us)),
             "p99": float(np.percentile(fsw_us, 99)),

@@ -81,7 +81,7 @@ class NotChanged:
     why: Literal["first tool not placed", "refused", "not completed", "absolute not placed"]
     reason: str
     reachable: bool = True
-    """Whether any branch of the second tool reaches the spot."""
+    """Whether any branch of the second tool reaches the spot, and a point in front of it."""
     clear_way: str | None = None
     """Way that the independent search finds, of a refused change."""
 
@@ -124,7 +124,7 @@ def _judge_refusal(loop: ClosedLoop, arm: BuiltArm, world: World, reason: str) -
     config, joints = loop.config, loop.state.joints
     contact = start_line(config, joints, FIRST, Compensation())
     spot = contact.p_m, contact.axis
-    reachable = reaches(config, SECOND, *spot, joints.gravity_R_m_s2)
+    reachable = bool(_valid_poses(config, SECOND, *spot, joints.gravity_R_m_s2, CLOSE_M))
     way = find_clear_way(arm, world, config, (FIRST, SECOND), joints.output_rad, *spot)
     return NotChanged("refused", reason, reachable, way)
 
@@ -201,13 +201,10 @@ def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
 RETRACTIONS_M: Final = np.arange(0.10, 0.501, 0.05)
 SPACING_RAD: Final = 0.02
 LINE_POSES: Final = 6
+CLOSE_M: Final = 0.1
+"""Distance from the face of a spot in reach."""
 UNCHECKED: Final = {"link2", "link3"}
 """Bodies that may be below the plane: rock is not endless."""
-
-
-def reaches(config: Config, tool: str, p_R_m: Array, approach_R: Array, gravity: Array) -> bool:
-    """Return whether any branch reaches the face with a tool, and 0.1 m in front of it."""
-    return bool(_valid_poses(config, tool, p_R_m, approach_R, gravity, 0.1))
 
 
 def find_clear_way(
@@ -219,19 +216,13 @@ def find_clear_way(
     p_R_m: Array,
     approach_R: Array,
 ) -> str | None:
-    """Find a branch and a retraction that are clear by flight software's padding.
+    """Find a branch and a retraction, in words, that are clear by flight software's padding; None if none is.
 
     Args:
-        arm: Arm with its flight parameters.
-        world: World with the face.
-        config: Configuration of flight software.
         tools: Touching tool, and the tool that is to touch next.
         start_rad: Outputs in contact, (5,).
         p_R_m: Point of contact in RMECH, (3,).
         approach_R: Unit approach, (3,).
-
-    Returns:
-        The branch and the retraction in words, or None.
     """
     plant, gravity = _plant_with_plane(arm, world, config.params.collision.padding_m), world.gravity_N_m_s2
     first, second = tools

@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.config import Config, configure, configure_at
-from fsw.dictionary.commands import SetParam, SetTilt
+from fsw.dictionary.commands import Command, SetParam, SetTilt
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
+from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, Evr, ParamSet, TiltSet
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.joints import JointEstimate
@@ -73,9 +73,7 @@ def replace_param(params: Params, command: SetParam) -> Params | str:
     return next(iter((*check_limits(changed), *check_arm(changed))), changed)
 
 
-def _complete(
-    context: CommandContext, command: SetTilt | SetParam, evr: ParamSet | TiltSet
-) -> CommandContext:
+def _complete(context: CommandContext, command: Command, evr: Evr) -> CommandContext:
     return with_events(
         context, CommandAccepted(command_name(command)), evr, CommandCompleted(command_name(command))
     )

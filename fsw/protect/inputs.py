@@ -157,7 +157,7 @@ class ProtectionBounds:
     wind_up_sigma_rad: tuple[float, ...]
     """Noise of a fast mean wind-up less its slow mean, by the number of updates of the latter."""
     monitored_lowest: tuple[float, ...]
-    """Lower bounds of the values that `motors.exceed_any_bound` compares, in its order, (25,)."""
+    """Lower bounds of the values that `monitors.exceed_any_bound` compares, in its order, (25,)."""
     monitored_highest: tuple[float, ...]
     """Upper bounds of the same values, (25,)."""
 

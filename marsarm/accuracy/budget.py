@@ -1,18 +1,15 @@
 """Error budget: bounds of tool errors over the workspace, from all error sources at all frames."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from math import radians
 from typing import Final, Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from fsw.config import Config, configure, digest
-from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Vector3, vector3
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 from marsarm.accuracy.confidence import Interval, quantile_interval
 from marsarm.accuracy.propagation import (
     COVERAGE,
@@ -36,15 +33,13 @@ from marsarm.accuracy.request import BudgetRequest
 from marsarm.accuracy.sources import (
     BudgetCase,
     ErrorModel,
-    ErrorSource,
-    FrameMagnitude,
     is_compensated,
     load_error_model,
 )
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, no_progress
 
 Component = Literal["total_m", "lateral_m", "normal_m", "axial_rad"]
 REQUIRED_TOTAL_M: Final = 0.020
@@ -54,12 +49,6 @@ REPEAT_LATERAL_M: Final = 0.010
 REPEAT_NORMAL_M: Final = 0.010
 REPEAT_AXIAL_RAD: Final = radians(2.0)
 """Requirements of Tables 3 and 4, plus or minus: accuracy (REQUIRED), repeatability (REPEAT)."""
-POSES_A_TOOL: Final = 300
-ROW_TOLERANCE: Final = 0.01
-"""A relative error of a row by this share costs as much as a change of a magnitude by a factor of e."""
-SHARE: Final = "share"
-SourcePart = tuple[str, str]
-"""Name of a source, and name of a part of its magnitudes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,118 +82,6 @@ TABLE_4: Final = _paper_rows(
     "mars", "mars-repeatability", (0.0140, 0.0127, radians(1.1), 0.0077, 0.0050, radians(1.0))
 )
 """After calibration, on Mars."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MagnitudeFit:
-    """Factors of the magnitudes, with the rows that they give."""
-
-    factor: Mapping[SourcePart, float]
-    magnitude: Mapping[SourcePart, tuple[float, str]]
-    """Largest changed magnitude of each part, with its unit."""
-    rows: tuple[tuple[PaperRow, float], ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Terms:
-    """Errors (6, n) of a case by source, with separate terms for the parts that may change."""
-
-    fixed: Mapping[str, Array]
-    part: Mapping[SourcePart, Array]
-    at_limit: Mapping[str, bool]
-
-    def components(self, factor: Mapping[SourcePart, float]) -> Array:
-        """Combine the errors by the paper's rule, shape (6, n)."""
-        u = {name: fixed.copy() for name, fixed in self.fixed.items()}
-        for (name, part), term in self.part.items():
-            u[name] += factor[name, part] * term
-        at_limit = np.array([self.at_limit[name] for name in u])
-        return paper_rule(np.array(list(u.values()))[:, :, None], at_limit)
-
-
-def reproduce(
-    model: ErrorModel, rows: tuple[PaperRow, ...], config: Config, gravity_R_m_s2: Array, seed: int
-) -> MagnitudeFit:
-    """Find the magnitudes that reproduce these rows; magnitudes from documents stay unchanged."""
-    sensitivity = [
-        compute_sensitivity(
-            config, workspace_poses(config.arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2
-        )
-        for tool in config.params.tool_names
-    ]
-    terms = {name: _terms(model, name, sensitivity) for name in {row.case for row in rows}}
-    parts = list(dict.fromkeys(part for case in terms.values() for part in case.part))
-
-    def values(x: Array) -> Array:
-        factor = dict(zip(parts, np.exp(x), strict=True))
-        found = {name: bounds(case.components(factor)) for name, case in terms.items()}
-        return np.array([np.quantile(getattr(found[row.case], row.component), COVERAGE) for row in rows])
-
-    targets = np.array([row.estimated for row in rows])
-    fit = least_squares(
-        lambda x: np.concatenate([np.log(values(x) / targets) / ROW_TOLERANCE, x]), np.zeros(len(parts))
-    )
-    factor = dict(zip(parts, np.exp(fit.x).tolist(), strict=True))
-    return MagnitudeFit(
-        factor,
-        {part: _magnitude(model.source[part[0]], part[1], factor[part]) for part in parts},
-        tuple(zip(rows, values(fit.x).tolist(), strict=True)),
-    )
-
-
-def _terms(model: ErrorModel, name: str, sensitivity: list[Sensitivity]) -> _Terms:
-    fixed, part = {}, {}
-    sources = model.case[name].sources
-    for source, factor in sources.items():
-        parts = _parts(model.source[source])
-        whole = factor * _over_frames(sensitivity, model.source[source])
-        fixed[source] = np.zeros_like(whole) if parts else whole
-        for which, only in parts.items():
-            part[source, which] = factor * _over_frames(sensitivity, only)
-    return _Terms(fixed, part, {source: model.source[source].at_limit for source in sources})
-
-
-def _over_frames(sensitivity: list[Sensitivity], source: ErrorSource) -> Array:
-    return np.concatenate([one.errors_by_frame(source).sum(axis=1) for one in sensitivity], axis=-1)
-
-
-def _parts(source: ErrorSource) -> dict[str, ErrorSource]:
-    """Split a source without a document into rotations and translations, of the arm and of the tool frame.
-
-    A source relative to load or temperature has one part, its share.
-    """
-    if source.label == "S":
-        return {}
-    if source.relative_to != "frames":
-        return {SHARE: source}
-    arm = tuple(frame for frame in Frame if frame is not Frame.TOOL)
-    parts = {
-        f"{what}, {where}": replace(source, at=_select_frames(source, frames, what))
-        for where, frames in (("arm", arm), ("tool frame", (Frame.TOOL,)))
-        for what in ("rotation", "translation")
-    }
-    return {name: part for name, part in parts.items() if part.theta.any()}
-
-
-def _select_frames(source: ErrorSource, frames: tuple[Frame, ...], what: str) -> tuple[FrameMagnitude, ...]:
-    theta = source.theta
-    none: Vector3 = (0.0, 0.0, 0.0)
-    rows = [
-        (
-            frame,
-            vector3(theta[:3, frame] * 1e3) if what == "rotation" else none,
-            vector3(theta[3:, frame] * 1e3) if what == "translation" else none,
-        )
-        for frame in frames
-    ]
-    return tuple(FrameMagnitude((frame.name.lower(),), turn, shift) for frame, turn, shift in rows)  # type: ignore[arg-type]
-
-
-def _magnitude(source: ErrorSource, part: str, factor: float) -> tuple[float, str]:
-    if part == SHARE:
-        return factor * source.share * 1e2, "%"
-    theta = _parts(source)[part].theta
-    return float(theta.max() * 1e3 * factor), "mrad" if part.startswith("rotation") else "mm"
 
 
 MOMENTS: Final = "moments"
@@ -241,14 +118,15 @@ class Budget:
         if rule == MOMENTS:
             k = COMPONENTS.index(component)
             return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
-        return float(np.quantile(self._values(rule, component), COVERAGE))
+        return float(np.quantile(self.bounds(rule, component), COVERAGE))
 
     def interval(self, rule: str, component: str) -> Interval:
         """Compute the 95 % confidence interval of the bound that holds at 99.73 % of the poses."""
-        values = self._values(rule, component)
+        values = self.bounds(rule, component)
         return quantile_interval(values, COVERAGE, values.size)
 
-    def _values(self, rule: str, component: str) -> Array:
+    def bounds(self, rule: str, component: str) -> Array:
+        """Return the bounds at all poses, tool by tool."""
         return np.concatenate([getattr(tool.by_rule[rule], component) for tool in self.tools.values()])
 
     @property
@@ -283,7 +161,10 @@ def compute_tool_budget(
     model: ErrorModel, case: BudgetCase, poses: Poses, sensitivity: Sensitivity
 ) -> ToolBudget:
     """Compute the bounds of the errors of a case at these poses."""
-    u, at_limit = errors_by_source(model, case, sensitivity)
+    u = np.array(
+        [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
+    )
+    at_limit = np.array([model.source[name].at_limit for name in case.sources])
     lengths = _squared_lengths(model, case, sensitivity)
     worst = bounds(worst_case(u))
     rules = {
@@ -315,16 +196,6 @@ def _squared_lengths(
     )
 
 
-def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity) -> tuple[Array, Flags]:
-    """Compute the errors of a case by source.
-
-    Returns:
-        Absolute errors [rad, m], (sources, 6, 7, n), and flags of sources at their limits, (sources,).
-    """
-    u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
-    return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BudgetReport:
     """Result of a request for an error budget."""
@@ -334,8 +205,6 @@ class BudgetReport:
     budgets: Mapping[str, Budget]
     rows: tuple[tuple[PaperRow, float], ...]
     """Rows of the paper for the requested cases, with our values."""
-    reproduced: tuple[MagnitudeFit, ...]
-    """Magnitudes that reproduce Tables 3 and 4 of the paper, if requested."""
     params_sha256: str
 
 
@@ -354,20 +223,13 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
     params = select_arm("nominal", request.params, request.mismatch).params
     tools = _parse_tools(request.tool, params)
     config = configure(params)
-    share = 0.5 if request.reproduce else 1.0
-    budgets = compute_budgets(
-        model, names, config, gravity, tools, request.poses, request.seed, part_of(progress, 0.0, share)
-    )
+    budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [
         (row, budgets[row.case].estimate("paper", row.component))
         for row in (*TABLE_3, *TABLE_4)
         if row.case in budgets
     ]
-    reproduced: list[MagnitudeFit] = []
-    for table in (TABLE_3, TABLE_4) if request.reproduce else ():
-        part_of(progress, share, 1.0)(len(reproduced), 2, "reproducing")
-        reproduced.append(reproduce(model, table, config, gravity, request.seed))
-    return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
+    return BudgetReport(request, model, budgets, tuple(rows), digest(params))
 
 
 def _parse_tools(name: str, params: Params) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.enums import Frame
-from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport, MagnitudeFit
+from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
@@ -46,7 +46,6 @@ def budget_document(report: BudgetReport) -> dict[str, Any]:
         ],
         "cases": {name: _case_document(budget) for name, budget in report.budgets.items()},
         "sources": report.model.source,
-        "reproduced": [_reproduced_document(found) for found in report.reproduced],
     }
 
 
@@ -61,17 +60,6 @@ def _case_document(budget: Budget) -> dict[str, Any]:
             name: dict(zip(frames, share, strict=True))
             for name, share in zip(budget.case.sources, budget.share_m, strict=True)
         },
-    }
-
-
-def _reproduced_document(found: MagnitudeFit) -> dict[str, Any]:
-    return {
-        "rows": {row.name: value for row, value in found.rows},
-        "magnitudes": [
-            {"source": source, "part": part, "factor": factor, "magnitude": value, "unit": unit}
-            for (source, part), factor in found.factor.items()
-            for value, unit in [found.magnitude[source, part]]
-        ],
     }
 
 
@@ -91,7 +79,6 @@ def budget_parts(report: BudgetReport, picture_problem: str | None) -> list[str 
     parts: list[str | ReportTable] = [_paper_table(report)]
     for budget in report.budgets.values():
         parts += [_share_table(report, budget), _rule_table(budget)]
-    parts += [_reproduced_table(found) for found in report.reproduced]
     picture = None if request.picture is None else picture_problem or request.picture
     return [*parts, *file_lines({"report": request.report, "picture": picture})]
 
@@ -122,17 +109,6 @@ def _rule_table(budget: Budget) -> ReportTable:
     rows = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
     title = f"{budget.name}: the same errors by other rules"
     return ReportTable(("rule", *map(short_name, COMPONENTS)), rows, title)
-
-
-def _reproduced_table(found: MagnitudeFit) -> ReportTable:
-    rows = []
-    for (source, part), factor in found.factor.items():
-        value, unit = found.magnitude[source, part]
-        rows.append((source, part, f"{value:.3f} {unit}", f"{factor:.2f}"))
-    for row, value in found.rows:
-        rows.append((row.name, row.case, format_value(row.component, value), f"{value / row.estimated:.2f}"))
-    head = ("source", "part", "magnitude", "times ours")
-    return ReportTable(head, rows, "Magnitudes that reproduce the paper")
 
 
 def budget_requirements(report: BudgetReport) -> list[Requirement]:

@@ -9,15 +9,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import configure, digest
+from fsw.config import Config, configure, digest
 from fsw.dictionary.params import Params
-from marsarm.accuracy.budget import COMPONENTS
-from marsarm.accuracy.confidence import AccuracyEstimate, estimate_accuracy
-from marsarm.accuracy.coverage import CoverageReport, check_coverage
-from marsarm.accuracy.propagation import PARTS
+from fsw.kinematics.transforms import Array
+from marsarm.accuracy.budget import COMPONENTS, Budget, compute_tool_budget
+from marsarm.accuracy.confidence import (
+    AccuracyEstimate,
+    Coverage,
+    Interval,
+    estimate_accuracy,
+    estimate_coverage,
+    quantile_interval,
+)
+from marsarm.accuracy.propagation import COVERAGE, PARTS, Poses, bounds, compute_sensitivity
 from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
-from marsarm.accuracy.trial import MeasuredPlacement, run_built_trial, run_sampled_trial
+from marsarm.accuracy.trial import MeasuredPlacement, run_trial
 from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.requests import load_params, select_arm
@@ -27,6 +34,8 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 SEED_FIELD: Final = "{seed}"
+MEASURED: Final = ("output_rad", "error", "backlash_position")
+"""Arrays of a placement in the results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +63,17 @@ def run_job(job: ArmJob) -> dict[str, Any]:
     """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
+    built = None if job.built == "sampled" else f"{job.built}:{job.seed + job.arm}"
+    key = {"arm": job.arm, "params_sha256": job.params_sha256}
     try:
-        if job.built == "sampled":
-            found = run_sampled_trial(model, case, job.params, job.places, job.move_model, seed)
-        else:
-            name = f"{job.built}:{job.seed + job.arm}"
-            found = run_built_trial(model, case, name, job.params, job.places, job.move_model, seed)
+        found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
-        return {**_job_key(job), "failed": str(error)}
+        return {**key, "failed": str(error)}
     return {
-        **_job_key(job),
+        **key,
         "tool": found[0].tool,
-        "places": [_measurement_record(m) for m in found],
+        "places": [{name: getattr(m, name).tolist() for name in MEASURED} for m in found],
     }
-
-
-def _job_key(job: ArmJob) -> dict[str, Any]:
-    return {"arm": job.arm, "params_sha256": job.params_sha256}
 
 
 def run_jobs(
@@ -119,15 +122,60 @@ def check_arm_record(record: dict[str, Any]) -> None:
 def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
     """Read the measurements of an arm from its record."""
     for place in record.get("places", ()):
-        output, error, position = (
-            np.array(place[name]) for name in ("output_rad", "error", "backlash_position")
-        )
+        output, error, position = (np.array(place[name]) for name in MEASURED)
         yield MeasuredPlacement(str(record["tool"]), output, error, position)
 
 
-def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
-    values = asdict(measured)
-    return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverageReport:
+    """Comparison of a Monte Carlo with the budget."""
+
+    arms: int
+    error: Mapping[str, Array]
+    """Errors of each of COMPONENTS, metres or radians, shape (n,)."""
+    budget: Budget
+    """Budget at the measured poses."""
+    percentile: Mapping[str, float]
+    """Error length that 99.73 % of the errors do not exceed."""
+    percentile_interval: Mapping[str, Interval]
+    by_rule: Mapping[str, Mapping[str, Coverage]]
+    """Coverage by rule and component."""
+
+
+def check_coverage(
+    model: ErrorModel,
+    case: str,
+    config: Config,
+    gravity_R_m_s2: Array,
+    trials: Sequence[Sequence[MeasuredPlacement]],
+) -> CoverageReport:
+    """Compare the budget of a case with the trials, one trial for each arm."""
+    placements = [m for trial in trials for m in trial]
+    used = [tool for tool in config.params.tool_names if any(m.tool == tool for m in placements)]
+    by_tool = {tool: [m for m in placements if m.tool == tool] for tool in used}
+    budgets = {}
+    for tool, found in by_tool.items():
+        output = np.array([m.output_rad for m in found]).T
+        poses = Poses(tool, output, np.full((3, len(found)), np.nan))
+        sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
+        budgets[tool] = compute_tool_budget(model, model.case[case], poses, sensitivity)
+    budget = Budget(case, model.case[case], budgets)
+    error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
+    errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
+    return CoverageReport(
+        arms=len(trials),
+        error=errors,
+        budget=budget,
+        percentile={name: float(np.quantile(e, COVERAGE)) for name, e in errors.items()},
+        percentile_interval={name: quantile_interval(e, COVERAGE, len(trials)) for name, e in errors.items()},
+        by_rule={
+            rule: {
+                name: estimate_coverage(errors[name], budget.bounds(rule, name), COVERAGE, len(trials))
+                for name in COMPONENTS
+            }
+            for rule in next(iter(budgets.values())).by_rule
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

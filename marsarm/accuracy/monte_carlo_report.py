@@ -1,4 +1,4 @@
-"""Report of a Monte Carlo: errors, coverage of the budget and additivity."""
+"""Report of a Monte Carlo: errors and coverage of the budget."""
 
 from functools import partial
 from math import degrees
@@ -6,19 +6,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint
 from marsarm.accuracy.budget import COMPONENTS, MOMENTS, TABLE_3, TABLE_4
 from marsarm.accuracy.budget_report import RULES, format_value, make_origin, short_name
 from marsarm.accuracy.confidence import describe_sample, is_within, min_sample_size
-from marsarm.accuracy.coverage import CoverageReport
-from marsarm.accuracy.monte_carlo import MonteCarloReport
+from marsarm.accuracy.monte_carlo import CoverageReport, MonteCarloReport
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.render import svg
 from marsarm.render.svg import ReportFigure
 from simgap.common.page import Requirement
 from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
-JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 BINS: Final = 60
 REPEATABILITY_OF: Final = {"accuracy": "repeatability", "mars": "mars-repeatability"}
 """Case of the paper's repeatability by that of its accuracy."""
@@ -54,24 +51,17 @@ def _coverage_document(found: CoverageReport) -> dict[str, Any]:
             }
             for rule, by_component in found.by_rule.items()
         },
-        "backlash": {
-            "on_flank": dict(zip(JOINT_NAMES, found.on_flank, strict=True)),
-            "mean_side": dict(zip(JOINT_NAMES, found.side, strict=True)),
-            "shift_over_sum": dict(zip(("median", "p95", "max"), found.backlash, strict=True)),
-        },
-        "additivity": found.additivity,
-        "variant_totals_m": found.variant_totals_m,
     }
 
 
 def monte_carlo_parts(report: MonteCarloReport) -> list[str | ReportTable]:
-    """Show coverage and width of every rule, additivity, three sigma, failed arms and files."""
+    """Show coverage and width of every rule, three sigma, failed arms and files."""
     request, found = report.request, report.coverage
     parts: list[str | ReportTable] = []
     if request.only is not None:
         parts.append(_one_arm_table(report))
     elif found is not None:
-        parts += [_coverage_table(report, found), *_additivity_parts(found)]
+        parts.append(_coverage_table(report, found))
     if request.only is None and report.three_sigma is not None:
         parts.append(_three_sigma_table(report))
     parts += [f"arm {arm}: {why}" for arm, why in report.failed.items()]
@@ -110,26 +100,6 @@ def _percentile_sentence(found: CoverageReport) -> str:
     if found.arms >= enough:
         return f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
     return f"The errors of these arms stay within {values}; what 99.73 % of all do needs {enough} arms."
-
-
-def _additivity_parts(found: CoverageReport) -> list[str | ReportTable]:
-    """Show the sources that equation 13 adds, the positions in the backlash, and what adding does."""
-    rows = [
-        (one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.same_sign_m, one.independent_m)))
-        for one in found.additivity
-    ]
-    head = ("source", "added", "all with one sign", "each by itself")
-    flank = ", ".join(f"{100 * share:.1f}" for share in found.on_flank)
-    side = ", ".join(f"{value:+.2f}" for value in found.side)
-    median, often, most = found.backlash
-    totals = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.variant_totals_m.items())
-    return [
-        ReportTable(head, rows, "Bounds of the sources that equation 13 adds"),
-        f"Outputs lie on a flank of their backlash in {flank} % of the moves (J1 to J5), at the mean "
-        f"position {side}. At the tool, backlash makes {100 * median:.0f} % of the sum over joints "
-        f"(median; 95 % stay within {100 * often:.0f} %, most {100 * most:.0f} %).",
-        f"Total by the rule and with less of it added: {totals}.",
-    ]
 
 
 def _three_sigma_table(report: MonteCarloReport) -> ReportTable:
@@ -194,7 +164,7 @@ def monte_carlo_requirements(report: MonteCarloReport) -> list[Requirement]:
 
 
 def monte_carlo_page(report: MonteCarloReport) -> ReportPage:
-    """Show errors with the bounds of the budget, coverage, additivity and three sigma."""
+    """Show errors with the bounds of the budget, coverage and three sigma."""
     request, found = report.request, report.coverage
     parts: list[str | Heading | ReportTable | tuple[ReportFigure, ...]] = [
         f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
@@ -213,8 +183,6 @@ def monte_carlo_page(report: MonteCarloReport) -> ReportPage:
             "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
             "The 95 % intervals count arms.",
             _coverage_table(report, found),
-            Heading("Additivity in equation 13"),
-            *_additivity_parts(found),
         ]
     if report.three_sigma is not None:
         parts += [

@@ -37,7 +37,6 @@ class BudgetRequest:
         Path | None,
         Option("Draw the rows beside the paper's, and each source.", "FILE.png", suffixes=(".png",)),
     ] = None
-    reproduce: Annotated[bool, Option("Find the magnitudes that reproduce the paper's rows.")] = False
 
 
 @dataclass(frozen=True, slots=True)

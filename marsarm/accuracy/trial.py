@@ -262,46 +262,21 @@ def _tool_of(frame: Frame, tool: str) -> str | None:
     return tool if frame is Frame.TOOL else None
 
 
-def run_sampled_trial(
+def run_trial(
     model: ErrorModel,
     case: BudgetCase,
+    built: str | None,
     params: Params,
     places: int,
     move_model: MoveModel,
     seed: np.random.SeedSequence,
 ) -> list[MeasuredPlacement]:
-    """Sample an arm of a case and measure it at random placements.
+    """Measure an arm at random placements.
 
-    Raises:
-        RuntimeError: A move in the closed loop failed.
-    """
-    sample_seed, placement_seed = seed.spawn(2)
-    rng = np.random.default_rng(sample_seed)
-    tool = params.tool_names[int(rng.integers(len(params.tools)))]
-    effects = sample_effects(model, case, tool, rng)
-    backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
-    arm = BuiltArm("drawn", effects, params)
-    believed = configure_believed(arm)
-    move = (
-        statics_model(arm, believed, backlash)
-        if move_model == "statics"
-        else closed_loop_model(arm, _exact_reference(arm), backlash)
-    )
-    return measure_placements(move, random_placements(believed, tool, places, placement_seed))
-
-
-def run_built_trial(
-    model: ErrorModel,
-    case: BudgetCase,
-    name: str,
-    params: Params,
-    places: int,
-    move_model: MoveModel,
-    seed: np.random.SeedSequence,
-) -> list[MeasuredPlacement]:
-    """Measure a built arm at random placements.
-
-    The arm has errors of its own and those that the case adds. It was initialised at its hardstops.
+    Args:
+        built: Name of a built arm, which was initialised at its hardstops. It has errors of its own, and
+            those that the case adds. None for an arm with all sources, initialised without errors.
+        places: Number of placements.
 
     Raises:
         RuntimeError: The arm was not initialised, or a move in the closed loop failed.
@@ -309,17 +284,22 @@ def run_built_trial(
     sample_seed, placement_seed = seed.spawn(2)
     rng = np.random.default_rng(sample_seed)
     tool = params.tool_names[int(rng.integers(len(params.tools)))]
-    added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
-    cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
-    arm = arm_named(name, params)
-    effects = (*sample_effects(model, replace(case, sources=added), tool, rng), cold)
-    tested = replace(arm, effects=(*arm.effects, *effects))
+    backlash: BacklashMode = "on"
+    if built is None:
+        tested = initialised = BuiltArm("drawn", sample_effects(model, case, tool, rng), params)
+        backlash = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
+    else:
+        added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
+        cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
+        initialised = arm_named(built, params)
+        effects = sample_effects(model, replace(case, sources=added), tool, rng)
+        tested = replace(initialised, effects=(*initialised.effects, *effects, cold))
     believed = configure_believed(tested)
-    move = (
-        statics_model(tested, believed, "on")
-        if move_model == "statics"
-        else closed_loop_model(tested, initial_reference(arm), "on")
-    )
+    if move_model == "statics":
+        move = statics_model(tested, believed, backlash)
+    else:
+        find_reference = _exact_reference if built is None else initial_reference
+        move = closed_loop_model(tested, find_reference(initialised), backlash)
     return measure_placements(move, random_placements(believed, tool, places, placement_seed))
 
 

@@ -197,14 +197,7 @@ def layout_parts(layout: ArmLayout) -> list[ReportTable]:
 
 
 def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:
-    """Save arm, rover and frames from the side and from above as PNG.
-
-    Returns:
-        The reason why there is no picture, or None.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Save arm, rover and frames as PNG; return why there is no picture, or None; BadOutput if it cannot."""
 
     def draw(figure: Any) -> None:
         figure.suptitle(

@@ -1,4 +1,7 @@
-"""Calibration parameters of the arm: names, expected sizes, and their effect on the arm model."""
+"""Calibration parameters of the arm: names, expected sizes, and their effect on the arm model.
+
+In all functions, `x` are values of the parameters, (p,), each in its unit.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -77,15 +80,9 @@ def _frame_screws(built: BuiltTolerances) -> Iterator[FitParameter]:
 
 
 def params_with_values(params: Params, x: Array) -> Params:
-    """Apply parameter values to the parameters of flight software.
+    """Apply values to the parameters of flight software.
 
     Factors of backlash change the backlash widths. The measured frame Tool is not part of the arm.
-
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-
-    Returns:
-        Parameters of the arm with these values.
     """
     factor = np.exp(x)
     for joint in Joint:
@@ -103,14 +100,10 @@ def params_with_values(params: Params, x: Array) -> Params:
 
 
 def arm_with_values(nominal: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
-    """Apply parameter values to the arm as arrays.
+    """Apply values to the arm as arrays.
 
     Link springs keep their axes, as in the plant; `params_with_values` turns them with the frame. The
-    difference is less than a micrometre.
-
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-        stand_in: True if a stand-in turret is mounted. Its mass was weighed and is not changed.
+    difference is less than a micrometre. The mass of a stand-in turret was weighed and is not changed.
 
     Returns:
         The arm, and X_RD, the frame in which it is mounted: the rover frame displaced by Arm1.
@@ -151,14 +144,7 @@ def arm_with_values(nominal: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
 
 
 def turret_displacement(nominal: Arm, x: Array) -> Pose:
-    """Compute the displacement of the turret's own mass by the frame error of Arm6.
-
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-
-    Returns:
-        The displacement in axes of the last link.
-    """
+    """Compute how the frame error of Arm6 displaces the turret's own mass, in axes of the last link."""
     R_CF = Pose(nominal.X_CF.R[:, :, 5], nominal.X_CF.p[:, 5])
     return R_CF @ screw_exp(x[6 * Frame.ARM6 : 6 * Frame.ARM6 + 6]) @ inverse(R_CF)
 
@@ -169,11 +155,8 @@ def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
     A rotation of a frame about z equals an offset of the next joint, and so of its hardstop angle. The new
     angles are valid after each hardstop has been found again.
 
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-
     Returns:
-        Encoder zeros [rad], shape (5,), and the parameters with changed hardstop angles.
+        Encoder zeros [rad], (5,), and the parameters with changed hardstop angles.
     """
     zero = x[list(ENCODER_ZEROS)].copy()
     arm = params_with_values(params, x)

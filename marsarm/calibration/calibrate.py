@@ -1,4 +1,7 @@
-"""Calibration of the arm: fit, rejection of outliers, hold-out validation and identifiability."""
+"""Calibration of the arm: fit, rejection of outliers, hold-out validation and identifiability.
+
+Numbers of poses have shape (n,), error screws of poses (6, n) [rad, m], rotation first.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -128,14 +131,7 @@ def _preliminary_fit(
 
 
 def select_held_out(group: Integers) -> Flags:
-    """Select every fifth pose of each group.
-
-    Args:
-        group: Group index of each pose, shape (n,).
-
-    Returns:
-        Flags of the held-out poses, shape (n,).
-    """
+    """Select every fifth pose of each group; groups and flags have shape (n,)."""
     held = np.zeros(group.size, bool)
     for name in np.unique(group):
         held[np.flatnonzero(group == name)[HOLD_OUT_STRIDE // 2 :: HOLD_OUT_STRIDE]] = True
@@ -143,14 +139,7 @@ def select_held_out(group: Integers) -> Flags:
 
 
 def rms_m(error: Array) -> float:
-    """Compute the root mean square of position errors.
-
-    Args:
-        error: Error screws, rotation [rad] first, then translation [m], shape (6, n).
-
-    Returns:
-        Root mean square error [m].
-    """
+    """Compute the root mean square [m] of the position errors of screws [rad, m], (6, n)."""
     return float(np.sqrt(np.mean(np.sum(error[3:] ** 2, axis=0))))
 
 
@@ -159,9 +148,6 @@ def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) 
 
     Args:
         tools: Poses X_FT of registered tools in frame Arm6; they replace the nominal ones.
-
-    Returns:
-        Parameters of flight software.
     """
     _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
     registered = {name: pose_to_transform6(X_FT) for name, X_FT in (tools or {}).items()}

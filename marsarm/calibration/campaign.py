@@ -1,4 +1,7 @@
-"""Calibration campaign in the closed loop: find the hardstops, then move to every pose and measure it."""
+"""Calibration campaign in the closed loop: find the hardstops, then move to every pose and measure it.
+
+Poses are joint angles [rad], (5,).
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -102,7 +105,7 @@ def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose
         X_NR: Frame RMECH (R) in RNAV.
 
     Returns:
-        X_RT, and its covariance in axes of T, rotation first, shape (6, 6).
+        X_RT, and its covariance in axes of T, rotation first, (6, 6).
     """
     X_NT = inverse(rover.X_WB) @ turret.X_WB
     from_N = adjoint(inverse(X_NT))
@@ -147,9 +150,6 @@ def measure_pose(
 
     Args:
         X_RF: Interface of the turret in the rover frame.
-
-    Returns:
-        The measurement.
 
     Raises:
         TooFewTargets: The tracker sees too few targets on a body.
@@ -235,14 +235,7 @@ def resize_groups(groups: tuple[PoseGroup, ...], poses: int) -> tuple[PoseGroup,
 
 
 def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Generator) -> list[Array]:
-    """Draw the collision-free poses of one group.
-
-    Args:
-        scene: World whose terrain the arm must clear.
-
-    Returns:
-        Joint angles [rad] of each pose, shape (5,), ordered for short moves from the ready pose.
-    """
+    """Draw the poses of one group, clear of the terrain, in an order of short moves."""
     config = configure(group.params(arm.params))
     space = ClearanceModel(config.params, scene, arm.model)
     inside = round(SHOULDER_IN_SHARE * group.count)
@@ -266,15 +259,7 @@ def _clear_pose(
 
 
 def order_by_time(config: Config, start_rad: Array, goals: list[Array]) -> list[Array]:
-    """Order poses so that the next one is always the pose that is reached soonest.
-
-    Args:
-        start_rad: Joint angles at the start, shape (5,).
-        goals: Joint angles [rad] of each pose, shape (5,).
-
-    Returns:
-        The poses in order.
-    """
+    """Order poses so that the next one is always that which is reached soonest."""
     remaining, ordered, here = list(goals), [], start_rad
     while remaining:
         time_s = [float(np.max(np.abs(goal - here) / config.speed_rad_s)) for goal in remaining]
@@ -284,14 +269,7 @@ def order_by_time(config: Config, start_rad: Array, goals: list[Array]) -> list[
 
 
 def branch_name(config: Config, output_rad: Array) -> str:
-    """Return the name of the inverse-kinematics branch of a pose.
-
-    Args:
-        output_rad: Joint angles, shape (5,).
-
-    Returns:
-        The name of the branch.
-    """
+    """Return the name of the inverse-kinematics branch of a pose."""
     return BRANCHES[
         int(branch_index(fold_distances(config.arm.orthogonal[config.farthest_tool], output_rad)))
     ]

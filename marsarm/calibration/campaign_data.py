@@ -1,4 +1,7 @@
-"""Data of a calibration campaign: poses at rest, as believed by flight software and as measured."""
+"""Data of a calibration campaign: poses at rest, as believed by flight software and as measured.
+
+Poses are selected by flags, (n,), or by indices in the wanted order, (k,).
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -58,14 +61,7 @@ class BelievedPoses:
     """Mass of the stand-in turret, shape (n,); NaN for the arm's own turret."""
 
     def at(self, poses: Flags | Integers) -> "BelievedPoses":
-        """Select some of the poses.
-
-        Args:
-            poses: Flags, shape (n,), or indices, shape (k,).
-
-        Returns:
-            The selected poses.
-        """
+        """Select some of the poses."""
         return select_targets(self, poses)
 
 
@@ -93,14 +89,7 @@ class Campaign:
         return self.group.size
 
     def at(self, poses: Flags | Integers) -> "Campaign":
-        """Select some of the poses.
-
-        Args:
-            poses: Flags, shape (n,), or indices in the wanted order, shape (k,).
-
-        Returns:
-            Campaign of the selected poses.
-        """
+        """Select some of the poses."""
         where = np.flatnonzero(poses) if poses.dtype == bool else poses
         return Campaign(
             self.arm_name,

@@ -4,6 +4,9 @@ The believed side is usually right, and a campaign can confirm it. Friction drag
 one side of the backlash. If most of them have the same angle error, this error is an encoder zero or a
 backlash width. Outputs that agree with it lie where they are believed to lie. The other outputs may lie
 anywhere in their backlash, so their poses carry no information about that joint.
+
+In all functions, `output_jacobian` are screws of the turret frame in its axes per radian of each output,
+(6, n, 5). Flags and angles of outputs have shape (5, n).
 """
 
 from collections.abc import Sequence
@@ -33,16 +36,9 @@ Such an output needs no agreement with others.
 
 
 def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flags) -> Array:
-    """Compute the matrices that make error screws independent with unit variance.
+    """Compute the matrices, (n, 6, 6), that make error screws independent with unit variance.
 
-    A pose carries no information along the screw of an output whose side is unknown: these rows are 0.
-
-    Args:
-        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
-        unknown: Boolean flags of outputs whose side of the backlash is unknown, shape (5, n).
-
-    Returns:
-        Whitening matrices, shape (n, 6, 6).
+    A pose carries no information along the screw of an output whose side is `unknown`: these rows are 0.
     """
     W, A = whiten_joint_jacobian(measured, output_jacobian)
     for pose in np.flatnonzero(unknown.any(axis=0)):
@@ -54,13 +50,10 @@ def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flag
 
 
 def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tuple[Array, Array]:
-    """Compute the whitening matrices for the noise of the tracker and of joints at rest.
-
-    Args:
-        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+    """Compute the whitening matrices, (n, 6, 6), for the noise of the tracker and of joints at rest.
 
     Returns:
-        Whitening matrices, shape (n, 6, 6), and the whitened Jacobian, shape (n, 6, 5).
+        The matrices, and the whitened Jacobian, (n, 6, 5).
     """
     J = np.moveaxis(output_jacobian, 1, 0)
     noise = measured.covariance + REST_SIGMA_RAD**2 * J @ J.swapaxes(1, 2)
@@ -92,15 +85,11 @@ def confirm_sides(
     """Find the uncertain outputs that lie where they are believed to lie in their backlash.
 
     Args:
-        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
-        error: Screws [rad, m] from the modelled to the measured poses, shape (6, n).
-        parameter_jacobian: Screws of the turret frame per unit of each parameter, shape (6, n, p).
-        covariance: Covariance of the parameters, in squares of their units, shape (p, p).
-        uncertain: Boolean flags of the outputs to decide, shape (5, n).
-        backlash_rad: Believed positions of the outputs in their backlash, shape (5, n).
-
-    Returns:
-        Flags of the confirmed outputs, shape (5, n).
+        error: Screws [rad, m] from the modelled to the measured poses, (6, n).
+        parameter_jacobian: Screws of the turret frame per unit of each parameter, (6, n, p).
+        covariance: Covariance of the parameters, (p, p).
+        uncertain: Outputs to decide.
+        backlash_rad: Believed positions of the outputs in their backlash.
     """
     joints, n = uncertain.shape
     output_error_rad, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
@@ -125,12 +114,9 @@ def confirm_sides(
 
 
 def find_consensus(outputs: OutputErrors) -> Flags:
-    """Find the outputs that agree with the model and with most outputs on the same side.
+    """Find the outputs, (k,), that agree with the model and with most outputs on the same side.
 
     Model uncertainty shifts all of them together, so only independent noise separates them.
-
-    Returns:
-        Flags of the outputs that agree, shape (k,).
     """
     if outputs.error_rad.size == 0:
         return np.zeros(0, bool)
@@ -183,13 +169,9 @@ def reject_outliers(
     limit rises, so that no outliers appear.
 
     Args:
-        parameters: Parameters with scales and priors.
-        start: Initial values in the units of the parameters, shape (p,); zeros by default.
-        used: Boolean flags of the poses to fit, shape (n,); all by default.
+        start: Initial values of the parameters, (p,); zeros by default.
+        used: Poses to fit, (n,); all by default.
         false_alarm: Probability of reporting an outlier if there is none.
-
-    Returns:
-        The fit without its outliers.
 
     Raises:
         TooManyOutliers: Too many poses would be left out.

@@ -57,14 +57,9 @@ def differentiate_deflection(
 ) -> DeflectionDerivatives:
     """Compute the derivatives of static equilibria by all coordinates.
 
-    Source of the equations: module docstring.
-
     Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3, n).
+        gravity_R_m_s2: Gravity in the rover frame, (3, n).
         X_FT: Frame T in the last frame of the arm.
-
-    Returns:
-        Derivatives at the equilibria.
     """
     S, position = _screws(arm, rest, X_FT)
     near, far = _lumps(arm, rest)
@@ -96,15 +91,12 @@ def differentiate_deflection(
 def screw_derivatives(
     deflection: DeflectionDerivatives, dQ_dx: Array, direct: Array, screw_dx: Array
 ) -> Array:
-    """Compute the derivatives of frame T by parameters.
+    """Compute the screws of T in its own axes per unit of each parameter, (6, n, p).
 
     Args:
-        dQ_dx: Derivatives of loads [N m, N] by parameters, without the screws of frames, shape (d, n, p).
-        direct: Direct derivatives of joint angles [rad] and strains [rad, m] by parameters, shape (d, n, p).
-        screw_dx: Derivatives of the frames' screws [rad, m] by parameters, shape (s, p).
-
-    Returns:
-        Screws of T in its own axes per unit of each parameter, shape (6, n, p).
+        dQ_dx: Derivatives of loads [N m, N] by parameters, without the screws of frames, (d, n, p).
+        direct: Direct derivatives of joint angles [rad] and strains [rad, m] by parameters, (d, n, p).
+        screw_dx: Derivatives of the frames' screws [rad, m] by parameters, (s, p).
     """
     inner = deflection.dQ[:, COMPLIANT, COMPLIANT]
     loads = np.moveaxis(dQ_dx, 1, 0) + deflection.dQ[:, COMPLIANT, SCREW:] @ screw_dx
@@ -164,11 +156,7 @@ def _lumps(arm: Arm, rest: Equilibrium) -> tuple[Array, Array]:
 
 
 def _velocity(S: Array, p: Array) -> Array:
-    """Compute the velocities of points (2, 3, LINK_COUNT, n) along screws (c, 6, n).
-
-    Returns:
-        Velocities, shape (c, 3, 2, LINK_COUNT, n).
-    """
+    """Compute velocities (c, 3, 2, LINK_COUNT, n) of points (2, 3, LINK_COUNT, n) along screws (c, 6, n)."""
     w = S[:, :3].swapaxes(0, 1)[:, :, None, None]
     v = S[:, 3:][:, :, None, None]
     turning: Array = cross(w, p.swapaxes(0, 1)[:, None]).swapaxes(0, 1)
@@ -192,9 +180,5 @@ def _compliance(arm: Arm) -> Array:
 
 
 def add_batch_axis(X: Pose) -> Pose:
-    """Add a batch axis of length one to a pose.
-
-    Returns:
-        The pose as a batch (1,).
-    """
+    """Make a pose a batch (1,)."""
     return Pose(X.R[:, :, None], X.p[:, None])

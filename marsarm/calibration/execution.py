@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -362,16 +361,11 @@ def _drawing_of(campaign: Campaign) -> ArmModel:
         raise BadData(f"column arm: {error}") from error
 
 
-def _require_table(path: Path | None) -> Path:
-    if path is None:
-        raise BadRequest("data: give a table")
-    return path
-
-
 def _take_campaign(request: CalibrateRequest, arm: BuiltArm | None, progress: Progress) -> Campaign:
     """Read the measured poses, or measure the arm in simulation."""
     if arm is None:
-        return read_campaign(_require_table(request.data))
+        assert request.data is not None  # the request was checked
+        return read_campaign(request.data)
     um, um_per_m = request.tracker_um
     tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
     plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)

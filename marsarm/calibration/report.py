@@ -238,14 +238,7 @@ def calibration_page(report: CalibrateReport) -> ReportPage:
 
 
 def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
-    """Save the errors of each pose before and after the calibration as PNG.
-
-    Returns:
-        The reason why there is no picture, or None.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Save the errors of each pose as PNG, or return why there is no picture; BadOutput if it cannot."""
     found = report.found
 
     def draw(figure: Any) -> None:
@@ -257,21 +250,12 @@ def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
     return svg.save_png(path, (11.0, 4.2), draw)
 
 
-def errors_without_backlash(found: Calibration) -> Array:
-    """Compute the errors with calibrated parameters, but without the state of the backlash.
-
-    Returns:
-        Error screws, rotation [rad] above translation [m], shape (6, n).
-    """
-    model = residual_model(found.nominal, found.campaign, with_backlash=False)
-    return model.errors(found.best.values)
-
-
 def _draw_errors(figure: Any, found: Calibration, part: slice) -> None:
     axes = figure.subplots()
+    stateless = residual_model(found.nominal, found.campaign, with_backlash=False)
     series = (
         ("uncalibrated", found.before, svg.RED, "o"),
-        ("calibrated, backlash state left out", errors_without_backlash(found), svg.MUTED, "x"),
+        ("calibrated, backlash state left out", stateless.errors(found.best.values), svg.MUTED, "x"),
         ("calibrated", found.after, svg.BLUE, "."),
     )
     for name, error, colour, marker in series:

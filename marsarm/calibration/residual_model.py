@@ -1,4 +1,7 @@
-"""Residuals of measured poses against the deflected arm, and their derivatives by the arm's parameters."""
+"""Residuals of measured poses against the deflected arm, and their derivatives by the arm's parameters.
+
+In all functions, `x` are values of the parameters, (p,), in the units of `arm_parameters`.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -55,26 +58,12 @@ class CampaignResiduals:
     """Outputs whose side of the backlash is unknown, shape (5, n)."""
 
     def __call__(self, x: Array) -> Linearisation:
-        """Compute whitened error screws and their derivatives.
-
-        Args:
-            x: Parameter values, shape (p,).
-
-        Returns:
-            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
-        """
+        """Compute whitened error screws, (n, 6), and their derivatives, (n, 6, p)."""
         X, jacobian = _parameter_jacobian(settle_poses(self.nominal, x, self.believed), x)
         return linearise(X, jacobian, self.measured.X_RT, self.whitener)
 
     def errors(self, x: Array) -> Array:
-        """Compute the error screws from modelled to measured poses.
-
-        Args:
-            x: Parameter values, each in its own unit, shape (p,).
-
-        Returns:
-            Screws in axes of the modelled turret frame, rotation [rad] above translation [m], shape (6, n).
-        """
+        """Compute the screws from modelled to measured poses, (6, n) [rad, m], in modelled axes."""
         return error_screw(predict_poses(self.nominal, x, self.believed), self.measured.X_RT)
 
 
@@ -93,10 +82,7 @@ def residual_model(
     Args:
         preliminary: Fit close to the solution. Without it, all uncertain outputs count as unknown.
         with_backlash: If false, every output counts as resting on the side where it rests most often.
-        held_out: Boolean flags of poses whose measurements must not decide any side, shape (n,).
-
-    Returns:
-        The residual model.
+        held_out: Poses whose measurements must not decide any side, (n,).
     """
     believed, unknown = campaign.believed, campaign.believed.side == 0
     if not with_backlash:
@@ -138,11 +124,7 @@ def _fix_sides(believed: BelievedPoses) -> BelievedPoses:
 
 
 def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integers]]:
-    """Group poses by the turret that was mounted.
-
-    Returns:
-        Mass [kg] of each stand-in turret, None for the arm's own turret, with the indices of its poses.
-    """
+    """Group poses by the stand-in turret [kg], None for the arm's own; return the indices of each."""
     kinds = np.unique(believed.turret_kg)
     own = np.isnan(believed.turret_kg)
     found: list[tuple[float | None, Integers]] = [
@@ -152,14 +134,7 @@ def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integer
 
 
 def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
-    """Compute the poses of the turret frame.
-
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-
-    Returns:
-        X_RT, the turret frame in the rover frame, batch (n,).
-    """
+    """Compute X_RT, the turret frame in the rover frame, batch (n,)."""
     parts = (
         (where, _settle_arm(nominal, x, turret_kg, believed.at(where)).X_RT)
         for turret_kg, where in group_by_turret(believed)
@@ -168,14 +143,7 @@ def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
 
 
 def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
-    """Merge parts of a batch into one batch.
-
-    Args:
-        parts: Indices of the poses of each part, and these poses.
-
-    Returns:
-        All poses in order, batch (count,).
-    """
+    """Merge parts of a batch, with the indices of their poses, into one batch (count,)."""
     X = Pose(np.empty((3, 3, count)), np.empty((3, count)))
     for where, part in parts:
         X.R[:, :, where], X.p[:, where] = part.R, part.p
@@ -229,14 +197,7 @@ class TurretPoses:
 
 
 def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[TurretPoses]:
-    """Compute the equilibria of all poses, grouped by turret.
-
-    Args:
-        x: Parameter values, shape (p,), in the units of `arm_parameters`.
-
-    Returns:
-        One record for each turret.
-    """
+    """Compute the equilibria of all poses, a record for each turret."""
     parts = []
     for turret_kg, where in group_by_turret(believed):
         at = believed.at(where)
@@ -249,11 +210,7 @@ def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[Tur
 
 
 def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
-    """Compute the Jacobian of the turret frame by the output angles.
-
-    Returns:
-        Screws of the turret frame in its own axes, per radian of each output, shape (6, n, 5).
-    """
+    """Compute the screws of the turret frame in its own axes per radian of each output, (6, n, 5)."""
     jacobian = np.empty((6, _pose_count(parts), JOINT_COUNT))
     for part in parts:
         unit_rotations = np.zeros((SCREW, part.where.size, JOINT_COUNT))
@@ -266,11 +223,7 @@ def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
 
 
 def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, Array]:
-    """Compute the turret poses, and their screws per unit of each parameter.
-
-    Returns:
-        X_RT, batch (n,), and the Jacobian in axes of the turret frame, shape (6, n, p).
-    """
+    """Compute X_RT, batch (n,), and its screws in its own axes per unit of each parameter, (6, n, p)."""
     n = _pose_count(parts)
     jacobian = np.empty((6, n, PARAMETER_COUNT))
     screws = np.zeros((6 * len(Frame), PARAMETER_COUNT))
@@ -305,11 +258,7 @@ def _load_derivatives(deflection: DeflectionDerivatives, x: Array, stand_in: boo
 
 
 def _direct_derivatives(deflection: DeflectionDerivatives, x: Array, at: BelievedPoses) -> Array:
-    """Compute the direct derivatives of strains and joint angles by stiffnesses and backlash widths.
-
-    Returns:
-        Derivatives, shape (SCREW, n, p).
-    """
+    """Compute the derivatives of strains and joint angles by stiffnesses and backlashes, (SCREW, n, p)."""
     rest, n = deflection.rest, deflection.rest.output_rad.shape[1]
     direct = np.zeros((SCREW, n, PARAMETER_COUNT))
     carried_Nm = rest.torque_Nm - at.friction_Nm
@@ -326,12 +275,9 @@ def _direct_derivatives(deflection: DeflectionDerivatives, x: Array, at: Believe
 
 
 def _right_jacobian(screw: Array) -> Array:
-    """Compute the right Jacobian J of the exponential: exp(x + d) = exp(x) exp(J d).
+    """Compute the right Jacobian J, (6, 6), of the exponential: exp(x + d) = exp(x) exp(J d).
 
     The series ends after the third power of x.
-
-    Returns:
-        Matrix, shape (6, 6).
     """
     ad = np.zeros((6, 6))
     ad[:3, :3] = ad[3:, 3:] = skew(screw[:3])

@@ -136,11 +136,7 @@ def true_params(arm: BuiltArm) -> Params:
 
 
 def hardstop_errors_rad(arm: BuiltArm) -> Array:
-    """Compute the errors of the arm's hardstop angles; its encoders read this much too little.
-
-    Returns:
-        True less nominal hardstop angles [rad], shape (5,).
-    """
+    """Compute true less nominal hardstop angles, (5,) [rad]; the arm's encoders read this much too little."""
     error_rad = np.zeros(len(Joint))
     for effect in arm.effects:
         if isinstance(effect, HardstopAngle):
@@ -149,23 +145,16 @@ def hardstop_errors_rad(arm: BuiltArm) -> Array:
 
 
 def zero_errors_rad(arm: BuiltArm, reference: Reference) -> Array:
-    """Compute the errors of the motor angles after an initialisation.
-
-    Returns:
-        True less believed motor angles [rad], shape (5,).
-    """
+    """Compute true less believed motor angles, (5,) [rad], after an initialisation."""
     error_rad: Array = true_reference(arm).zero_rad + hardstop_errors_rad(arm) - reference.zero_rad
     return error_rad
 
 
 def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -> Pose:
-    """Compute the poses of the true arm, at the believed motor angles and positions in the backlash.
+    """Compute X_RT, batch (n,), of the true arm at the believed positions in the backlash.
 
     Args:
-        motor_error_rad: True less believed motor angles, shape (5,).
-
-    Returns:
-        X_RT, the turret frame in the rover frame, batch (n,).
+        motor_error_rad: True less believed motor angles, (5,).
     """
     params = true_params(arm)
     half = configure(params).half_backlash_rad[:, None]
@@ -193,15 +182,10 @@ class TruthComparison:
 
 
 def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> TruthComparison:
-    """Compare the calibrated arm with the true arm.
-
-    The frame Tool of the targets is taken as nominal.
+    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal.
 
     Args:
-        motor_error_rad: True less believed motor angles, shape (5,).
-
-    Returns:
-        Errors of poses, and of parameter combinations over their sigmas.
+        motor_error_rad: True less believed motor angles, (5,).
     """
     fitted = residual_model(found.nominal, found.campaign, found.preliminary)
     truth = MeasuredPoses(
@@ -222,11 +206,7 @@ MOST_TRIES: Final = 20
 
 
 def register_tools(arm: BuiltArm, seed: int) -> dict[str, Pose]:
-    """Simulate the measurement of every tool frame by targets on the tool and on the interface.
-
-    Returns:
-        X_FT, the tool frame in frame Arm6, for every tool.
-    """
+    """Simulate the measurement of the frame X_FT of every tool by targets on it and on the interface."""
     rng = np.random.default_rng([seed, 3])
     truth = build_arm(true_params(arm))
     noise = np.repeat([FIXTURE_RAD, FIXTURE_M], 3)

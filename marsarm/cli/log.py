@@ -8,7 +8,7 @@ import typer
 
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import Progress
-from simgap.common.verb import VerbResult, verb
+from simgap.common.verb import VerbResult, shown, verb
 
 if TYPE_CHECKING:
     from marsarm.telemetry.read import Log
@@ -41,15 +41,15 @@ def info(
 
     Example: marsarm log info run.mcap '/joint.*_rad'
     """
-    from marsarm.telemetry.tables import channels_json, channels_table, info_json, info_table
+    from marsarm.telemetry.tables import channels_document, channels_parts, info_document, info_parts
 
     read = _read(log, start, stop)
     if not glob:
-        return VerbResult(info_json(read), lambda: info_table(read))
+        return shown(info_document(read), info_parts(read))
     from marsarm.telemetry.inspection import select_channels
 
     selected = select_channels(read, glob)
-    return VerbResult(channels_json(read, selected), lambda: channels_table(read, selected))
+    return shown(channels_document(read, selected), channels_parts(read, selected))
 
 
 @log_app.command()
@@ -81,8 +81,8 @@ def plot(
     problem = save_log_figure(selected, read.evrs, out)
     if problem is not None:
         raise BadOutput(f"out {out}: not drawn, {problem}")
-    document = {"log": str(log), "picture": str(out), "channels": [one.name for one in selected]}
-    return VerbResult(document, lambda: print(f"{pluralize(len(selected), 'channel')} in {out}"))
+    document = {"log": log, "picture": out, "channels": [one.name for one in selected]}
+    return shown(document, [f"{pluralize(len(selected), 'channel')} in {out}"])
 
 
 @log_app.command()
@@ -108,11 +108,11 @@ def export(
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
     from marsarm.telemetry.export import export
-    from marsarm.telemetry.tables import export_json, export_table
+    from marsarm.telemetry.tables import export_document, export_parts
 
     read = _read(log, start, stop)
     files = export(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
-    return VerbResult(export_json(read, files), lambda: export_table(read, files))
+    return shown(export_document(read, files), export_parts(read, files))
 
 
 @log_app.command()
@@ -127,10 +127,10 @@ def recover(
     Example: marsarm log recover run.mcap saved.mcap
     """
     from marsarm.telemetry.recover import recover
-    from marsarm.telemetry.tables import recovery_json, recovery_table
+    from marsarm.telemetry.tables import recovery_document, recovery_parts
 
     recovered = recover(bad, good, progress)
-    return VerbResult(recovery_json(bad, good, recovered), lambda: recovery_table(good, recovered))
+    return shown(recovery_document(bad, good, recovered), recovery_parts(good, recovered))
 
 
 @log_app.command("import")
@@ -152,21 +152,20 @@ def import_log(
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """
-    from marsarm.telemetry.import_table import ImportRequest, import_json, import_table, import_tables
+    from marsarm.telemetry.import_table import import_document, import_parts, import_table
 
-    request = ImportRequest(table, mapping, log)
-    made = import_table(request, progress)
-    return VerbResult(import_json(request, made), lambda: import_tables(request, made))
+    made = import_table(table, mapping, log, progress)
+    return shown(import_document(log, made), import_parts(log, made))
 
 
-def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
+def _read(log: Path, start_s: float | None, stop_s: float | None) -> "Log":
     """Read a log between two times.
 
     Raises:
-        NoSuchChannel: the log has no message between these times.
+        BadRequest: the log has no message between these times.
     """
     from marsarm.telemetry.errors import trailing_bytes_text
-    from marsarm.telemetry.inspection import NoSuchChannel, bound_ns
+    from marsarm.telemetry.inspection import bound_ns
     from marsarm.telemetry.read import read_log
 
     start_ns, stop_ns = bound_ns("from", start_s), bound_ns("to", stop_s)
@@ -176,7 +175,7 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     if not read.time_ns and (start_s, stop_s) != (None, None):
         ends = {"from": start_s, "to": stop_s}
         span = " ".join(f"{name} {time_s} s" for name, time_s in ends.items() if time_s is not None)
-        raise NoSuchChannel(f"log {log} has nothing in the time {span}")
+        raise BadRequest(f"log {log} has nothing in the time {span}")
     if read.end_note:
         print(f"log {log}: {read.end_note}", file=sys.stderr)
     if read.trailing_bytes:
@@ -207,7 +206,7 @@ def replay(
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
     from marsarm.replaying.replay import ReplayRequest, replay
-    from marsarm.replaying.tables import replay_json, replay_table
+    from marsarm.replaying.tables import replay_document, replay_parts
 
     report = replay(ReplayRequest(log, channel, params), progress)
-    return VerbResult(replay_json(report), lambda: replay_table(report), report.differences.identical)
+    return shown(replay_document(report), replay_parts(report), report.differences.identical)

@@ -65,12 +65,17 @@ def select_runner(workers: int | None, cluster: str | None) -> Runner:
 
     Args:
         workers: Number of processes on this machine; None for one on each core.
-        cluster: Address of a Ray cluster, or "auto"; None for this machine.
+        cluster: Host and port of the head of a Ray cluster, of which this machine is a node; "auto" for
+            RAY_ADDRESS, or else the cluster of this machine; None for this machine alone.
 
     Raises:
         BadRequest: Ray is not installed, or no cluster answers at the address.
     """
-    return local_runner(workers or os.cpu_count() or 1) if cluster is None else cluster_runner(cluster)
+    if cluster is None:
+        return local_runner(workers or os.cpu_count() or 1)
+    from marsarm.common.cluster import connect  # loaded late: most commands use no cluster
+
+    return connect(cluster)
 
 
 def local_runner(workers: int) -> Runner:
@@ -83,28 +88,8 @@ def run_here(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Res
     return map(work, jobs)
 
 
-def cluster_runner(address: str = "auto") -> Runner:
-    """Make a runner on a Ray cluster, of which this machine is a node.
-
-    Args:
-        address: Host and port of its head; or "auto" for RAY_ADDRESS, or else the cluster of this machine.
-
-    Raises:
-        BadRequest: Ray is not installed, or no cluster answers at the address.
-    """
-    from marsarm.common.cluster import connect  # loaded late: most commands use no cluster
-
-    return connect(address)
-
-
 def in_order(run: Runner, work: Callable[..., Result], jobs: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
-    """Yield `work(*job)` of each job in the order of the jobs.
-
-    Args:
-        run: Runner of parallel jobs.
-        work: Function of a module.
-        jobs: Arguments of each call.
-    """
+    """Yield `work(*job)` of each job in the order of the jobs; `work` is a function of a module."""
     early: dict[int, Result] = {}
     following = 0
     for number, result in run(_NumberedCall(work), list(enumerate(jobs))):

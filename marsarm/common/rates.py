@@ -45,9 +45,9 @@ class Median:
     def __str__(self) -> str:
         if not self.of:
             return "no case"
-        ends = (self.least, self.most)
-        between = f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f}"
-        between = between if all(map(isfinite, ends)) else "too few to say"
+        between = "too few to say"
+        if isfinite(self.most):
+            between = f"{100 * self.least:.1f} to {100 * self.most:.1f}"
         return f"{100 * self.median:.1f} % (of {self.of}; {between})"
 
 
@@ -92,29 +92,16 @@ def rate_of(outcomes: Iterable[bool]) -> Rate:
     return estimate_rate(sum(found), len(found))
 
 
-def estimate_rate(hits: int, of: int, level: float = 0.95) -> Rate:
-    """Estimate a proportion with its Clopper-Pearson interval.
-
-    Raises:
-        ValueError: not 0 <= hits <= of.
-    """
-    interval = clopper_pearson(hits, of, level)
-    return Rate(hits, of, hits / of if of else float("nan"), *interval)
+def estimate_rate(hits: int, of: int) -> Rate:
+    """Estimate a proportion with its interval; ValueError if it is not a proportion."""
+    return Rate(hits, of, hits / of if of else float("nan"), *clopper_pearson(hits, of))
 
 
-def clopper_pearson(hits: float, of: int, level: float = 0.95) -> tuple[float, float]:
+def clopper_pearson(hits: float, of: int, level: float = LEVEL) -> tuple[float, float]:
     """Compute the exact confidence interval of the probability of a hit (Clopper and Pearson 1934).
 
     At the lower end, as many hits or more have the probability (1 - level) / 2. At the upper end, as many or
-    fewer have it. Both ends are quantiles of beta distributions.
-
-    Args:
-        hits: Number of hits, not necessarily whole.
-        of: Number of cases.
-        level: Confidence level.
-
-    Returns:
-        Lower and upper end of the interval.
+    fewer have it. The number of hits is not necessarily whole, as it is for `scipy.stats.binomtest`.
 
     Raises:
         ValueError: not 0 <= hits <= of.

@@ -2,14 +2,16 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Position, Vector3, match_name
+from fsw.dictionary.types import Position, match_name
+from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
@@ -27,49 +29,45 @@ NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
-NEAR_HINT: Final = "give metres, as in 2.1 0 -0.3"
+TargetLabel = Callable[[int], tuple[str, str]]
+"""Function from the index of a target to the names of its position and direction in messages."""
 
 
-def check_finite(name: str, values: tuple[float, ...]) -> None:
-    """Refuse NaN and infinity."""
-    if not np.all(np.isfinite(values)):
-        raise BadRequest(f"{name}: {format_numbers(values)} is not three finite numbers")
-
-
-def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
-    """Refuse a point that is much too far from the rover."""
-    if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
-        raise BadRequest(
-            f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
-            f"rover; {NEAR_HINT}"
-        )
-
-
-def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
-    """Scale a vector to a largest component of 1, so that its length cannot overflow.
+def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what: str) -> Array:
+    """Check points and directions, shape (3, n) each.
 
     Args:
-        name: Name of the option, for the error.
-        vector: Vector of any length.
-        what: Description of a correct value, for the error.
+        position_m: Points, in metres.
+        direction: Vectors of any length.
+        naming: Names of position and direction in messages.
+        what: Description of a correct direction, for the error.
+
+    Returns:
+        Directions, scaled to a largest component of 1, so that no length can overflow.
 
     Raises:
-        BadRequest: the vector has no direction.
+        BadRequest: a number is not finite, a point is too far from the rover, or a direction is 0.
     """
-    largest = max(abs(component) for component in vector)
-    if largest < MIN_COMPONENT:
-        raise BadRequest(f"{name}: {format_numbers(vector)} has no direction; give {what}")
-    x, y, z = (component / largest for component in vector)
-    return (x, y, z)
+
+    def refuse(wrong: NDArray[np.bool_], which: int, complaint: str) -> None:
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            numbers = format_numbers(tuple((position_m, direction)[which][:, first].tolist()))
+            raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
+
+    for which, values in enumerate((position_m, direction)):
+        refuse(~np.isfinite(values).all(axis=0), which, "is not three finite numbers")
+    with np.errstate(over="ignore"):
+        distance_m = np.hypot(np.hypot(position_m[0], position_m[1]), position_m[2])
+    far = f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; give metres, as in 2.1 0 -0.3"
+    refuse(distance_m > MAX_TARGET_DISTANCE_M, 0, far)
+    largest = np.abs(direction).max(axis=0)
+    refuse(largest < MIN_COMPONENT, 1, f"has no direction; give {what}")
+    return np.asarray(direction / largest)
 
 
 def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:
     """Return the arm of this name, with the flight parameters of a TOML file if one is given.
-
-    Args:
-        name: Name of the arm.
-        params: TOML file of flight parameters; None for those of the drawing.
-        mismatch: True to take parameters that do not fit the drawing.
 
     Raises:
         BadRequest: the name or the file is wrong.
@@ -81,12 +79,7 @@ def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltA
 
 
 def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of the drawing of an arm.
-
-    Args:
-        name: Name of the arm that is flown with them.
-        path: The TOML file.
-        mismatch: True to take parameters that do not fit the drawing.
+    """Read a TOML file of flight parameters over those of the drawing of the arm that is flown with them.
 
     Raises:
         BadRequest: the file is wrong, or its parameters belong to another arm.
@@ -105,12 +98,7 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
 
 
 def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of a drawing.
-
-    Args:
-        model: Drawing of the arm.
-        path: The TOML file.
-        mismatch: True to take parameters that do not fit the drawing.
+    """Read a TOML file of flight parameters over those of a drawing; with `mismatch`, they need not fit it.
 
     Raises:
         BadRequest: the file is wrong, or no arm of this drawing can have its parameters.
@@ -130,11 +118,7 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
 
 
 def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Parse effects, each written as text or as the name of a TOML file of effects.
-
-    Args:
-        texts: Texts and names.
-        tools: Tools of the arm.
+    """Parse effects, each written as text or as the name of a TOML file, for an arm with these tools.
 
     Raises:
         BadRequest: some are wrong; the message lists all errors.
@@ -181,12 +165,6 @@ def parse_tool(name: str, tools: Sequence[str]) -> str:
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
     """Make a world without a surface, with a rover tilted up to the limit of the arm.
 
-    Args:
-        scene: mars or earth.
-        roll_deg: Roll of the rover, right side down.
-        pitch_deg: Pitch of the rover, nose up.
-        scene_option: Name of the option that gave the scene, for the error.
-
     Raises:
         BadRequest: the scene is unknown, or the tilt is not finite or too large.
     """
@@ -226,12 +204,7 @@ WRONG_WIDTH: Final = re.compile(
 
 
 def describe_bad_table(error: Exception, kind: str) -> str:
-    """Describe why a table cannot be read, in place of the words and bytes that a library gives.
-
-    Args:
-        error: Error of the library.
-        kind: Expected format.
-    """
+    """Describe why a table of a format cannot be read, in place of the words and bytes of a library."""
     text = str(error)
     if "pickle" in text:
         return "holds Python objects; only arrays of numbers are read"

@@ -88,7 +88,7 @@ def build_dictionary() -> Dictionary:
     return Dictionary(
         commands=tuple(_command(kind) for kind in get_args(Command)),
         evrs=tuple(_evr(kind) for kind in _evr_types()),
-        packets=tuple(_packet(topic) for topic, _ in PACKET_TOPICS),
+        packets=tuple(_packet(topic) for topic in PACKET_TOPICS.values()),
         parameters=tuple(_parameters(Params, nominal_params(), "")),
     )
 
@@ -257,13 +257,14 @@ def _matching_entries(entries: Iterable[E], pattern: str) -> Iterator[E]:
         if any(_matches(name, pattern) for name in names):
             yield entry
             continue
-        matching = tuple(one for one in entry.fields if _field_matches(entry, one.name, pattern))
+        matching = tuple(
+            one
+            for one in entry.fields
+            if _matches(one.name, pattern)
+            or channel_matches(entry.name.lower(), one.name.lower(), pattern.lower())
+        )
         if matching:
             yield replace(entry, fields=matching)
-
-
-def _field_matches(entry: Definition, field: str, pattern: str) -> bool:
-    return _matches(field, pattern) or channel_matches(entry.name.lower(), field.lower(), pattern.lower())
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +21,7 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.transforms import Array
-from marsarm.common.requests import (
-    MAX_TARGET_DISTANCE_M,
-    MIN_COMPONENT,
-    NEAR_HINT,
-    describe_bad_table,
-    format_numbers,
-)
+from marsarm.common.requests import TargetLabel, check_targets, describe_bad_table
 from marsarm.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
 from simgap.common.errors import BadRequest
@@ -37,8 +31,6 @@ JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 VERDICT_NAMES: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)
 FRAMES: Final = ("rnav", "rmech")
 
-TargetLabel = Callable[[int], tuple[str, str]]
-"""Function from the index of a target to the names of its position and approach in messages."""
 ZIP_MAGIC: Final = b"PK\x03\x04"
 POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
 APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
@@ -76,36 +68,10 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
     """
     if frame not in FRAMES:
         raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")
-    for which, values in enumerate((position_m, approach)):
-        _refuse(~np.isfinite(values).all(axis=0), values, naming, which, "is not three finite numbers")
-    with np.errstate(over="ignore"):
-        distance = np.hypot(np.hypot(position_m[0], position_m[1]), position_m[2])
-    _refuse(
-        distance > MAX_TARGET_DISTANCE_M,
-        position_m,
-        naming,
-        0,
-        f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; {NEAR_HINT}",
-    )
-    largest = np.abs(approach).max(axis=0)
-    _refuse(
-        largest < MIN_COMPONENT,
-        approach,
-        naming,
-        1,
-        "has no direction; give the one in which the tool is to point, such as 0 0 1 for down",
-    )
-    unit = approach / largest  # scaled first, so that the norm does not overflow
+    what = "the one in which the tool is to point, such as 0 0 1 for down"
+    unit = check_targets(position_m, approach, naming, what)
     unit = unit / np.linalg.norm(unit, axis=0)
     return IkTargets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
-
-
-def _refuse(wrong: NDArray[np.bool_], values: Array, naming: TargetLabel, which: int, complaint: str) -> None:
-    if not wrong.any():
-        return
-    first = int(np.argmax(wrong))
-    numbers = format_numbers(tuple(float(value) for value in values[:, first]))
-    raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:

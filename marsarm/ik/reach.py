@@ -18,7 +18,6 @@ from marsarm.ik.solve import (
     Tally,
     build_ik_model,
     model_document,
-    tally,
     tally_document,
     tally_table,
 )
@@ -61,7 +60,7 @@ def sample_workspace(
     valid, counted = [], Tally()
     for result in model.solve_in_batches(targets, run, progress):
         valid.append((result.verdict == BranchVerdict.VALID).sum(axis=0))
-        counted += tally(result)
+        counted.add(result)
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
 
 

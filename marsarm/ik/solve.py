@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
 from fsw.config import digest
-from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
@@ -109,13 +107,14 @@ class Tally:
     outside_by_joint: Counter[str] = field(default_factory=Counter)
     """Number of branches outside limits, by the joint farthest beyond its limit."""
 
-    def __add__(self, other: "Tally") -> "Tally":
-        return Tally(
-            self.targets_by_valid + other.targets_by_valid,
-            self.valid_by_branch + other.valid_by_branch,
-            self.by_verdict + other.by_verdict,
-            self.outside_by_joint + other.outside_by_joint,
-        )
+    def add(self, result: IkResult) -> None:
+        """Count the results of a part of a batch."""
+        valid = result.verdict == BranchVerdict.VALID
+        outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
+        self.targets_by_valid.update(valid.sum(axis=0).tolist())
+        self.valid_by_branch.update(dict(zip(BRANCHES, valid.sum(axis=1).tolist(), strict=True)))
+        self.by_verdict.update(VERDICT_NAMES[k] for k in result.verdict.ravel().tolist())
+        self.outside_by_joint.update(JOINT_NAMES[k] for k in result.joint[outside].tolist())
 
     @property
     def targets(self) -> int:
@@ -126,23 +125,6 @@ class Tally:
     def out(self) -> int:
         """Return the number of invalid branches."""
         return self.by_verdict.total() - self.by_verdict["valid"]
-
-
-def tally(result: IkResult) -> Tally:
-    """Count the results of a batch."""
-    valid = result.verdict == BranchVerdict.VALID
-    outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
-    return Tally(
-        Counter(dict(_count_values(valid.sum(axis=0)))),
-        Counter(dict(zip(BRANCHES, valid.sum(axis=1).tolist(), strict=True))),
-        Counter({VERDICT_NAMES[k]: count for k, count in _count_values(result.verdict)}),
-        Counter({Joint(k).name.lower(): count for k, count in _count_values(result.joint[outside])}),
-    )
-
-
-def _count_values(numbers: NDArray[np.int64]) -> list[tuple[int, int]]:
-    values, counts = np.unique(numbers, return_counts=True)
-    return [(int(value), int(count)) for value, count in zip(values, counts, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,7 +182,7 @@ def _solve_batch(
     with open_writer(out, _about(request, model)) as writer:
         for result in model.solve_in_batches(targets, run, progress):
             writer.add(result)
-            counted += tally(result)
+            counted.add(result)
         progress(1, 1, "writing")
     return BatchReport(request, model, counted)
 

@@ -1,16 +1,16 @@
 """Pictures and movies of a scene, by MuJoCo's renderer or, without OpenGL, by ray casting in the same model.
 
 A picture that cannot be drawn never stops a run: the result states what is missing. A path that cannot be
-written is bad input, and `check_picture_path` refuses it before any work begins.
+written is refused before any work begins.
 """
 
 import importlib.util
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -18,17 +18,14 @@ from numpy.typing import NDArray
 
 from marsarm.render import gl
 from marsarm.render.rays import RayCamera
-from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_path, check_output
 
 Image = NDArray[np.uint8]
 Renderer = Literal["opengl", "rays", "none"]
 
-APT = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
-
-
-class PictureError(BadRequest):
-    """Error for a picture that cannot be taken: a path, a camera or a size is wrong."""
+FRAMES_PER_S: Final = 16
+APT: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +50,15 @@ class Camera(Protocol):
 
 
 def save_picture(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    camera: str,
-    path: str | os.PathLike[str],
-    size: tuple[int, int] = (1280, 720),
+    model: mujoco.MjModel, data: mujoco.MjData, camera: str, path: Path, size: tuple[int, int] = (1280, 720)
 ) -> PictureResult:
-    """Save the view of a camera of the model as a PNG file.
-
-    Args:
-        data: Its state, current (after mj_forward or mj_step).
+    """Save the view of a camera of the model as a PNG file; the state is current, as after mj_forward.
 
     Raises:
-        PictureError: the path cannot be written, there is no such camera, or the size is not positive.
+        BadRequest: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_picture_path(path)
-    opened, result = _open_camera(model, camera, file, size)
+    check_output(path, (".png",), "picture")
+    opened, result = _open_camera(model, camera, path, size)
     if opened is None:
         return result
     try:
@@ -78,10 +68,10 @@ def save_picture(
     import PIL.Image
 
     try:
-        with atomic_path(_target(file)) as part:
+        with _replace(path) as part:
             PIL.Image.fromarray(image).save(part, "PNG")
     except OSError as error:
-        return _not_saved("picture", file, error)
+        return _not_saved("picture", path, error)
     return result
 
 
@@ -89,25 +79,23 @@ def save_movie(
     model: mujoco.MjModel,
     poses: Iterable[NDArray[np.float64]],
     camera: str,
-    path: str | os.PathLike[str],
+    path: Path,
     size: tuple[int, int] = (640, 360),
-    frames_per_s: float = 16.0,
 ) -> PictureResult:
-    """Save an MP4 or GIF with one frame for each pose.
+    """Save an MP4 or GIF, by its suffix, with one frame for each pose.
 
     A run only stores poses, which are small; the frames are drawn after it.
 
     Args:
         poses: Positions qpos, each of shape (model.nq,), in metres and radians.
-        path: The file, MP4 or GIF by its suffix.
         size: Width and height in pixels, even for an MP4.
 
     Raises:
-        PictureError: the path cannot be written, PyAV is missing for an MP4, there is no such camera, or the
-            size is not positive.
+        BadRequest: the path cannot be written, PyAV is missing for an MP4, there is no such camera, there is
+            no pose, or the size is not positive.
     """
-    file = check_movie_path(path)
-    opened, result = _open_camera(model, camera, file, size)
+    check_movie_path(path)
+    opened, result = _open_camera(model, camera, path, size)
     if opened is None:
         return result
     data = mujoco.MjData(model)
@@ -121,10 +109,12 @@ def save_movie(
             frames.append(opened.take(data))
     finally:
         opened.close()
+    if not frames:
+        raise BadRequest(f"movie {path}: there is no frame to write")
     try:
-        (write_gif if file.suffix.lower() == ".gif" else write_mp4)(frames, file, frames_per_s)
+        (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(frames, path)
     except OSError as error:
-        return _not_saved("movie", file, error)
+        return _not_saved("movie", path, error)
     return result
 
 
@@ -133,42 +123,25 @@ def _not_saved(what: str, file: Path, error: OSError) -> PictureResult:
     return PictureResult(None, "none", f"no {what}: {file} cannot be written ({error.strerror or error})")
 
 
-def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_s: float = 16.0) -> None:
-    """Write images as a GIF that repeats endlessly.
-
-    Args:
-        frames: Images, each of shape (height, width, 3), 0 to 255.
-
-    Raises:
-        PictureError: the path cannot be written or there is no frame.
-    """
+def _write_gif(frames: Sequence[Image], path: Path) -> None:
+    """Write images as a GIF that repeats endlessly."""
     import PIL.Image
 
-    file = check_movie_path(path)
     images = [PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE) for frame in frames]
-    if not images:
-        raise PictureError(f"movie {file}: there is no frame to write")
-    duration_ms = round(1000 / frames_per_s)
-    with atomic_path(_target(file)) as part:
+    duration_ms = round(1000 / FRAMES_PER_S)
+    with _replace(path) as part:
         images[0].save(part, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
-def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -> None:
-    """Write images, (height, width, 3), even and 0 to 255, as an MP4 with H.264, which every browser plays.
-
-    Raises:
-        PictureError: there is no frame.
-        OSError: the file cannot be written.
-    """
+def _write_mp4(frames: Sequence[Image], path: Path) -> None:
+    """Write images of even sizes as an MP4 with H.264, which every browser plays."""
     import av
 
-    if not frames:
-        raise PictureError(f"movie {path}: there is no frame to write")
     with (
-        atomic_path(_target(path)) as part,
+        _replace(path) as part,
         av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as container,
     ):
-        stream = container.add_stream("libx264", rate=Fraction(frames_per_s), options={"crf": "20"})
+        stream = container.add_stream("libx264", rate=FRAMES_PER_S, options={"crf": "20"})
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in frames:
@@ -176,37 +149,20 @@ def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -
         container.mux(stream.encode())
 
 
-def _target(path: Path) -> Path:
-    """Return the file that a path names, so that a link stays a link when the file is replaced."""
-    return Path(os.path.realpath(path))
+def _replace(path: Path) -> AbstractContextManager[Path]:
+    """Give a temporary path for the file that a path names; a link stays a link."""
+    return atomic_path(Path(os.path.realpath(path)))
 
 
-def check_movie_path(path: str | os.PathLike[str]) -> Path:
-    """Return the path if a movie can be written there; an MP4 needs PyAV, a GIF does not.
-
-    Raises:
-        PictureError: wrong suffix, no such folder, impossible name, no permission, or no PyAV.
-    """
-    file = _check_path(path, (".gif", ".mp4"), "movie")
-    if file.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
-        raise PictureError(f"movie {file}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
-    return file
-
-
-def check_picture_path(path: str | os.PathLike[str]) -> Path:
-    """Return the path if a picture can be written there.
+def check_movie_path(path: Path) -> None:
+    """Refuse a path at which no movie can be written; an MP4 needs PyAV, a GIF does not.
 
     Raises:
-        PictureError: wrong suffix, no such folder, impossible name, or no permission.
+        BadRequest: wrong suffix, no such folder, impossible name, no permission, or no PyAV.
     """
-    return _check_path(path, (".png",), "picture")
-
-
-def _check_path(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
-    try:
-        return check_output(path, suffixes, what)
-    except BadOutput as error:
-        raise PictureError(str(error)) from error
+    check_output(path, (".gif", ".mp4"), "movie")
+    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
+        raise BadRequest(f"movie {path}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
 
 
 def _open_camera(
@@ -216,9 +172,9 @@ def _open_camera(
     camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
     if camera_id < 0:
         names = ", ".join(model.camera(number).name for number in range(model.ncam)) or "none"
-        raise PictureError(f"picture: there is no camera {camera!r}; the model has: {names}")
+        raise BadRequest(f"picture: there is no camera {camera!r}; the model has: {names}")
     if min(size) < 1:
-        raise PictureError(f"picture: size {size[0]} x {size[1]} must be positive, in pixels")
+        raise BadRequest(f"picture: size {size[0]} x {size[1]} must be positive, in pixels")
     if importlib.util.find_spec("PIL") is None:
         return None, PictureResult(None, "none", "no picture: Pillow is missing; pip install pillow")
     reason = gl.unavailable_reason()

@@ -148,19 +148,11 @@ def save_figure(
     Raises:
         BadOutput: the file cannot be written.
     """
+    os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
     try:
-        image = render_png(size_inch, dpi, draw)
+        import matplotlib
     except ImportError as error:
         return f"matplotlib is missing ({error}); pip install matplotlib"
-    with atomic_write(path, "picture") as file:
-        file.write(image)
-    return None
-
-
-def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
-    """Draw a figure, and return the bytes of a PNG; ImportError if matplotlib is not installed."""
-    os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
-    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -170,4 +162,6 @@ def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], N
         draw(figure)
         image = BytesIO()
         figure.savefig(image, format="png", dpi=dpi, facecolor=figure.get_facecolor())
-    return image.getvalue()
+    with atomic_write(path, "picture") as file:
+        file.write(image.getvalue())
+    return None

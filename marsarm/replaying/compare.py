@@ -162,10 +162,8 @@ def _distance(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     """Compute absolute differences; integers stay integers, since large ones are not exact as floats."""
     if not (_is_integer(a) and _is_integer(b)):
         return np.abs(a.astype(np.float64) - b.astype(np.float64))
-    c, d = (
-        a.astype(np.uint64),
-        b.astype(np.uint64),
-    )  # negative numbers wrap around, and their difference wraps back
+    # Negative numbers wrap around, and their difference wraps back.
+    c, d = a.astype(np.uint64), b.astype(np.uint64)
     return np.where(a > b, c - d, d - c).astype(np.float64)
 
 
@@ -265,13 +263,11 @@ class Differences:
         return not (self.channels_compared or self.evrs_compared)
 
 
-def every_channel(topic: str, field: str) -> bool:
-    """Select every channel."""
-    return True
-
-
 def compare_behaviours(
-    recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: ChannelFilter = every_channel
+    recorded: Behaviour,
+    replayed: Behaviour,
+    tolerance: float = 0.0,
+    chosen: ChannelFilter = lambda topic, field: True,
 ) -> Differences:
     """Compare two runs; NaN equals NaN.
 
@@ -279,8 +275,6 @@ def compare_behaviours(
     such as an imported table, and topics that it lacks are not compared.
 
     Args:
-        recorded: Recorded run.
-        replayed: Replayed run.
         tolerance: Relative tolerance for floats beyond 1, absolute below; 0 compares bit for bit. Integers
             and flags must be equal.
         chosen: Channels to compare; lengths and events are always compared.

@@ -1,7 +1,7 @@
 """Inputs and outputs of flight software in a run: start, sensors and commands; packets and events."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, Final
@@ -16,7 +16,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Outputs, Sensors
-from marsarm.telemetry.errors import LostMessages, trailing_bytes_text
+from marsarm.telemetry.errors import trailing_bytes_text
 from marsarm.telemetry.events import BadJson, EvrEntry, command_from_json, evr_entry, record_from_json
 from marsarm.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from marsarm.telemetry.read import Log
@@ -139,9 +139,8 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
     breaks = np.flatnonzero(np.diff(ticks) != 1)
     end = len(ticks) if breaks.size == 0 else int(breaks[0]) + 1
     notes += [f"recovered: {one.sentence}" for one in log.lost]
-    end = min(
-        end, *(_last_tick_before(one) + 1 for one in log.lost if one.topic in REQUIRED_TOPICS), len(ticks)
-    )
+    lost = [one for one in log.lost if one.topic in REQUIRED_TOPICS]
+    end = min(end, *((one.after_ns or 0) // TICK_NS + 1 for one in lost), len(ticks))
     if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
@@ -149,11 +148,6 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
     why = "the log was cut short" if end == len(ticks) else f"something after tick {end - 1} is missing"
     notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely complete")
     return end - 1
-
-
-def _last_tick_before(lost: LostMessages) -> int:
-    """Return the tick of the last message before a loss, 0 if there is none."""
-    return 0 if lost.after_ns is None else lost.after_ns // TICK_NS
 
 
 def _sensor_columns(log: Log, arm: ArmNames) -> dict[str, NDArray[Any]]:
@@ -178,7 +172,7 @@ def _sensor_columns(log: Log, arm: ArmNames) -> dict[str, NDArray[Any]]:
 
 OUTPUTS_PREFIX: Final = "outputs."
 OUTPUT_TOPICS: Final[tuple[Topic, ...]] = tuple(
-    topic for topic, _ in PACKET_TOPICS if topic.path.startswith(OUTPUTS_PREFIX)
+    topic for topic in PACKET_TOPICS.values() if topic.path.startswith(OUTPUTS_PREFIX)
 )
 
 
@@ -227,12 +221,9 @@ def behaviour_from_outputs(outputs: Sequence[Outputs]) -> Behaviour:
         ]
         if packets:
             ticks = np.array([tick for tick, _ in packets], np.int64)
-            series[topic.name] = TopicSeries(
-                ticks, _columns(topic.field_names, [packet for _, packet in packets])
-            )
+            columns = {
+                name: np.array([getattr(packet, name) for _, packet in packets]) for name in topic.field_names
+            }
+            series[topic.name] = TopicSeries(ticks, columns)
     evrs = tuple(evr_entry(tick, evr) for tick, out in enumerate(outputs) for evr in out.evrs)
     return Behaviour(len(outputs), series, evrs)
-
-
-def _columns(names: Iterable[str], packets: list[Any]) -> dict[str, NDArray[Any]]:
-    return {name: np.array([getattr(packet, name) for packet in packets]) for name in names}

@@ -1,12 +1,10 @@
-"""Output of a replay: a table for people and a JSON document."""
+"""Report of a replay: its document, and what it shows on the console."""
 
 from collections.abc import Iterator
-from math import isfinite
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
 
 from fsw.config import CYCLE_HZ
 from marsarm.replaying.compare import ChannelDifference, Differences, EvrDifference
@@ -15,67 +13,71 @@ from marsarm.telemetry.events import EvrEntry
 from simgap.common.console import magnitude_sparkline, pluralize, value_sparklines
 
 MAX_EVRS: Final = 30
-"""Events in the table; the JSON document has all."""
+"""Events on the console; the document has all."""
 
 
-def replay_json(report: ReplayReport) -> dict[str, Any]:
-    """Return a replay as a JSON document."""
+def replay_document(report: ReplayReport) -> dict[str, Any]:
+    """Collect a replay and its differences from the recorded run."""
+    found, header = report.differences, report.header
     return {
-        "log": str(report.request.log),
-        "recorded_by": {
-            key: report.header.get(key) for key in ("marsarm", "git", "numpy", "mujoco", "python")
-        },
+        "log": report.request.log,
+        "recorded_by": {key: header.get(key) for key in ("marsarm", "git", "numpy", "mujoco", "python")},
         "same_processor": report.same_processor,
-        "changed_params": list(report.changed_params),
-        "notes": list(report.notes),
-        **differences_json(report.differences),
-    }
-
-
-def differences_json(found: Differences) -> dict[str, Any]:
-    """Return the differences between two runs as a JSON document."""
-    return {
+        "changed_params": report.changed_params,
+        "notes": report.notes,
         "identical": found.identical,
         "tolerance": found.tolerance,
-        "ticks": {"recorded": found.ticks[0], "replayed": found.ticks[1]},
+        "ticks": _sides(*found.ticks),
         "evrs": [
             {
-                "kind": one.kind.value,
+                "kind": one.kind,
                 "tick": one.tick,
-                "recorded": _evr_document(one.recorded),
-                "replayed": _evr_document(one.replayed),
+                **_sides(_evr_document(one.recorded), _evr_document(one.replayed)),
             }
             for one in found.evrs
         ],
-        "lengths": [
-            {"topic": n.topic, "recorded": n.recorded, "replayed": n.replayed, "first_tick": n.first_tick}
-            for n in found.lengths
-        ],
+        "lengths": found.lengths,
         "channels": [_channel_document(one) for one in found.channels],
         "channels_compared": found.channels_compared,
-        "not_compared": list(found.not_compared),
+        "not_compared": found.not_compared,
     }
 
 
-def replay_table(report: ReplayReport) -> None:
-    """Print a replay: events first, then lengths, then channel by channel."""
-    console = Console(highlight=False)
-    console.print(f"{report.request.log}: {verdict_line(report.differences)}", soft_wrap=True, markup=False)
+def _sides(recorded: Any, replayed: Any) -> dict[str, Any]:
+    return {"recorded": recorded, "replayed": replayed}
+
+
+def _evr_document(evr: EvrEntry | None) -> dict[str, Any] | None:
+    if evr is None:
+        return None
+    return {"tick": evr.tick, "name": evr.name, "message": evr.message, "fields": evr.fields}
+
+
+def _channel_document(one: ChannelDifference) -> dict[str, Any]:
+    """Collect a channel that differs; a line of text stands for its differences at all ticks."""
+    return {
+        **{name: value for name, value in asdict(one).items() if name not in ("profile", *_sides(0, 0))},
+        "at_first": _sides(*one.at_first),
+        "waveform": magnitude_sparkline(one.profile),
+        "around_first": _sides(one.recorded, one.replayed),
+    }
+
+
+def replay_parts(report: ReplayReport) -> list[str]:
+    """Show a replay: events first, then lengths, then channel by channel."""
     header = report.header
-    console.print(
-        f"recorded  by marsarm {header.get('marsarm')}, git {header.get('git')}, numpy {header.get('numpy')}",
-        soft_wrap=True,
+    processor = (
+        "processor another than recorded it (cpu in the header): numbers are compared to "
+        f"{report.differences.tolerance:g}"
     )
-    if not report.same_processor:
-        console.print(
-            f"processor another than recorded it (cpu in the header): numbers are compared to "
-            f"{report.differences.tolerance:g}",
-            soft_wrap=True,
-        )
-    for name, lines in (("parameter", report.changed_params), ("note", report.notes)):
-        for line in lines:
-            console.print(f"{name:<9} {line}", soft_wrap=True, markup=False)
-    differences_table(console, report.differences)
+    return [
+        f"{report.request.log}: {verdict_line(report.differences)}",
+        f"recorded  by marsarm {header.get('marsarm')}, git {header.get('git')}, numpy {header.get('numpy')}",
+        *([] if report.same_processor else [processor]),
+        *(f"parameter {line}" for line in report.changed_params),
+        *(f"note      {line}" for line in report.notes),
+        *difference_lines(report.differences),
+    ]
 
 
 def verdict_line(found: Differences) -> str:
@@ -91,23 +93,19 @@ def verdict_line(found: Differences) -> str:
     )
 
 
-def differences_table(console: Console, found: Differences) -> None:
-    """Print the differences between two runs."""
-    for line in found.not_compared:
-        console.print(f"note      {line}", soft_wrap=True, markup=False)
-    for one in found.evrs[:MAX_EVRS]:
-        console.print(_evr_line(one), soft_wrap=True)
+def difference_lines(found: Differences) -> Iterator[str]:
+    """Yield the lines of the differences between two runs."""
+    yield from (f"note      {line}" for line in found.not_compared)
+    yield from (_evr_line(one) for one in found.evrs[:MAX_EVRS])
     if len(found.evrs) > MAX_EVRS:
-        console.print(f"event     and {len(found.evrs) - MAX_EVRS} more; --json lists all")
+        yield f"event     and {len(found.evrs) - MAX_EVRS} more; --json lists all"
     for n in found.lengths:
-        console.print(
+        yield (
             f"length    {n.topic}: {n.recorded} recorded, {n.replayed} replayed, apart from tick "
-            f"{n.first_tick} on",
-            soft_wrap=True,
+            f"{n.first_tick} on"
         )
     for c in sorted(found.channels, key=lambda c: c.first_tick):
-        for line in _channel_lines(c):
-            console.print(line, soft_wrap=True, markup=False)
+        yield from _channel_lines(c)
 
 
 def _channel_lines(c: ChannelDifference) -> Iterator[str]:
@@ -126,46 +124,12 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
 def _evr_line(one: EvrDifference) -> str:
     evr = one.recorded or one.replayed
     assert evr is not None
-    line = f"event     tick {evr.tick}  [bold]{one.kind.value}[/bold]  {evr.name}: {escape(evr.message)}"
+    line = f"event     tick {evr.tick}  {one.kind.value}  {evr.name}: {evr.message}"
     if one.recorded is None or one.replayed is None:
         return line
     later = "" if one.recorded.tick == one.replayed.tick else f"at tick {one.replayed.tick} "
-    return f"{line}  ->  {later}{one.replayed.name}: {escape(one.replayed.message)}"
-
-
-def _evr_document(evr: EvrEntry | None) -> dict[str, Any] | None:
-    if evr is None:
-        return None
-    return {"tick": evr.tick, "name": evr.name, "message": evr.message, "fields": _finite_json(evr.fields)}
-
-
-def _channel_document(one: ChannelDifference) -> dict[str, Any]:
-    return {
-        "channel": one.channel,
-        "first_tick": one.first_tick,
-        "first_component": list(one.first_component),
-        "at_first": {"recorded": _finite_json(one.at_first[0]), "replayed": _finite_json(one.at_first[1])},
-        "ticks": one.ticks,
-        "compared": one.compared,
-        "greatest": _finite_json(one.greatest),
-        "greatest_tick": one.greatest_tick,
-        "component": list(one.component),
-        "waveform": magnitude_sparkline(one.profile),
-        "around_first": {
-            "recorded": _finite_json(one.recorded.tolist()),
-            "replayed": _finite_json(one.replayed.tolist()),
-        },
-    }
+    return f"{line}  ->  {later}{one.replayed.name}: {one.replayed.message}"
 
 
 def _component_name(channel: str, component: tuple[int, ...]) -> str:
     return channel + "".join(f"[{k}]" for k in component)
-
-
-def _finite_json(value: Any) -> Any:
-    """Convert NaN and infinities to text, since strict JSON lacks them."""
-    if isinstance(value, dict):
-        return {key: _finite_json(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite_json(item) for item in value]
-    return str(value) if isinstance(value, float) and not isfinite(value) else value

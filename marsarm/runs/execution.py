@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config, digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from marsarm.render.picture import PictureResult, check_movie_path, save_movie, save_picture
+from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
-from marsarm.runs.request import RunFiles, WhenDiskFull
+from marsarm.runs.request import RunFiles
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.robot_description import draw_scene
@@ -73,19 +73,18 @@ class Artifacts:
     """Time [s] and event of each event of the ground."""
 
 
-def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
-    """Find the hardstop of every joint in turn, until one fails; return the result of each.
+def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationResult:
+    """Find the hardstop of every joint in turn, until one fails; return the last result.
 
     Raises:
         Exception: the one that ended flight software.
     """
-    stops: list[InitialisationResult] = []
-    for run in initialise_joints(arm, seed=seed):
-        if run.failure is not None:
-            raise run.failure
-        stops.append(run)
-        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
-    return stops
+    initialising = part_of(progress, 0.0, INITIALISATION_SHARE)
+    for number, last in enumerate(initialise_joints(arm, seed=seed), 1):
+        if last.failure is not None:
+            raise last.failure
+        initialising(number, len(HARDSTOP_ORDER), "initialising")
+    return last
 
 
 @dataclass(slots=True)
@@ -99,24 +98,31 @@ class DrawnPoses:
 
 
 class RunLog:
-    """Recorder that survives a full disk: an event states from when on nothing was recorded."""
+    """Recorder that survives a full disk: an event states from when on nothing was recorded.
 
-    def __init__(self, path: Path | None, recorder: Recorder | None):
-        self._path = path
-        self._recorder = recorder
-        self._last_s = 0.0
+    A context manager. Without a path it records nothing.
+    """
+
+    def __init__(
+        self, path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel
+    ) -> None:
+        """Open the log; BadRequest if it cannot be opened."""
+        self._path, self._last_s = path, 0.0
+        self._recorder: Recorder | None = None
         self.events: tuple[tuple[float, LogNotWritten], ...] = ()
         """Time [s] and event; empty if the log is complete, else one."""
+        if path is not None:
+            try:
+                self._recorder = Recorder(path, header, config, scene=draw_scene(world, arm))
+            except LogNotWritable as error:
+                raise BadRequest(str(error)) from error
 
     def write(self, record: CycleRecord) -> None:
         """Record a cycle, unless recording has failed before."""
-        if self._recorder is None or self.events:
-            return
-        self._last_s = record.tick / CYCLE_HZ
-        try:
-            self._recorder.write(record)
-        except OSError as error:
-            self._note_failure(self._recorder, error)
+        if self._recorder is not None and not self.events:
+            self._last_s = record.tick / CYCLE_HZ
+            with self._note_failure(self._recorder):
+                self._recorder.write(record)
 
     def __enter__(self) -> Self:
         return self
@@ -124,40 +130,22 @@ class RunLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close("" if error is None else describe_interruption(error))
-        if error is not None and self._recorder is not None:
-            error.add_note(f"log {self._path} ends at {self._last_s:.2f} s and says so")
-
-    def close(self, interrupted_by: str = "") -> None:
-        """Complete and close the file; it says what interrupted the run, unless this is empty."""
+        """Complete the file; it says what interrupted the run."""
         if self._recorder is None:
             return
+        with self._note_failure(self._recorder):
+            self._recorder.close("" if error is None else describe_interruption(error))
+        if error is not None:
+            error.add_note(f"log {self._path} ends at {self._last_s:.2f} s and says so")
+
+    @contextmanager
+    def _note_failure(self, recorder: Recorder) -> Iterator[None]:
         try:
-            self._recorder.close(interrupted_by)
+            yield
         except OSError as error:
-            if not self.events:
-                self._note_failure(self._recorder, error)
-
-    def _note_failure(self, recorder: Recorder, error: OSError) -> None:
-        from_s = recorder.written_cycles / CYCLE_HZ
-        event = LogNotWritten(str(self._path), from_s, error.strerror or str(error))
-        self.events = ((self._last_s, event),)
-
-
-def open_log(
-    path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel | None
-) -> RunLog:
-    """Open the log of a run, one that records nothing if there is no path.
-
-    Raises:
-        BadRequest: the file cannot be opened.
-    """
-    if path is None:
-        return RunLog(None, None)
-    try:
-        return RunLog(path, Recorder(path, header, config, scene=draw_scene(world, arm)))
-    except LogNotWritable as error:
-        raise BadRequest(str(error)) from error
+            from_s = recorder.written_cycles / CYCLE_HZ
+            event = LogNotWritten(str(self._path), from_s, error.strerror or str(error))
+            self.events = self.events or ((self._last_s, event),)
 
 
 class RunResult(Protocol):
@@ -185,50 +173,25 @@ class StoppableRun(Protocol[Result_co]):
         """Return the result; valid after the last cycle."""
 
 
-def record_cycles(
-    run: StoppableRun[Result], log: RunLog, when_disk_full: WhenDiskFull
-) -> Iterator[CycleRecord]:
-    """Run and record cycle by cycle; if the log can no longer be written, go on or stop the arm."""
-    for record in run:
-        log.write(record)
-        yield record
-        if log.events and when_disk_full == "stop":
-            yield from run.stopping()
-            return
-
-
-def describe_activity(record: CycleRecord) -> str:
-    """Return the current mode of the arm in words, for a progress bar."""
-    return record.outputs.joint.mode.name.lower().replace("_", " ")
-
-
 def save_artifacts(
     files: RunFiles,
     world: World,
+    arm: ArmModel,
     drawn: DrawnPoses,
-    last: Qpos,
-    log: RunLog,
+    events: tuple[tuple[float, LogNotWritten], ...],
     progress: Progress,
-    arm: ArmModel | None = None,
 ) -> Artifacts:
-    """Draw the picture and the movie of a run, and collect its artifacts.
-
-    Args:
-        world: World of the run; its scene is drawn with all visual details.
-        last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
-        log: Log of the run, closed.
-        arm: Drawing of the arm; None for the default one.
-    """
-    problem = next((event.message for _, event in log.events), None)
+    """Draw the picture and the movie of a run, and collect its artifacts; `events` are those of its log."""
+    problem = next((event.message for _, event in events), None)
     if files.picture is None and files.movie is None:
-        return Artifacts(None, None, problem, log.events)
+        return Artifacts(None, None, problem, events)
     spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
     picture = movie = None
     if files.picture is not None:
         data = mujoco.MjData(model)
-        data.qpos[:] = last if drawn.best is None else drawn.best
+        data.qpos[:] = drawn.best
         mujoco.mj_forward(model, data)
         camera = "turret" if world.surface is None else "target"
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
@@ -241,7 +204,7 @@ def save_artifacts(
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, iter_poses(), "overview", files.movie)
-    return Artifacts(picture, movie, problem, log.events)
+    return Artifacts(picture, movie, problem, events)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,12 +218,6 @@ class Execution(Generic[Result]):
     artifacts: Artifacts
     view: "LiveView | None" = None
     """Viewer that shows the run, if one was asked for."""
-
-
-def check_files(files: RunFiles) -> None:
-    """Refuse a movie that this machine cannot write by a PictureError, before anything moves."""
-    if files.movie is not None:
-        check_movie_path(files.movie)
 
 
 @contextmanager
@@ -318,23 +275,29 @@ def execute(
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
-    share = 1.0 if files.movie is None else 0.5
-    running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
+    share = 1.0 if files.movie is None else 0.5 * (1.0 + INITIALISATION_SHARE)
+    running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
     drawn = DrawnPoses()
     started = time.perf_counter()
-    with open_log(files.log, header, loop.config, world, arm) as log:
-        for record in record_cycles(run, log, files.when_disk_full):
+    with RunLog(files.log, header, loop.config, world, arm) as log:
+        cycles, is_stopping = iter(run), False
+        while (record := next(cycles, None)) is not None:
+            log.write(record)
             if record.tick % FRAME_CYCLES == 0:
-                running(*progress_at(record), describe_activity(record))
+                activity = record.outputs.joint.mode.name.lower().replace("_", " ")
+                running(*progress_at(record), activity)
                 if files.movie is not None:
                     drawn.poses.append(loop.plant.data.qpos.copy())
             if view is not None:
                 view.watch(record)
             if is_for_picture(record):
                 drawn.best = loop.plant.data.qpos.copy()
+            if log.events and files.when_disk_full == "stop" and not is_stopping:
+                cycles, is_stopping = run.stopping(), True
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, drawn, loop.plant.data.qpos, log, drawing, arm)
+    drawn.best = loop.plant.data.qpos if drawn.best is None else drawn.best
+    artifacts = save_artifacts(files, world, arm, drawn, log.events, drawing)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

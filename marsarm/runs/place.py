@@ -3,24 +3,23 @@
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import match_name
+from fsw.dictionary.types import match_name, vector3
 from marsarm.common.requests import (
-    check_finite,
-    check_target_distance,
+    check_targets,
     fit_effects,
     format_numbers,
     make_world,
     parse_effects,
-    scale_direction,
     select_arm,
 )
+from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
-    INITIALISATION_SHARE,
     Execution,
-    check_files,
     execute,
     execution_not_begun,
     initialise,
@@ -37,7 +36,7 @@ from sim.world import Surface, World, inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.server import LiveView
@@ -63,13 +62,11 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
     check_options(request)
-    check_files(request.files)
-    check_finite("target", request.target_m)
-    check_finite("normal", request.normal)
-    check_target_distance("target", request.target_m)
-    normal = scale_direction(
-        "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
-    )
+    if request.files.movie is not None:
+        check_movie_path(request.files.movie)
+    point, normals = (np.array(vector, float)[:, None] for vector in (request.target_m, request.normal))
+    what = "the direction out of the surface, such as 0 0 -1 for up"
+    normal = vector3(check_targets(point, normals, lambda _: ("target", "normal"), what)[:, 0])
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
     arm = fit_effects(arm, effects)
@@ -123,7 +120,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
 def _carry_out(
     request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
 ) -> PlaceReport:
-    last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    last = initialise(job.arm, request.seed, progress)
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
@@ -140,7 +137,7 @@ def _carry_out(
         header,
         request.files,
         job.world,
-        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress,
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
         arm=job.arm.model,

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
 from marsarm.common.requests import make_world, parse_effects, select_arm
+from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
     Execution,
-    check_files,
     execute,
     execution_not_begun,
     initialise,
@@ -28,7 +28,7 @@ from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.server import LiveView
@@ -71,7 +71,7 @@ def _carry_out(
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)
     on_this_day = replace(arm, effects=(*ambient, *arm.effects))
-    last = initialise(on_this_day, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    last = initialise(on_this_day, request.seed, progress)
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
@@ -98,7 +98,7 @@ def _carry_out(
         ),
         request.files,
         scenario.world,
-        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress,
         progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
         is_for_picture=lambda _: scenario_run.command == picture_command,
         arm=arm.model,
@@ -110,7 +110,8 @@ def _carry_out(
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_options(request)
-    check_files(request.files)
+    if request.files.movie is not None:
+        check_movie_path(request.files.movie)
     if not request.scenario:
         raise BadRequest("scenario: give a name or a file; `marsarm run --list` lists what there is")
     try:

@@ -6,7 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from marsarm.telemetry.format import header_crc32
+from mcap.records import Metadata
+
+from marsarm.telemetry.format import with_crc, without_crc
 from simgap.common.errors import UserError
 
 RECOVERED_RECORD: Final = "marsarm.recovered"
@@ -90,20 +92,11 @@ def interruption_text(interrupted_by: str) -> str:
     return f"the run was interrupted by {interrupted_by}; the log ends there"
 
 
-def loss_metadata(lost: Sequence[LostMessages]) -> dict[str, str]:
-    """Return the metadata that lists the losses in a recovered log, with a CRC."""
-    record = {"lost": json.dumps([asdict(one) for one in lost])}
-    return record | {"crc32": header_crc32(record)}
+def loss_metadata(lost: Sequence[LostMessages]) -> Metadata:
+    """Return the metadata that lists the losses in a recovered log."""
+    return Metadata(RECOVERED_RECORD, with_crc({"lost": json.dumps([asdict(one) for one in lost])}))
 
 
 def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
-    """Read the metadata that `loss_metadata` made; an empty record lists no loss.
-
-    Raises:
-        ValueError, TypeError: the record is damaged.
-    """
-    if not record:
-        return ()
-    if record.get("crc32") != header_crc32({"lost": record.get("lost", "")}):
-        raise ValueError("what the log says of a recovery does not match its CRC")
-    return tuple(LostMessages(**one) for one in json.loads(record["lost"]))
+    """Read the metadata that `loss_metadata` made; ValueError or TypeError if it is damaged."""
+    return tuple(LostMessages(**one) for one in json.loads(without_crc(record).get("lost", "[]")))

@@ -14,7 +14,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.validity import MAX_FLOAT
 from marsarm.telemetry.errors import SchemaError
-from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_time, strip_optional
+from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 
 COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
@@ -175,10 +175,11 @@ class LogEntry:
     """Base of the messages without a fixed layout; their fields are integers and strings."""
 
     @classmethod
-    def ros_text(cls) -> str:
-        """Return the body of the ROS 2 message definition."""
+    def ros_definition(cls) -> bytes:
+        """Return the ROS 2 message definition."""
         names = {int: "int64", str: "string"}
-        return "".join(f"{names[kind]} {name}\n" for name, kind in get_type_hints(cls).items())
+        lines = "".join(f"{names[kind]} {name}\n" for name, kind in get_type_hints(cls).items())
+        return ros_definition(cls.__doc__, lines)
 
     def encode(self) -> bytes:
         """Encode the entry in CDR: integers of eight bytes; strings with a length, ended by a zero."""
@@ -262,5 +263,5 @@ def command_entry(tick: int, command: Command) -> CommandEntry:
 
 def rosout_message(time_ns: int, evr: Evr) -> bytes:
     """Encode an EVR as rcl_interfaces/Log, for the log panels of other tools."""
-    out = CdrWriter().add("iI", *ros_time(time_ns)).add("B", LOG_LEVELS[evr.severity])
+    out = CdrWriter().add("I", *divmod(time_ns, 1_000_000_000)).add("B", LOG_LEVELS[evr.severity])
     return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

@@ -50,24 +50,22 @@ def version_problem(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return ""
 
 
+def with_crc(record: Mapping[str, str]) -> dict[str, str]:
+    """Return a metadata record with a CRC."""
+    return {**record, CRC_KEY: header_crc32(record)}
+
+
+def without_crc(record: Mapping[str, str]) -> dict[str, str]:
+    """Return what `with_crc` was given, or nothing if there is no record; ValueError if it is damaged."""
+    plain = {key: value for key, value in record.items() if key != CRC_KEY}
+    if record and record.get(CRC_KEY) != header_crc32(plain):
+        raise ValueError("what the log says of its end or of a recovery does not match its CRC")
+    return plain
+
+
 def end_metadata(interrupted_by: str) -> list[Metadata]:
-    """Return the metadata for the end of a log, with a CRC; none if `interrupted_by` is empty."""
-    record = {INTERRUPTED_KEY: interrupted_by}
-    return [Metadata(END_RECORD, record | {CRC_KEY: header_crc32(record)})] if interrupted_by else []
-
-
-def interruption_in(record: Mapping[str, str]) -> str:
-    """Read the metadata that `end_metadata` made: the cause; empty if the record is empty.
-
-    Raises:
-        ValueError: the record is damaged.
-    """
-    if not record:
-        return ""
-    cause = record.get(INTERRUPTED_KEY, "")
-    if record.get(CRC_KEY) != header_crc32({INTERRUPTED_KEY: cause}):
-        raise ValueError("what the log says of its end does not match its CRC")
-    return cause
+    """Return the metadata for the end of a log; none if `interrupted_by` is empty."""
+    return [Metadata(END_RECORD, with_crc({INTERRUPTED_KEY: interrupted_by}))] if interrupted_by else []
 
 
 def header_records(header: Mapping[str, str]) -> list[Metadata]:

@@ -1,13 +1,11 @@
 """Mapping of an import: a file in the form of a robot file, and the channels that it may name."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from enum import IntEnum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Final, Literal, get_type_hints
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field as Bounds
@@ -19,20 +17,12 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name
 from fsw.estimate.reference import Reference
 from marsarm.common.fields import unit_of
-from marsarm.telemetry.schema import (
-    ROS_NAME,
-    Field,
-    Layout,
-    arm_names,
-    is_tool_index,
-    packet_layout,
-    strip_annotated,
-)
-from marsarm.telemetry.topics import PACKET_TOPICS, Topic
+from marsarm.telemetry.schema import ROS_NAME, Field, Layout, arm_names, packet_layout
+from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams
 from simgap.common.errors import RobotError
-from simgap.common.toml import Record, parse_record, read_toml
+from simgap.common.toml import Record
 from simgap.files.robot_file import CsvTable, TimeTable
 from simgap.units import UNITS, Unit, find_unit
 
@@ -45,7 +35,6 @@ IMPORT_PREFIX: Final = "/imported/"
 CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
 PLAIN_UNITS: Final = ("bool", "count", "cycle", "1")
 """Units of the log that a mapping need not name, for nothing else could be meant."""
-TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
 Value = bool | int | float | str
 Number = float | list[float]
 
@@ -139,8 +128,6 @@ class ChannelTarget:
     field: Field
     unit: str | None
     """Unit in the log; None for a member of an enumeration."""
-    members: Mapping[str, int] | None = None
-    """Names of the values; None for numbers and flags."""
 
     @property
     def name(self) -> str:
@@ -161,7 +148,7 @@ class ChannelTarget:
 
     def member(self, word: str) -> int | None:
         """Return the value of a member by name or number; case does not matter; None if there is none."""
-        members = self.members or {}
+        members = self.field.members or {}
         name = match_name(word, members)
         by_number = {str(value): value for value in members.values()}
         return by_number.get(word) if name is None else members[name]
@@ -182,29 +169,21 @@ class MappedChannel:
     """Conversion to the unit of the log; None for none."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TableMapping:
-    """Checked mapping."""
-
-    file: MappingFile
-    channels: tuple[MappedChannel, ...]
-    params: Params
-    reference: Reference | None
-    """Stored reference of the joints; None if it is unknown."""
-
-
-def read_mapping(path: Path) -> TableMapping:
-    """Read a mapping; RobotError if it cannot be read, or a key or a value is wrong."""
-    file = parse_record(MappingFile, read_toml(path), path)
+def read_params(path: Path, file: MappingFile) -> Params:
+    """Read the parameters of the arm of a mapping; RobotError if they are wrong."""
     try:
-        params = params_over_nominal(path.parent / file.params) if file.params else nominal_params()
+        return params_over_nominal(path.parent / file.params) if file.params else nominal_params()
     except (BadParams, OSError, ValueError) as error:
         raise RobotError(f"{path}: params: {error}") from error
-    channels = [_map_channel(f"{path}: channels.{name}", name, one) for name, one in file.channels.items()]
-    return TableMapping(file, tuple(channels), params, _reference(file.reference, params))
 
 
-def _reference(table: ReferenceTable | None, params: Params) -> Reference | None:
+def map_channels(path: Path, file: MappingFile) -> list[MappedChannel]:
+    """Return the channels of a mapping; RobotError if one is wrong."""
+    return [_map_channel(f"{path}: channels.{name}", name, one) for name, one in file.channels.items()]
+
+
+def stored_reference(table: ReferenceTable | None, params: Params) -> Reference | None:
+    """Return the stored reference of the joints; None if it is unknown."""
     if table is None:
         return None
     backlash, friction = table.half_backlash_rad, table.friction_Nm
@@ -234,7 +213,7 @@ def _map_channel(where: str, name: str, table: ChannelTable) -> MappedChannel:
                 f"{where}.{key}: {len(numbers)} given; {name} takes one for all, or {target.columns_text}"
             )
         scales[key] = tuple(map(float, numbers))
-    if target.members is not None and (table.unit or (table.factor, table.offset) != (1.0, 0.0)):
+    if target.field.members is not None and (table.unit or (table.factor, table.offset) != (1.0, 0.0)):
         raise RobotError(f"{where}: is a name or its number; it has no unit, factor or offset")
     if isinstance(table.value, list) and len(table.value) != target.size:
         raise RobotError(f"{where}.value: {len(table.value)} given; {name} takes {target.columns_text}")
@@ -260,25 +239,19 @@ def _conversion(where: str, target: ChannelTarget, name: str) -> Unit | None:
 @cache
 def topic_layout(name: str) -> Layout:
     """Return the layout of a flight topic, as the recorder writes it."""
-    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names, arm_names(nominal_params()))
+    return packet_layout(
+        PACKET_TOPICS[name].packet, PACKET_TOPICS[name].field_names, arm_names(nominal_params())
+    )
 
 
 @cache
 def known_targets() -> dict[str, ChannelTarget]:
     """Return every flight channel by name."""
     found = {}
-    for topic in TOPICS.values():
-        hints = get_type_hints(topic.packet, include_extras=True)
-        for field in topic_layout(topic.name).fields:
-            kind = strip_annotated(hints[field.name])
-            members: Mapping[str, int] | None = None
-            if isinstance(kind, type) and issubclass(kind, IntEnum):
-                members = {member.name: member.value for member in kind}
-            if is_tool_index(hints[field.name]):
-                members = {tool: k for k, tool in enumerate(nominal_params().tool_names)}
-            unit = None if members else "bool" if field.kind == "|b1" else unit_of(field.name)
-            target = ChannelTarget(topic.name, field, unit, members)
-            found[target.name] = target
+    for topic in PACKET_TOPICS:
+        for field in topic_layout(topic).fields:
+            unit = None if field.members else "bool" if field.kind == "|b1" else unit_of(field.name)
+            found[f"{topic}.{field.name}"] = ChannelTarget(topic, field, unit)
     return found
 
 
@@ -301,7 +274,7 @@ def _custom_target(where: str, name: str, table: ChannelTable) -> ChannelTarget:
             f"{where}: write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as "
             "/imported/arm.speed_m_s"
         )
-    if f"/{match[1]}" in TOPICS:
+    if f"/{match[1]}" in PACKET_TOPICS:
         raise RobotError(f"{where}: {IMPORT_PREFIX}{match[1]} is reserved for an incomplete /{match[1]}")
     given = table.columns or table.value
     shape = (len(given),) if isinstance(given, list) else None

@@ -1,11 +1,11 @@
 """Import of a table: its columns become the messages of a log, in the cycles of 64 Hz."""
 
-import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from heapq import merge
-from itertools import chain, count, groupby, repeat
+from itertools import chain, groupby, repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -13,21 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from marsarm.telemetry.format import (
-    LAYOUT_KEY,
-    TICK_NS,
-    TRUTH_KEY,
-    TRUTH_TEXT,
-)
+from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.header import IMPORT, SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.import_mapping import (
     IMPORT_PREFIX,
     TICK,
-    TOPICS,
     ChannelTarget,
     GridTime,
     MappedChannel,
-    read_mapping,
+    MappingFile,
+    map_channels,
+    read_params,
+    stored_reference,
     topic_layout,
 )
 from marsarm.telemetry.import_times import (
@@ -39,13 +36,14 @@ from marsarm.telemetry.import_times import (
     pick_rows,
     row_times,
 )
-from marsarm.telemetry.schema import ENCAPSULATION, Layout, ros_definition
-from marsarm.telemetry.topics import TopicSpec, begin_log, schema_name
+from marsarm.telemetry.schema import ENCAPSULATION, Layout
+from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout_spec
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
-from simgap.common.files import atomic_write, check_distinct_files, check_output
+from simgap.common.files import atomic_write, check_distinct_files, check_output, file_sha256
 from simgap.common.progress import Progress
-from simgap.common.report import ReportTable, print_parts
+from simgap.common.report import ReportTable
+from simgap.common.toml import parse_record, read_toml
 from simgap.files.columns import Column, LogFile
 from simgap.files.log_file import open_log
 
@@ -53,15 +51,6 @@ UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
 MAX_EXACT_INT: Final = 1 << 53
 """Limit up to which every integer is exact as a float."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImportRequest:
-    """Request of an import: the table, its mapping and the new log."""
-
-    table: Path
-    mapping: Path
-    log: Path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,51 +78,48 @@ class ImportedLog:
     header: dict[str, str]
 
 
-def import_table(request: ImportRequest, progress: Progress) -> ImportedLog:
+def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> ImportedLog:
     """Write the log of a table.
 
     Raises:
         BadRequest: the path of the log is wrong; nothing was written.
         RobotError: the table or the mapping is wrong; nothing was written.
     """
-    check_distinct_files({"table": request.table, "mapping": request.mapping, "OUT": request.log})
-    check_output(request.log, (".mcap",), "OUT")
+    check_distinct_files({"table": table, "mapping": mapping, "OUT": log})
+    check_output(log, (".mcap",), "OUT")
     progress(0, 2, "reading the table")
-    made = convert_table(request.table, request.mapping)
+    made = convert_table(table, mapping)
     progress(1, 2, "writing the log")
-    with atomic_write(request.log, "OUT") as file:
+    with atomic_write(log, "OUT") as file:
         write_table_log(file, made)
     return made
 
 
 def convert_table(table: Path, mapping: Path) -> ImportedLog:
     """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
-    parsed = read_mapping(mapping)
-    time = parsed.file.time
-    numbers = [n for one in parsed.channels if one.target.members is None for n in one.columns]
-    texts = [n for one in parsed.channels if one.target.members is not None for n in one.columns]
+    file = parse_record(MappingFile, read_toml(mapping), mapping)
+    params, mapped = read_params(mapping, file), map_channels(mapping, file)
+    numbers = [n for one in mapped if one.target.field.members is None for n in one.columns]
+    texts = [n for one in mapped if one.target.field.members is not None for n in one.columns]
     if not numbers and not texts:
         raise RobotError(f"{mapping}: channels: none has columns; there is nothing to take from the table")
-    if time.column:
-        (texts if time.format else numbers).append(time.column)
-    log = open_log(table, numbers, texts, parsed.file.csv)
-    groups = [list(some) for _, some in groupby(sorted(parsed.channels, key=_topic_of), key=_topic_of)]
+    if file.time.column:
+        (texts if file.time.format else numbers).append(file.time.column)
+    log = open_log(table, numbers, texts, file.csv)
+    groups = [list(some) for _, some in groupby(sorted(mapped, key=_topic_of), key=_topic_of)]
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused, what was stays
-        made = [_build_topic(log, time, channels, k + 1) for k, channels in enumerate(groups)]
+        made = [_build_topic(log, file.time, channels, k + 1) for k, channels in enumerate(groups)]
     series, times = tuple(one for one, _ in made), made[0][1]
-    session = parsed.file.session
-    about = {"table": str(table), "mapping": str(mapping)} | {
-        f"{name}_sha256": hashlib.sha256(path.read_bytes()).hexdigest()
-        for name, path in (("table", table), ("mapping", mapping))
-    }
-    start = start_header(parsed.params, Mode.DEPLOYED, parsed.reference)
+    about = {"table": str(table), "mapping": str(mapping)}
+    about |= {"table_sha256": file_sha256(table), "mapping_sha256": file_sha256(mapping)}
+    reference = stored_reference(file.reference, params)
     header = {
         **versions_header(),
-        **({} if parsed.reference is None else start),
+        **({} if reference is None else start_header(params, Mode.DEPLOYED, reference)),
         **commands_header(()),
-        **({} if session is None else {SESSION: json.dumps(session.model_dump())}),
+        **({} if file.session is None else {SESSION: json.dumps(file.session.model_dump())}),
         "cpu": UNKNOWN_CPU,
-        "arm": parsed.file.arm,
+        "arm": file.arm,
         "seed": "unknown",
         "request": json.dumps({IMPORT: about}, sort_keys=True),
         "mjcf_sha256": "unknown",
@@ -148,7 +134,7 @@ def _topic_of(channel: MappedChannel) -> str:
 
 def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
     """Read a column as numbers; a name becomes its number, -1 if it is unknown."""
-    if target.members is None:
+    if target.field.members is None:
         return log.numbers(name)
     words, index = np.unique(np.char.strip(log.texts(name)), return_inverse=True)
     known = [target.member(word.removesuffix(".0")) for word in words.tolist()]
@@ -156,7 +142,7 @@ def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
         if word and number is None:
             raise RobotError(
                 f"{log.path}: column {name!r}: {word!r:.60} is not known; there are "
-                f"{', '.join(target.members)}"
+                f"{', '.join(target.field.members)}"
             )
     values = np.array([-1 if number is None else number for number in known], np.float64)[index]
     return Column(values, None if (values >= 0).all() else values >= 0)
@@ -177,9 +163,9 @@ def _build_topic(
     rows = _complete_rows(times, topic, named)
     chosen = pick_rows(times, time, rows)
     given = {one.target.field.name for one in channels}
-    fields = TOPICS[topic].field_names if topic in TOPICS else ()
+    fields = PACKET_TOPICS[topic].field_names if topic in PACKET_TOPICS else ()
     missing = tuple(name for name in fields if name not in given)
-    is_whole = topic in TOPICS and not missing
+    is_whole = topic in PACKET_TOPICS and not missing
     layout = topic_layout(topic) if is_whole else Layout(tuple(one.target.field for one in channels))
     data = np.zeros(chosen.ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
@@ -187,10 +173,10 @@ def _build_topic(
         if one.constant == TICK and one.target.unit == "cycle":
             data[one.target.field.name] = chosen.ticks
             continue
-        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.members else chosen
+        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.field.members else chosen
         values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
         data[one.target.field.name] = interpolate(values, held)
-    name = topic if is_whole or topic not in TOPICS else IMPORT_PREFIX + topic[1:]
+    name = topic if is_whole or topic not in PACKET_TOPICS else IMPORT_PREFIX + topic[1:]
     return TopicMessages(_spec(number, name, topic, layout), layout, chosen.ticks, data, missing), times
 
 
@@ -245,9 +231,9 @@ def _values(
 
 
 def _constant(times: RowTimes, target: ChannelTarget, value: Any) -> float:
-    number = target.member(str(value)) if target.members is not None else value
+    number = target.member(str(value)) if target.field.members is not None else value
     if number is None or isinstance(number, str):
-        words = f"one of {', '.join(target.members)}" if target.members else "a number"
+        words = f"one of {', '.join(target.field.members)}" if target.field.members else "a number"
         raise RobotError(f"channels.{target.name}.value: {value!r:.60} is not {words}")
     return float(number)
 
@@ -279,14 +265,11 @@ def _fault(
 
 def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:
     """Return the channel of a topic that has a name in the log."""
-    is_truth = topic in TOPICS and TOPICS[topic].is_truth
-    schema, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
-    if name in TOPICS:
-        schema, doc = TOPICS[name].packet.__name__, TOPICS[name].packet.__doc__ or ""
-    metadata = {LAYOUT_KEY: layout.to_json(), **({TRUTH_KEY: TRUTH_TEXT} if is_truth else {})}
-    return TopicSpec(
-        number, name, schema_name(schema), ros_definition(doc, layout.ros_text), metadata, layout
-    )
+    is_truth = topic in PACKET_TOPICS and PACKET_TOPICS[topic].is_truth
+    kind, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
+    if name in PACKET_TOPICS:
+        kind, doc = PACKET_TOPICS[name].packet.__name__, PACKET_TOPICS[name].packet.__doc__ or ""
+    return layout_spec(number, name, kind, doc, layout, is_truth)
 
 
 def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
@@ -296,32 +279,25 @@ def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
         OSError: the disk is full or gone.
     """
     writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
-    for tick, sequence, one in _in_order(made.series):
-        time_ns = tick * TICK_NS
-        writer.add_message(one.spec.id, time_ns, one.data[sequence].tobytes(), time_ns, sequence)
-    writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
+    messages = [zip(one.ticks.tolist(), repeat(one.spec.id), one.data, strict=False) for one in made.series]
+    for tick, channel, message in merge(*messages, key=itemgetter(0)):
+        writer.add(tick * TICK_NS, [(channel, message.tobytes())])
+    writer.finish([])
 
 
-def _in_order(series: Sequence[TopicMessages]) -> Iterator[tuple[int, int, TopicMessages]]:
-    """Yield tick and number of each message, with its series, in order of tick, then of series."""
-    numbers = [zip(one.ticks.tolist(), repeat(k), count(), strict=False) for k, one in enumerate(series)]
-    for tick, k, sequence in merge(*numbers):
-        yield tick, sequence, series[k]
-
-
-def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
-    """Return an import as a JSON document."""
+def import_document(log: Path, made: ImportedLog) -> dict[str, Any]:
+    """Collect an import."""
     return {
-        "log": str(request.log),
+        "log": log,
         "rows": made.rows,
         "rows_moved": made.rows_moved,
         "topics": [
             {
                 "topic": one.spec.topic,
                 "messages": one.ticks.size,
-                "first_tick": int(one.ticks[0]),
-                "last_tick": int(one.ticks[-1]),
-                "missing_ticks": int(one.ticks[-1] - one.ticks[0] + 1) - one.ticks.size,
+                "first_tick": one.ticks[0],
+                "last_tick": one.ticks[-1],
+                "missing_ticks": one.ticks[-1] - one.ticks[0] + 1 - one.ticks.size,
                 "missing_fields": one.missing_fields,
             }
             for one in made.series
@@ -329,21 +305,19 @@ def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
     }
 
 
-def import_tables(request: ImportRequest, made: ImportedLog) -> None:
-    """Print an import: a row for each topic, and the missing fields of incomplete topics."""
-    topics = import_json(request, made)["topics"]
+def import_parts(log: Path, made: ImportedLog) -> list[str | ReportTable]:
+    """Show an import: a row for each topic, and the missing fields of incomplete topics."""
+    topics = import_document(log, made)["topics"]
     rows = [[str(value) for key, value in one.items() if key != "missing_fields"] for one in topics]
     head = ("topic", "messages", "first tick", "last tick", "ticks without")
     moved = f"sorted    in {pluralize(made.rows_moved, 'place')} the file was not in order of time"
-    print_parts(
-        [
-            ReportTable(head, rows, f"{request.log}: {pluralize(made.rows, 'row')}"),
-            *([moved] if made.rows_moved else []),
-            *(
-                f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
-                f"{', '.join(one['missing_fields'])}"
-                for one in topics
-                if one["missing_fields"]
-            ),
-        ]
-    )
+    return [
+        ReportTable(head, rows, f"{log}: {pluralize(made.rows, 'row')}"),
+        *([moved] if made.rows_moved else []),
+        *(
+            f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
+            f"{', '.join(one['missing_fields'])}"
+            for one in topics
+            if one["missing_fields"]
+        ),
+    ]

@@ -1,7 +1,6 @@
 """Summary of a log, selection of its channels by pattern, and a figure of channels over time."""
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -26,32 +25,6 @@ MAX_LOG_S: Final = 9e9
 """Limit of log times; its nanoseconds fit in eight bytes."""
 INDEXED_PATTERN: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
 """Pattern of a channel, followed by the index of one number."""
-
-
-class NoSuchChannel(BadRequest):
-    """Error of a name or pattern that matches no channel or topic of a log."""
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """Topic of a log; `rate_hz` is the mean over the whole log."""
-
-    name: str
-    messages: int
-    rate_hz: float
-    is_truth: bool
-
-
-@dataclass(frozen=True, slots=True)
-class LogInfo:
-    """Summary of a log; `cycles` counts the cycles with at least one message."""
-
-    first_s: float | None
-    duration_s: float
-    cycles: int
-    topics: tuple[TopicInfo, ...]
-    evrs: dict[str, int]
-    """Number of EVRs by severity, the severest first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,49 +58,21 @@ class ChannelSeries:
         return f"{self.values.dtype.base.name}{shape}"
 
 
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Range of the finite values of a channel; None if there are none."""
-
-    low: float | int | None
-    high: float | int | None
-    not_finite: int
-
-
 def index_text(index: tuple[int, ...]) -> str:
     """Format the index of one number of a field: "[2]" or "[0,1]"; empty for ()."""
     return f"[{','.join(map(str, index))}]" if index else ""
-
-
-def summarize_log(log: Log) -> LogInfo:
-    """Summarize a log."""
-    times = [time_ns for time_ns in log.time_ns.values() if len(time_ns)]
-    cycles = np.unique(np.concatenate(times)) if times else np.zeros(0, np.uint64)
-    duration_s = (int(cycles[-1]) - int(cycles[0]) + TICK_NS) / 1e9 if len(cycles) else 0.0
-    topics = (
-        TopicInfo(name, len(time_ns), len(time_ns) / duration_s, name in log.truth)
-        for name, time_ns in sorted(log.time_ns.items())
-    )
-    counts = Counter(evr.severity for evr in log.evrs)
-    return LogInfo(
-        first_s=int(cycles[0]) / 1e9 if len(cycles) else None,
-        duration_s=duration_s,
-        cycles=len(cycles),
-        topics=tuple(topics),
-        evrs={severity_name(severity): counts[severity] for severity in sorted(counts, reverse=True)},
-    )
 
 
 def bound_ns(option: str, time_s: float | None) -> int | None:
     """Convert a bound of log time to nanoseconds; None stays None.
 
     Raises:
-        NoSuchChannel: no log has this time.
+        BadRequest: no log has this time.
     """
     if time_s is None:
         return None
     if not 0.0 <= time_s < MAX_LOG_S:
-        raise NoSuchChannel(f"{option}: {time_s} s is no log time; give seconds from 0 on")
+        raise BadRequest(f"{option}: {time_s} s is no log time; give seconds from 0 on")
     return round(time_s * 1e9)
 
 
@@ -143,7 +88,7 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
     end selects one number.
 
     Raises:
-        NoSuchChannel: a pattern matches no channel.
+        BadRequest: a pattern matches no channel.
     """
     every = [
         ChannelSeries(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
@@ -155,7 +100,7 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
         matching = _matching(every, glob)
         if not matching and globs:
             hint = suggest_name(glob.partition("[")[0], [one.name for one in every])
-            raise NoSuchChannel(
+            raise BadRequest(
                 f"log {log.path} has no channel {glob}; {hint}`marsarm log info {log.path} '*'` lists them, "
                 "and a pattern is written as '/joint.motor_rad*' or '/joint.motor_rad[2]'"
             )
@@ -166,36 +111,15 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
 def _matching(every: Sequence[ChannelSeries], glob: str) -> list[ChannelSeries]:
     """Return the channels, or single numbers of them, that match a pattern."""
     indexed = INDEXED_PATTERN.fullmatch(glob)
-    if indexed is not None:
-        base, index = indexed[1], tuple(map(int, indexed[2].split(",")))
-        return [
-            _select_number(one, index)
-            for one in every
-            if channel_matches(one.topic, one.field, base) and _has_index(one, index)
-        ]
-    return [one for one in every if channel_matches(one.topic, one.field, glob)]
-
-
-def _has_index(channel: ChannelSeries, index: tuple[int, ...]) -> bool:
-    shape = channel.values.shape[1:]
-    return len(shape) == len(index) and all(k < size for k, size in zip(index, shape, strict=True))
-
-
-def _select_number(channel: ChannelSeries, index: tuple[int, ...]) -> ChannelSeries:
+    if indexed is None:
+        return [one for one in every if channel_matches(one.topic, one.field, glob)]
+    index = tuple(map(int, indexed[2].split(",")))
     key: tuple[slice | int, ...] = (slice(None), *index)
-    return replace(channel, values=channel.values[key], index=index)
-
-
-def range_of(channel: ChannelSeries) -> Range:
-    """Return the smallest and the largest finite value, and the number of NaN and infinite values."""
-    values = channel.values
-    if values.dtype.kind == "b":
-        values = values.astype(np.int8)
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return Range(None, None, values.size)
-    low, high = finite.min().item(), finite.max().item()
-    return Range(low, high, values.size - finite.size)
+    return [
+        replace(one, values=one.values[key], index=index)
+        for one in _matching(every, indexed[1])
+        if index in np.ndindex(*one.values.shape[1:])
+    ]
 
 
 MAX_PANELS: Final = 12
@@ -207,19 +131,15 @@ MAX_EVR_NAMES: Final = 12
 COLOURS: Final = {"warning": "#c1121f", "command": "#31688e", "other": "0.75"}
 
 
-class TooManyChannels(BadRequest):
-    """Error of a request for more channels than a figure has panels."""
-
-
 def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
     """Save the figure as PNG; return the reason if there is none, as matplotlib is missing.
 
     Raises:
-        TooManyChannels: there are more channels than panels.
+        BadRequest: there are more channels than panels.
         BadOutput: the file cannot be written.
     """
     if len(channels) > MAX_PANELS:
-        raise TooManyChannels(
+        raise BadRequest(
             f"{len(channels)} channels are selected; a figure has room for {MAX_PANELS}; "
             f"name fewer, such as {channels[0].name}, or draw several"
         )
@@ -269,18 +189,17 @@ def _title(channel: ChannelSeries, names: Sequence[str | None]) -> str:
 
 def _value_names(channel: ChannelSeries) -> dict[int, str]:
     """Return the names of the values of a channel, none if they are plain numbers."""
-    for topic, _ in PACKET_TOPICS:
-        if topic.name == channel.topic and channel.field in topic.field_names:
-            kind = get_type_hints(topic.packet)[channel.field]
-            if isinstance(kind, type) and issubclass(kind, IntEnum):
-                return {member.value: member.name for member in kind}
+    topic = PACKET_TOPICS.get(channel.topic)
+    kind = None if topic is None else get_type_hints(topic.packet).get(channel.field)
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return {member.value: member.name for member in kind}
     return {}
 
 
 def _line_names(channel: ChannelSeries) -> list[str | None]:
     """Return the label of each line: joint or index; None for a single number."""
     shape = channel.values.shape[1:]
-    if shape == (len(Joint),) and channel.topic in {topic.name for topic, _ in PACKET_TOPICS}:
+    if shape == (len(Joint),) and channel.topic in PACKET_TOPICS:
         return [joint.name.lower() for joint in Joint]
     return [", ".join(map(str, index)) or None for index in np.ndindex(*shape)]
 

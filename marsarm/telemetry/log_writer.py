@@ -1,10 +1,7 @@
-"""Writing of message records: packing of a cycle's packets, and the chunks of a log that is being recorded.
+"""Writing of a log: packets as messages, and the chunks of messages in a file.
 
-Packing and chunks are the part of recording that every cycle pays for. A call of the library for each message
-would cost more than all of it, so one call of struct packs the numbers of a cycle. The result is cut,
-and one join puts the pieces and the arrays in order. The join copies the arrays, so no reference to the cycle
-remains.
-The records around the messages are the library's.
+This is the part of recording that every cycle pays for; the library would take longer than all of it. The
+records around the messages are the library's.
 """
 
 import errno
@@ -12,11 +9,11 @@ import zlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from io import FileIO
-from itertools import accumulate, count, groupby
-from operator import attrgetter, itemgetter
-from struct import Struct, calcsize, pack
+from itertools import compress
+from operator import attrgetter
+from struct import Struct, pack
 from struct import error as StructError
-from typing import Any, Final, NamedTuple
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -41,117 +38,55 @@ from marsarm.telemetry.errors import SchemaError
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.schema import ENCAPSULATION, Layout
 
-MESSAGE_START: Final = Struct("<BQH")
-"""Start of a message record: opcode, length of the rest, channel; constant for a fixed layout."""
 RECORD_HEAD: Final = Struct("<BQ")
 """Head of any record: opcode, length of the rest."""
 INDEX_HEAD: Final = Struct("<BQHI")
 """Head of a message index: opcode, length of the rest, channel, bytes of entries."""
 MESSAGE_HEADER: Final = Struct("<BQHIQQ")
 """Opcode, length of the rest, channel, sequence, log time and publish time of a message record."""
-AFTER_LENGTH: Final = MESSAGE_HEADER.size - 9
-"""Bytes of the header after the length."""
 DTYPE: Final = attrgetter("dtype")
 STRUCT_CODES: Final = {"<i8": "q", "<f8": "d", "|b1": "?"}
 """Code of `struct` for a number of each numpy type."""
 
 
-def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> bytes:
-    """Encode one message as an MCAP record."""
-    head = MESSAGE_HEADER.pack(Opcode.MESSAGE, AFTER_LENGTH + len(data), channel, sequence, time_ns, time_ns)
-    return head + data
-
-
-def number_messages(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
-    """Encode messages by channel as records of one time, numbered by the counts, which rise here."""
-    records = []
-    for channel, data in messages:
-        records.append(message_record(channel, counts[channel], time_ns, data))
-        counts[channel] += 1
-    return b"".join(records)
-
-
-def join_bytes(pieces: Sequence[Any]) -> bytes:
-    """Join bytes and arrays, one after the other."""
-    try:
-        return b"".join(pieces)
-    except TypeError:  # an array that does not lie row by row in memory
-        return b"".join([p.tobytes() if isinstance(p, np.ndarray) else p for p in pieces])
-
-
-class PacketSource(NamedTuple):
-    """Source of the packets of a channel: `path` is their dotted name in the record of a cycle."""
-
-    path: str
-    channel: int
-    layout: Layout
-
-
 class Packer:
-    """Packer of the packets that occur together in a cycle; no layout needs padding."""
+    """Packer of the packets of a topic as messages; no layout needs padding."""
 
-    def __init__(self, sources: Sequence[PacketSource]) -> None:
-        self._fields = [(f"{path}.{f.name}", f) for path, _, layout in sources for f in layout.fields]
-        numbers = [name for name, f in self._fields if f.shape is None]
-        arrays = [name for name, f in self._fields if f.shape is not None]
-        starts = [f"start of {path}" for path, _, _ in sources]
-        counts = [f"count of {path}" for path, _, _ in sources]
-        values = ["time", "encapsulation", *starts, *counts, *numbers]
-        order: list[tuple[str, str]] = []  # struct code of each value, empty for an array, and its name
-        for path, _, layout in sources:
-            order += [(f"{MESSAGE_START.size}s", f"start of {path}"), ("I", f"count of {path}")]
-            order += [("Q", "time"), ("Q", "time"), (f"{len(ENCAPSULATION)}s", "encapsulation")]
-            order += [
-                (STRUCT_CODES[f.kind] if f.shape is None else "", f"{path}.{f.name}") for f in layout.fields
-            ]
-        runs = [(code, [*run]) for code, run in groupby(order, lambda one: "" if one[0] else one[1])]
-        sizes = [calcsize("<" + "".join(code for code, _ in run)) for array, run in runs if not array]
-        ends = [*accumulate(sizes)]
-        place_of_cut = count()
-        self._starts = [
-            MESSAGE_START.pack(Opcode.MESSAGE, AFTER_LENGTH + layout.dtype.itemsize, channel)
-            for _, channel, layout in sources
+    def __init__(self, path: str, layout: Layout) -> None:
+        """Prepare the message of a layout; `path` is the name of the packet, for errors."""
+        self._path, self._fields, self._size = path, layout.fields, layout.dtype.itemsize
+        names = [f.name for f in layout.fields]
+        self._values = attrgetter(*names, names[0])  # a tuple also for one field
+        self._is_array = [f.shape is not None for f in layout.fields]
+        self._dtypes = [np.dtype(f.kind) for f in compress(layout.fields, self._is_array)]
+        self._packs = [
+            Struct("<" + STRUCT_CODES[f.kind]).pack if f.shape is None else None for f in layout.fields
         ]
-        self._numbers, self._arrays = attrgetter(*numbers), attrgetter(*arrays)
-        self._values = itemgetter(*[values.index(name) for code, name in order if code])
-        self._pack = Struct("<" + "".join(code for code, _ in order)).pack
-        self._cut = itemgetter(*map(slice, [0, *ends], ends))
-        self._pieces = itemgetter(
-            *[len(ends) + arrays.index(array) if array else next(place_of_cut) for array, _ in runs]
-        )
-        self._dtypes = [np.dtype(f.kind) for _, f in self._fields if f.shape is not None]
-        self._size = sum(MESSAGE_HEADER.size + layout.dtype.itemsize for _, _, layout in sources)
 
-    def pack(self, cycle: Any, time_ns: int, counts: Sequence[int]) -> bytes:
-        """Encode the packets of a cycle as message records.
-
-        Args:
-            cycle: Record of the cycle.
-            time_ns: Log time.
-            counts: Sequence number of each packet, in the order of the sources.
-
-        Raises:
-            SchemaError: an array has not the type of the layout, or a number does not fit.
-        """
-        arrays = self._arrays(cycle)
-        values = (time_ns, ENCAPSULATION, *self._starts, *counts, *self._numbers(cycle))
+    def pack(self, packet: Any) -> bytes:
+        """Encode a packet; SchemaError if a field differs from the layout."""
+        values = self._values(packet)
         try:
-            packed = self._pack(*self._values(values))
+            pairs = zip(values, self._packs, strict=False)
+            parts = [one if pack is None else pack(one) for one, pack in pairs]
         except StructError:
-            self.check(cycle)
+            self._check(values)
             raise
-        data = join_bytes(self._pieces((*self._cut(packed), *arrays)))
-        if [*map(DTYPE, arrays)] != self._dtypes or len(data) != self._size:
-            self.check(cycle)
+        try:
+            data = b"".join((ENCAPSULATION, *parts))
+        except TypeError:  # an array that does not lie row by row in memory
+            data = b"".join((ENCAPSULATION, *[bytes(memoryview(part)) for part in parts]))
+        if [*map(DTYPE, compress(values, self._is_array))] != self._dtypes or len(data) != self._size:
+            self._check(values)
         return data
 
-    def check(self, cycle: Any) -> None:
-        """Check every field against the layout; SchemaError if a field differs; the message names it."""
-        for name, field in self._fields:
-            given, dtype = attrgetter(name)(cycle), np.dtype(field.kind)
-            if field.shape is None:
+    def _check(self, values: Sequence[Any]) -> None:
+        """Raise a SchemaError that names the first field that differs from the layout."""
+        for field, given, packs in zip(self._fields, values, self._packs, strict=False):
+            name, dtype = f"{self._path}.{field.name}", np.dtype(field.kind)
+            if packs is not None:
                 try:
-                    Struct("<" + STRUCT_CODES[field.kind]).pack(given)
+                    packs(given)
                 except StructError as error:
                     raise SchemaError(f"{name}: {given} given, {error}") from error
             elif given.dtype != dtype or given.shape != field.shape:
@@ -169,7 +104,7 @@ class ChunkWriter:
 
     def __init__(
         self,
-        file: FileIO,
+        file: FileIO | BinaryIO,
         metadata: Sequence[Metadata],
         schemas: Sequence[Schema],
         channels: Sequence[Channel],
@@ -188,8 +123,13 @@ class ChunkWriter:
         self._schemas, self._channels = schemas, channels
         self._metadata: list[MetadataIndex] = []
         self._chunks: list[ChunkIndex] = []
-        self._counts: dict[int, int] = {}
-        self._rows: list[tuple[int, bytes]] = []
+        self._counts: dict[int, int] = defaultdict(int)
+        self._first_ns: int | None
+        self._last_ns = 0
+        self._plain_bytes: int
+        self._parts: list[bytes]
+        self._entries: dict[int, list[int]]  # log time and place of each message, by channel
+        self._begin_chunk()
         self._chunk_ns = chunk_cycles * TICK_NS
         self.written_ns: int | None = None
         """Log time of the last cycle in the file; None before the first."""
@@ -197,15 +137,25 @@ class ChunkWriter:
         self._add_metadata(metadata)
         self._write_chunk(encode_records(*schemas, *channels), 0, 0, {})
 
-    def add(self, time_ns: int, records: bytes) -> None:
-        """Add the message records of a cycle; a chunk that is full goes to the operating system.
+    def add(self, time_ns: int, messages: Sequence[tuple[int, bytes]]) -> None:
+        """Add messages of one time by channel, numbered here; a full chunk goes to the operating system.
 
         Raises:
             OSError: the disk is full or gone.
         """
-        self._rows.append((time_ns, records))
-        if time_ns + TICK_NS - self._rows[0][0] >= self._chunk_ns:
-            self._close_chunk()
+        first_ns = self._first_ns = time_ns if self._first_ns is None else self._first_ns
+        for channel, body in messages:
+            length = MESSAGE_HEADER.size - RECORD_HEAD.size + len(body)
+            number = self._counts[channel]
+            self._counts[channel] = number + 1
+            self._entries[channel] += (time_ns, self._plain_bytes)
+            self._parts.append(
+                MESSAGE_HEADER.pack(Opcode.MESSAGE, length, channel, number, time_ns, time_ns) + body
+            )
+            self._plain_bytes += RECORD_HEAD.size + length
+        self._last_ns = time_ns
+        if time_ns + TICK_NS - first_ns >= self._chunk_ns:
+            self._close_chunk(first_ns)
 
     def finish(self, metadata: Sequence[Metadata]) -> None:
         """Write the waiting cycles, metadata and the summary, and close the file.
@@ -218,8 +168,8 @@ class ChunkWriter:
                 raise OSError(self._error.errno, self._error.strerror)
             if not self._is_whole:  # an interrupt came between; nothing after half a record could be read
                 return
-            if self._rows:
-                self._close_chunk()
+            if self._first_ns is not None:
+                self._close_chunk(self._first_ns)
             self._add_metadata(metadata)
             end = encode_records(DataEnd(self._crc))
             summary = encode_records(
@@ -234,21 +184,14 @@ class ChunkWriter:
         """Close the file as it is."""
         self._file.close()
 
-    def _close_chunk(self) -> None:
-        entries: dict[int, list[int]] = defaultdict(list)  # log time and place of each message, by channel
-        begin = 0
-        for time_ns, records in self._rows:
-            at = 0
-            while at < len(records):
-                _, length, channel = MESSAGE_START.unpack_from(records, at)
-                entries[channel] += (time_ns, begin + at)
-                at += RECORD_HEAD.size + length
-            begin += at
-        first_ns, last_ns = self._rows[0][0], self._rows[-1][0]
-        self._write_chunk(b"".join([records for _, records in self._rows]), first_ns, last_ns, entries)
-        for channel, numbers in entries.items():
-            self._counts[channel] = self._counts.get(channel, 0) + len(numbers) // 2
-        self._rows, self.written_ns = [], last_ns
+    def _begin_chunk(self) -> None:
+        self._first_ns, self._plain_bytes = None, 0
+        self._parts, self._entries = [], defaultdict(list)
+
+    def _close_chunk(self, first_ns: int) -> None:
+        self._write_chunk(b"".join(self._parts), first_ns, self._last_ns, self._entries)
+        self.written_ns = self._last_ns
+        self._begin_chunk()
 
     def _write_chunk(
         self, data: bytes, first_ns: int, last_ns: int, entries: Mapping[int, Sequence[int]]

@@ -234,13 +234,12 @@ def read_batches(chunks: Sequence[tuple[int, Chunk]]) -> Iterator[MessageBatch]:
         parts.append(plain)
         size += len(plain)
         if size >= BATCH_BYTES:
-            yield make_batch(b"".join(parts), starts)
+            yield _make_batch(b"".join(parts), starts)
             parts, starts, size = [], [], 0
-    yield make_batch(b"".join(parts), starts)
+    yield _make_batch(b"".join(parts), starts)
 
 
-def make_batch(plain: bytes, starts: Sequence[int]) -> MessageBatch:
-    """Return the messages of decompressed chunks that begin at these bytes."""
+def _make_batch(plain: bytes, starts: Sequence[int]) -> MessageBatch:
     data, begins = np.frombuffer(plain, np.uint8), np.array(starts, np.int64)
     if not starts:  # there may be no bytes to slide over
         return MessageBatch(data, np.zeros(0, MESSAGE_DTYPE), begins)

@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from stat import S_ISREG
 from typing import Final, Literal
 
 import numpy as np
@@ -26,10 +25,11 @@ from marsarm.telemetry.format import (
     EVR_TOPIC,
     FORMAT_RECORD,
     HEADER_RECORD,
+    INTERRUPTED_KEY,
     TICK_NS,
     header_crc32,
-    interruption_in,
     version_problem,
+    without_crc,
 )
 from marsarm.telemetry.mcap_columns import (
     MESSAGE_DTYPE,
@@ -40,6 +40,8 @@ from marsarm.telemetry.mcap_columns import (
     read_records,
 )
 from marsarm.telemetry.topics import TopicSpec, decode_topics
+from simgap.common.errors import RobotError
+from simgap.common.files import read_bytes
 
 NO_MCAP: Final = (
     "not an MCAP file; `marsarm run --log run.mcap` writes one, `marsarm log import` makes one of a table"
@@ -106,22 +108,16 @@ class Log:
 class LogSelection:
     """Selected part of a log: topics, None for all, and log times from `start_ns` to before `end_ns`."""
 
-    topics: frozenset[str] | None
-    start_ns: int
-    end_ns: int | None
-
-    def has_topic(self, topic: str) -> bool:
-        """Return whether a topic is selected."""
-        return self.topics is None or topic in self.topics
-
-    def overlaps(self, first_ns: int, last_ns: int) -> bool:
-        """Return whether messages from `first_ns` to `last_ns` may be of the selected time."""
-        return last_ns >= self.start_ns and (self.end_ns is None or first_ns < self.end_ns)
+    topics: Collection[str] | None = None
+    start_ns: int = 0
+    end_ns: int = 1 << 64
 
     def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
         """Return whether each message is of the selected time, by log times, (n,)."""
-        is_after_start = time_ns >= self.start_ns
-        return is_after_start if self.end_ns is None else is_after_start & (time_ns < self.end_ns)
+        return (time_ns >= self.start_ns) & (time_ns < self.end_ns)
+
+
+WHOLE_LOG: Final = LogSelection()
 
 
 def read_log(
@@ -133,7 +129,6 @@ def read_log(
     """Read a log, closed or truncated.
 
     Args:
-        path: File.
         topics: Topics to read, with /evr and /command; None for all.
         start_ns: First log time; None for the beginning.
         end_ns: Log time before which reading ends; None for the end.
@@ -142,9 +137,8 @@ def read_log(
         LogNotReadable: there is no such file, or it is not a marsarm log.
         LogDamaged: a CRC, a length or a sequence shows damage.
     """
-    path = Path(path)
-    selection = LogSelection(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
-    return parse_log(path, read_log_bytes(path), selection)
+    end_ns = WHOLE_LOG.end_ns if end_ns is None else end_ns
+    return parse_log(Path(path), read_log_bytes(Path(path)), LogSelection(topics, start_ns or 0, end_ns))
 
 
 def read_log_bytes(path: Path) -> bytes:
@@ -154,21 +148,11 @@ def read_log_bytes(path: Path) -> bytes:
         LogNotReadable: it cannot be read, is no regular file, or is larger than any log.
     """
     try:
-        about = path.stat()
-        # Reading a pipe would block, and a device may have no end.
-        if not S_ISREG(about.st_mode):
-            raise LogNotReadable(path, "is not a regular file; give the path of a log, such as run.mcap")
-        if about.st_size > MAX_LOG_BYTES:
-            raise LogNotReadable(path, f"has {about.st_size} bytes; a log has at most {MAX_LOG_BYTES}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise LogNotReadable(path, f"cannot be read ({why}); give the path of a log") from error
+        return read_bytes(path, MAX_LOG_BYTES, "a log, such as run.mcap")
+    except RobotError as error:
+        raise LogNotReadable(path, str(error).partition(": ")[2]) from error
     except MemoryError as error:
-        raise LogNotReadable(path, f"its {about.st_size} bytes do not fit into memory") from error
-
-
-WHOLE_LOG = LogSelection(None, 0, None)
+        raise LogNotReadable(path, "does not fit into memory") from error
 
 
 def parse_log(path: Path, data: bytes, selection: LogSelection = WHOLE_LOG) -> Log:
@@ -214,7 +198,8 @@ def _build_log(path: Path, found: McapContent, header: dict[str, str], selection
     chosen = [
         (at, chunk)
         for at, chunk in found.chunks
-        if not found.closed or selection.overlaps(chunk.message_start_time, chunk.message_end_time)
+        if not found.closed
+        or (chunk.message_end_time >= selection.start_ns and chunk.message_start_time < selection.end_ns)
     ]
     size = sum(chunk.uncompressed_size for _, chunk in chosen)
     if size > MAX_UNPACKED_BYTES:
@@ -222,9 +207,8 @@ def _build_log(path: Path, found: McapContent, header: dict[str, str], selection
         raise LogNotReadable(path, f"{why}; ask for a part, from one time to another")
     specs = [one for one in decode_topics(header) if one.is_flight]
     from_start = not chosen or chosen[0] == found.chunks[0]
-    packets, times, bodies = _take_messages(
-        chosen, [one for one in specs if selection.has_topic(one.topic)], selection, from_start
-    )
+    wanted = [one for one in specs if selection.topics is None or one.topic in selection.topics]
+    packets, times, bodies = _take_messages(chosen, wanted, selection, from_start)
     return Log(
         path=path,
         header=header,
@@ -235,7 +219,7 @@ def _build_log(path: Path, found: McapContent, header: dict[str, str], selection
         commands=tuple(CommandEntry.decode(body) for body in bodies.get(COMMAND_TOPIC, [])),
         truth=frozenset(one.topic for one in specs if one.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
-        interrupted_by=interruption_in(found.metadata.get(END_RECORD, {})),
+        interrupted_by=without_crc(found.metadata.get(END_RECORD, {})).get(INTERRUPTED_KEY, ""),
         trailing_bytes=found.trailing_bytes,
     )
 

@@ -1,12 +1,11 @@
 """Recorder of a run into an MCAP log that stays readable if the run is killed."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
-from itertools import compress
-from operator import add, attrgetter
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -19,26 +18,22 @@ from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
 from marsarm.telemetry.format import (
-    CHANNELS_KEY,
     CHUNK_CYCLES,
     COMMAND_TOPIC,
     EVR_TOPIC,
     TICK_NS,
     end_metadata,
-    header_records,
 )
 from marsarm.telemetry.header import run_header
-from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
+from marsarm.telemetry.log_writer import ChunkWriter, Packer
 from marsarm.telemetry.robot_description import DrawnScene
 from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
 from marsarm.telemetry.topics import (
-    JOINT_STATES_TOPIC,
     PACKET_TOPICS,
     ROSOUT_TOPIC,
     TopicSpec,
-    encode_topics,
-    mcap_records,
+    begin_log,
     topic_specs,
 )
 from sim.arms import UnknownArm, arm_named
@@ -47,7 +42,8 @@ from sim.loop import ClosedLoop
 from sim.params import nominal_params
 from sim.record import CycleRecord
 from sim.sequence import SequenceResult, never, run_commands
-from simgap.common.files import atomic_path, lock_file
+from simgap.common.errors import BadOutput
+from simgap.common.files import atomic_path, check_output, lock_file
 from simgap.common.interruption import defer_interrupts, describe_interruption
 
 NOT_CLOSED: Final = "a recorder that nobody closed"
@@ -62,19 +58,21 @@ def create_log(
     Raises:
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
-    target = _resolve_path(path)
-    metadata = header_records({**header, CHANNELS_KEY: encode_topics(channels)})
     try:
+        target = Path(os.path.realpath(path))  # a link stays a link
+        check_output(target, (target.suffix.lower(),), "log")
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
                 file = on_failure.enter_context(FileIO(part, "xb", opener=_open_above_stdio))
                 lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
-                log = ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)
+                log = begin_log(file, header, channels, chunk_cycles=chunk_cycles)
             on_failure.pop_all()
             return log
-    except OSError as error:
-        why = f"cannot be written ({error.strerror}); give a path with room that you may write"
-        raise LogNotWritable(path, why) from error
+    except BadOutput as error:
+        raise LogNotWritable(path, str(error).partition(": ")[2]) from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise LogNotWritable(path, f"cannot be written ({why}); give a path with room") from error
 
 
 def _open_above_stdio(path: str, flags: int) -> int:
@@ -84,24 +82,6 @@ def _open_above_stdio(path: str, flags: int) -> int:
         return fcntl(descriptor, F_DUPFD_CLOEXEC, 3)
     finally:
         os.close(descriptor)
-
-
-def _resolve_path(path: Path) -> Path:
-    """Return the path with links resolved; LogNotWritable if no file can be written there."""
-    try:
-        if path.is_dir():
-            raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
-        exists = path.exists()
-        if exists and not path.is_file():
-            raise LogNotWritable(path, "is not a regular file; give the path of a new file")
-        if not path.parent.is_dir():
-            raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
-        if exists and not os.access(path, os.W_OK):
-            raise LogNotWritable(path, "is there and you may not write it; give the path of a new file")
-        return Path(os.path.realpath(path))
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
 
 
 class Recorder:
@@ -118,7 +98,6 @@ class Recorder:
         """Replace the file at `path` by a log with header and channels.
 
         Args:
-            path: File.
             header: Versions, digests, seed and more, as `run_header` returns them.
             config: Configuration of the arm, to record messages for other tools too; None for none.
             chunk_cycles: Cycles in a chunk; a killed run loses less than a chunk.
@@ -130,15 +109,11 @@ class Recorder:
         self.path = Path(path)
         channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
         self._ids = {one.topic: one.id for one in channels}
-        self._sources = [
-            PacketSource(topic.path, one.id, one.layout)
-            for one, (topic, _) in zip(channels, PACKET_TOPICS, strict=False)
+        self._packers = [
+            (one.id, attrgetter(path := PACKET_TOPICS[one.topic].path), Packer(path, one.layout))
+            for one in channels
             if one.layout is not None
         ]
-        self._packets = attrgetter(*[source.path for source in self._sources])
-        self._packers: dict[tuple[bool, ...], Packer] = {}
-        self._counts = [0] * len(self._sources)
-        self._other_counts = dict.fromkeys(self._ids.values(), 0)
         self._encoder = None if config is None else RosEncoder(config, scene)
         self._last_tick = -1
         self._process = os.getpid()
@@ -168,16 +143,10 @@ class Recorder:
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
-        present = tuple([packet is not None for packet in self._packets(record)])
-        packer = self._packers.get(present) or self._packer(present)
-        data = packer.pack(record, time_ns, [*compress(self._counts, present)])
-        before, after = self._other_messages(record, time_ns)
+        messages = [*self._messages(record, time_ns)]
         with defer_interrupts:
-            if before or after:
-                data = self._number(time_ns, before) + data + self._number(time_ns, after)
             self._last_tick = record.tick
-            self._counts = [*map(add, self._counts, present)]
-            self._log.add(time_ns, data)
+            self._log.add(time_ns, messages)
 
     def close(self, interrupted_by: str = "") -> None:
         """Write the waiting cycles and the summary, and close the file; a second call does nothing.
@@ -200,32 +169,21 @@ class Recorder:
     ) -> None:
         self.close("" if error is None else describe_interruption(error))
 
-    def _packer(self, present: tuple[bool, ...]) -> Packer:
-        """Return the packer of cycles in which these packets are present."""
-        return self._packers.setdefault(present, Packer([*compress(self._sources, present)]))
-
-    def _other_messages(
-        self, record: CycleRecord, time_ns: int
-    ) -> tuple[list[tuple[str, bytes]], list[tuple[str, bytes]]]:
-        """Return topic and body of the commands, which come before the packets, and of what follows them."""
-        before = [(COMMAND_TOPIC, command_entry(record.tick, one).encode()) for one in record.commands]
-        after = [
-            message
-            for evr in record.outputs.evrs
-            for message in (
-                (EVR_TOPIC, evr_entry(record.tick, evr).encode()),
-                (ROSOUT_TOPIC, rosout_message(time_ns, evr)),
-            )
-        ]
-        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
-            is_first = not self._other_counts[self._ids[JOINT_STATES_TOPIC]]
-            after += self._encoder.static_messages(time_ns) if is_first else ()
-            after += self._encoder.cycle_messages(time_ns, record)
-        return before, after
-
-    def _number(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> bytes:
+    def _messages(self, record: CycleRecord, time_ns: int) -> Iterator[tuple[int, bytes]]:
+        """Yield channel and body of the commands, then of the packets, and of what follows them."""
         ids = self._ids
-        return number_messages(self._other_counts, time_ns, [(ids[topic], body) for topic, body in messages])
+        for command in record.commands:
+            yield ids[COMMAND_TOPIC], command_entry(record.tick, command).encode()
+        for channel, packet_in, packer in self._packers:
+            packet = packet_in(record)
+            if packet is not None:
+                yield channel, packer.pack(packet)
+        for evr in record.outputs.evrs:
+            yield ids[EVR_TOPIC], evr_entry(record.tick, evr).encode()
+            yield ids[ROSOUT_TOPIC], rosout_message(time_ns, evr)
+        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
+            for name, body in self._encoder.messages(time_ns, record):
+                yield ids[name], body
 
 
 def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:

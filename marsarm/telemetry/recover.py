@@ -5,15 +5,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
 from marsarm.telemetry.errors import (
     RECOVERED_RECORD,
@@ -24,23 +22,20 @@ from marsarm.telemetry.errors import (
     trailing_bytes_text,
 )
 from marsarm.telemetry.format import (
-    CHUNK_CYCLES,
     END_RECORD,
     FORMAT_RECORD,
     HEADER_RECORD,
-    TICK_NS,
+    INTERRUPTED_KEY,
     end_metadata,
     header_crc32,
-    interruption_in,
     version_problem,
+    without_crc,
 )
-from marsarm.telemetry.log_writer import RECORD_HEAD
+from marsarm.telemetry.log_writer import MESSAGE_HEADER, RECORD_HEAD
 from marsarm.telemetry.mcap_columns import (
     CHUNK_MARK,
     MARK_PLACE,
     PARSE_ERRORS,
-    MessageBatch,
-    make_batch,
     message_starts,
     unpack_chunk,
 )
@@ -50,7 +45,17 @@ from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
 
 NOTHING: Final = "holds no undamaged message, only a header at most; nothing can be saved"
-CHUNK_NS: Final = CHUNK_CYCLES * TICK_NS
+PROGRESS_EVERY: Final = 1000
+"""Messages between two reports of the progress."""
+
+
+class Message(NamedTuple):
+    """Message of a channel; its number counts those of the channel."""
+
+    channel: int
+    number: int
+    time_ns: int
+    body: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +77,6 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
 
     Messages are renumbered, so the new log is complete in itself. Metadata in it lists the losses. The new
     file appears only after it was read back without an error.
-
-    Args:
-        bad: Damaged log.
-        good: New file.
-        progress: Called for each chunk.
 
     Raises:
         LogNotReadable: `bad` cannot be read, or has no part of a marsarm log.
@@ -100,16 +100,19 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     specs = _find_specs(metadata.get(HEADER_RECORD, {}), chunks)
     if not any(one.is_flight for one in specs):
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
-    batch, is_new = _join_chunks([plain for _, _, plain in chunks])
-    if not is_new.any():
+    found, duplicates = _messages([plain for _, _, plain in chunks])
+    if not found:
         raise LogNotReadable(bad, NOTHING)
-    if not is_new.all():
-        notes.append(f"{np.count_nonzero(~is_new)} duplicate messages left out")
+    if duplicates:
+        notes.append(f"{duplicates} duplicate messages left out")
     is_end_known = _reaches_end(data, chunks[-1][1])
-    lost = (*_earlier_losses(metadata), *find_losses(batch.heads[is_new], specs, is_end_known))
+    try:
+        earlier = losses_in(metadata.get(RECOVERED_RECORD, {}))
+    except PARSE_ERRORS:
+        earlier = (LostMessages(None, None, None, None),)
+    lost = (*earlier, *find_losses(found, specs, is_end_known))
     with atomic_write(good, "GOOD") as file:
-        saved = _write(file, metadata, specs, lost, batch, is_new, progress)
-        file.flush()
+        saved = _write(file, metadata, specs, lost, found, progress)
         parse_log(bad, Path(file.name).read_bytes())
     return RecoveryReport(saved, lost, HEADER_RECORD not in metadata, tuple(notes))
 
@@ -186,55 +189,49 @@ def _find_specs(
         return ()
 
 
-def _join_chunks(plains: Sequence[bytes]) -> tuple[MessageBatch, NDArray[np.bool_]]:
-    """Return all messages, and whether each is new: its number is above all before it, in its channel."""
-    starts = list[int]()
-    size = 0
+def _messages(plains: Sequence[bytes]) -> tuple[list[Message], int]:
+    """Return all messages that are new, which have a number above all before, and how many are not."""
+    found, last, total = list[Message](), Counter[int](), 0
     for plain in plains:
-        starts += [size + start for start in message_starts(plain)]
-        size += len(plain)
-    batch = make_batch(b"".join(plains), starts)
-    is_new = np.ones(len(starts), np.bool_)
-    for channel in np.unique(batch.heads["channel"]):
-        rows = np.flatnonzero(batch.heads["channel"] == channel)
-        sequence = batch.heads["sequence"][rows].astype(np.int64)
-        is_new[rows] = sequence > np.maximum.accumulate(np.append(-1, sequence[:-1]))
-    return batch, is_new
+        for start in message_starts(plain):
+            _, length, channel, number, time_ns, _ = MESSAGE_HEADER.unpack_from(plain, start)
+            body = plain[start + MESSAGE_HEADER.size : start + RECORD_HEAD.size + length]
+            total += 1
+            if number >= last[channel]:
+                found.append(Message(channel, number, time_ns, body))
+                last[channel] = number + 1
+    return found, total - len(found)
 
 
 def find_losses(
-    heads: NDArray[np.void], specs: Sequence[TopicSpec], is_end_known: bool
+    messages: Sequence[Message], specs: Sequence[TopicSpec], is_end_known: bool
 ) -> tuple[LostMessages, ...]:
     """Find breaks in the sequence numbers of channels, and what may be missing without such a break.
 
     There is at least one message. Without a known end, what follows the last one may be missing.
     """
     lost = list[LostMessages]()
-    last_ns = dict[str, int]()
-    for one in specs:
-        of_topic = heads[heads["channel"] == one.id]
-        times_ns = [None, *map(int, of_topic["time_ns"])]
-        steps = np.diff(of_topic["sequence"].astype(np.int64), prepend=-1)
-        for k in np.flatnonzero(steps > 1).tolist():
-            lost.append(LostMessages(one.topic, int(steps[k]) - 1, times_ns[k], times_ns[k + 1]))
-        last_ns[one.topic] = times_ns[-1] or 0 if len(of_topic) else -1
+    names = {one.id: one.topic for one in specs}
+    last_ns: dict[str, int | None] = dict.fromkeys(names.values())
+    following = Counter[str]()
+    for one in messages:
+        if one.channel in names:
+            topic = names[one.channel]
+            if one.number > following[topic]:
+                missing = one.number - following[topic]
+                lost.append(LostMessages(topic, missing, last_ns[topic], one.time_ns))
+            following[topic], last_ns[topic] = one.number + 1, one.time_ns
     # A break after the last message of a channel may have cost any number of its messages.
     for topic, time_ns in last_ns.items():
-        later = [gap for gap in lost if gap.count is not None and time_ns < (gap.before_ns or 0)]
+        end_ns = -1 if time_ns is None else time_ns
+        later = [gap for gap in lost if gap.count is not None and end_ns < (gap.before_ns or 0)]
         if later:
             after_ns = min((gap.after_ns for gap in later if gap.after_ns is not None), default=None)
             lost.append(LostMessages(topic, None, after_ns, max(gap.before_ns or 0 for gap in later)))
     if not is_end_known:
-        lost.append(LostMessages(None, None, int(heads["time_ns"].max()), None))
-    return tuple(lost)
-
-
-def _earlier_losses(metadata: Mapping[str, Mapping[str, str]]) -> tuple[LostMessages, ...]:
-    """Return the losses that earlier recoveries reported."""
-    try:
-        return losses_in(metadata.get(RECOVERED_RECORD, {}))
-    except PARSE_ERRORS:
-        return (LostMessages(None, None, None, None),)
+        lost.append(LostMessages(None, None, max(one.time_ns for one in messages), None))
+    order = [*names.values(), None]
+    return tuple(sorted(lost, key=lambda one: (one.count is None, order.index(one.topic))))
 
 
 def _write(
@@ -242,33 +239,24 @@ def _write(
     metadata: Mapping[str, Mapping[str, str]],
     specs: Sequence[TopicSpec],
     lost: Sequence[LostMessages],
-    batch: MessageBatch,
-    is_new: NDArray[np.bool_],
+    messages: Sequence[Message],
     progress: Progress,
 ) -> dict[str, int]:
-    """Write the new messages of known channels, renumbered, and return their number by topic."""
+    """Write the messages of known channels, renumbered, and return their number by topic."""
     renumbered = {one.id: replace(one, id=number) for number, one in enumerate(specs, 1)}
-    lost_record = Metadata(RECOVERED_RECORD, loss_metadata(lost))
     header = metadata.get(HEADER_RECORD, {})
-    writer = begin_log(file, header, tuple(renumbered.values()), [lost_record])
-    rows = np.flatnonzero(is_new & np.isin(batch.heads["channel"], list(renumbered)))
-    counts, chunk = Counter[int](), 0
-    for k, (head, body) in enumerate(zip(batch.heads[rows].tolist(), batch.bodies(rows), strict=True)):
-        _, _, channel, _, time_ns, publish_ns = head
-        writer.add_message(renumbered[channel].id, time_ns, body, publish_ns, counts[channel])
-        counts[channel] += 1
-        if time_ns // CHUNK_NS != chunk:
-            chunk = time_ns // CHUNK_NS
-            writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
-            progress(k, len(rows), "writing")
-    for record in end_metadata(_interruption(metadata)):
-        writer.add_metadata(record.name, record.metadata)
-    writer.finish()  # type: ignore[no-untyped-call]
-    return {renumbered[channel].topic: count for channel, count in counts.items()}
-
-
-def _interruption(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    writer = begin_log(file, header, tuple(renumbered.values()), [loss_metadata(lost)])
+    saved = Counter[str]()
+    for k, one in enumerate(messages):
+        if one.channel in renumbered:
+            spec = renumbered[one.channel]
+            writer.add(one.time_ns, [(spec.id, one.body)])
+            saved[spec.topic] += 1
+        if k % PROGRESS_EVERY == 0:
+            progress(k, len(messages), "writing")
     try:
-        return interruption_in(metadata.get(END_RECORD, {}))
+        interrupted_by = without_crc(metadata.get(END_RECORD, {})).get(INTERRUPTED_KEY, "")
     except ValueError:
-        return ""
+        interrupted_by = ""
+    writer.finish(end_metadata(interrupted_by))
+    return saved

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse
 from marsarm.render.rays import VISIBLE_GROUPS, geom_rgb
@@ -97,7 +98,7 @@ def robot_description(
             _add_visual(link, visual, f"colour{colours.index(_numbers(visual.rgba))}")
     for still in fixed:
         joint = SubElement(robot, "joint", name=f"{still.parent}_{still.child}", type="fixed")
-        _add_origin(joint, still.X.p, roll_pitch_yaw(still.X.R))
+        _add_origin(joint, still.X.p, _roll_pitch_yaw(still.X.R))
         _add_ends(joint, still.parent, still.child)
     for one in turning:
         joint = SubElement(robot, "joint", name=one.joint, type="revolute")
@@ -113,7 +114,7 @@ def robot_description(
 
 def _add_visual(link: Element, one: Visual, colour: str) -> None:
     visual = SubElement(link, "visual")
-    _add_origin(visual, one.X.p, roll_pitch_yaw(one.X.R))
+    _add_origin(visual, one.X.p, _roll_pitch_yaw(one.X.R))
     keys = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}[one.shape]
     values = [one.size_m] if len(keys) == 1 else [(size,) for size in one.size_m]
     sizes = {key: _numbers(value) for key, value in zip(keys, values, strict=True)}
@@ -135,17 +136,10 @@ def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(round(float(value), DIGITS) + 0.0) for value in values)
 
 
-def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Convert a rotation matrix, (3, 3), to roll, pitch and yaw [rad]: turns about fixed x, then y, then z.
-
-    At a pitch of a right angle only yaw less roll is defined; yaw is zero there.
-    """
-    (r00, _, _), (r10, r11, r12), (r20, r21, r22) = R.tolist()
-    cosine = math.hypot(r00, r10)
-    pitch = math.atan2(-r20, cosine)
-    if cosine < 10**-DIGITS:
-        return math.atan2(-r12, r11), pitch, 0.0
-    return math.atan2(r21, r22), pitch, math.atan2(r10, r00)
+def _roll_pitch_yaw(R: Array) -> Iterable[float]:
+    """Convert a rotation matrix, (3, 3), to turns about fixed x, then y, then z [rad]."""
+    angles: Array = Rotation.from_matrix(R).as_euler("xyz", suppress_warnings=True)
+    return angles
 
 
 GROUND_FRAME: Final = "ground"

@@ -27,7 +27,7 @@ from marsarm.telemetry.robot_description import (
     TurningFrame,
     robot_description,
 )
-from marsarm.telemetry.schema import ROS_TIME, CdrWriter, ros_time
+from marsarm.telemetry.schema import CdrWriter
 from marsarm.telemetry.topics import (
     JOINT_STATES_TOPIC,
     MARKERS_TOPIC,
@@ -40,7 +40,7 @@ from sim.record import CycleRecord
 SAMPLE_CYCLES: Final = 8
 """Cycles between samples: 8 Hz; no joint turns by more than a degree between two samples."""
 
-POSE_STRUCT: Final = struct.Struct("<7d")
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 CUBE, SPHERE, CYLINDER = 1, 2, 3
 ARM_COLOUR: Final = (0.80, 0.55, 0.30, 0.9)
 ROVER_COLOUR: Final = (0.75, 0.75, 0.78, 0.35)
@@ -60,44 +60,46 @@ class RosEncoder:
             config: Configuration of the arm.
             scene: Visible shapes of the run; None for a log without a robot description.
         """
-        self._config = config
+        self._config, self._is_first = config, True
         self._fixed = fixed_frames(config.arm, {} if scene is None else scene.frames)
         self._turning = turning_frames(config)
         self._description = (
             None if scene is None else robot_description(self._fixed, self._turning, scene.visuals)
         )
         self._constant_Nm_A = config.torque_constant_Nm_A.tolist()
-        self._joints, self._joint_places = joint_state_template()
-        self._frames, self._frame_places = transforms_template(
-            [(one.parent, one.child) for one in self._turning]
-        )
 
     def static_messages(self, time_ns: int) -> Iterator[tuple[str, bytes]]:
         """Yield topic and message of constant data.
 
         These are fixed frames, the robot description, and collision shapes of flight software.
         """
-        message, places = transforms_template([(one.parent, one.child) for one in self._fixed])
         poses = [(*vector3(one.X.p), *quaternion(one.X.R)) for one in self._fixed]
-        fill_transforms(message, places, time_ns, poses)
-        yield TF_STATIC_TOPIC, bytes(message)
+        yield TF_STATIC_TOPIC, transforms(time_ns, self._fixed, poses)
         if self._description is not None:
             yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(self._description).data)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
-    def cycle_messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
+    def messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and message of constant data, in the first cycle, and of a cycle."""
+        if self._is_first:
+            yield from self.static_messages(time_ns)
+            self._is_first = False
+        yield from self._cycle_messages(time_ns, record)
+
+    def _cycle_messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
         """Yield topic and message of a cycle; transforms only if all angles are finite."""
         joint, current_A = record.outputs.joint, record.sensors.current_A.tolist()
         output_rad, rate_rad_s = joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist()
         torque_Nm = [k * i for k, i in zip(self._constant_Nm_A, current_A, strict=True)]
-        ROS_TIME.pack_into(self._joints, 4, *ros_time(time_ns))
-        for place, values in zip(self._joint_places, (output_rad, rate_rad_s, torque_Nm), strict=True):
-            struct.pack_into("<5d", self._joints, place, *values)
-        yield JOINT_STATES_TOPIC, bytes(self._joints)
+        out = CdrWriter().header(time_ns, "").add("I", len(Joint))
+        for name in JOINT_NAMES:
+            out.text(name)
+        for values in (output_rad, rate_rad_s, torque_Nm):
+            out.add("I", len(Joint)).add("d", *values)
+        yield JOINT_STATES_TOPIC, bytes(out.data)
         if all(map(math.isfinite, output_rad)):
             poses = [one.at(angle) for one, angle in zip(self._turning, output_rad, strict=True)]
-            fill_transforms(self._frames, self._frame_places, time_ns, poses)
-            yield TF_TOPIC, bytes(self._frames)
+            yield TF_TOPIC, transforms(time_ns, self._turning, poses)
 
     def _markers(self, time_ns: int) -> bytes:
         shapes, placed = self._config.collision_geometry, []
@@ -144,37 +146,14 @@ def turning_frames(config: Config) -> tuple[TurningFrame, ...]:
     )
 
 
-def joint_state_template() -> tuple[bytearray, tuple[int, ...]]:
-    """Return a joint state of zeros, and the bytes where position, velocity and effort begin."""
-    out = CdrWriter().header(0, "")
-    out.add("I", len(Joint))
-    for joint in Joint:
-        out.text(joint.name.lower())
-    places = []
-    for _ in range(3):
-        out.add("I", len(Joint))
-        places.append(out.reserve(len(Joint)))
-    return out.data, tuple(places)
-
-
-def transforms_template(names: Sequence[tuple[str, str]]) -> tuple[bytearray, list[tuple[int, int]]]:
-    """Return transforms of zeros between named frames, and the bytes where stamp and pose of each begin."""
-    out, places = CdrWriter().add("I", len(names)), []
-    for parent, child in names:
-        at = len(out.data) + -len(out.data) % 4
-        out.header(0, parent).text(child)
-        places.append((at, out.reserve(7)))
-    return out.data, places
-
-
-def fill_transforms(
-    message: bytearray, places: Sequence[tuple[int, int]], time_ns: int, poses: Sequence[tuple[float, ...]]
-) -> None:
-    """Write stamps and poses, position and quaternion x, y, z, w, into a message of `transforms_template`."""
-    seconds = ros_time(time_ns)
-    for (at, place), pose in zip(places, poses, strict=True):
-        ROS_TIME.pack_into(message, at, *seconds)
-        POSE_STRUCT.pack_into(message, place, *pose)
+def transforms(
+    time_ns: int, frames: Sequence[FixedFrame | TurningFrame], poses: Sequence[tuple[float, ...]]
+) -> bytes:
+    """Encode the transforms of frames in their parents: position and quaternion x, y, z, w of each."""
+    out = CdrWriter().add("I", len(frames))
+    for frame, pose in zip(frames, poses, strict=True):
+        out.header(time_ns, frame.parent).text(frame.child).add("d", *pose)
+    return bytes(out.data)
 
 
 def marker_shapes(solids: RoundedBoxes, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
@@ -202,9 +181,9 @@ def add_marker(
 ) -> None:
     """Add a visualization_msgs/Marker that moves with its frame; `label` is namespace, number and frame."""
     name, number, frame = label
-    out.header(time_ns, frame).text(name).add("iii", number, kind, 0)
-    out.add("d" * 7, *vector3(X.p), *quaternion(X.R)).add("ddd", *scale).add("ffff", *colour)
-    out.add("iI?", 0, 0, True).add("II", 0, 0)  # for ever, with its frame, no points, no colours
+    out.header(time_ns, frame).text(name).add("i", number, kind, 0)
+    out.add("d", *vector3(X.p), *quaternion(X.R), *scale).add("f", *colour)
+    out.add("I", 0, 0).add("?", True).add("I", 0, 0)  # for ever, with its frame, no points, no colours
     out.text("").header(0, "").text("").add("I", 0).add("I", 0)  # no texture
     out.text("").text("").text("").add("I", 0).add("?", False)  # no text, no mesh
 

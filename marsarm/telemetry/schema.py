@@ -91,6 +91,8 @@ class Field:
     note: str = ""
     """Comment with unit, limits and names of the values."""
     doc: str = ""
+    members: Mapping[str, int] | None = None
+    """Names of the values of an enumeration or of the index of a tool; None for numbers and flags."""
 
     @property
     def size(self) -> int:
@@ -152,16 +154,26 @@ class Layout:
         return layout
 
 
-def note_of(name: str, hint: Any, arm: ArmNames) -> str:
+def members_of(hint: Any, arm: ArmNames) -> dict[str, int] | None:
+    """Return the names of the values of a field; None if it has plain numbers or flags."""
+    kind = strip_annotated(hint)
+    if is_tool_index(hint):
+        return {tool: k for k, tool in enumerate(arm.tools)}
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return {member.name: member.value for member in kind}
+    return None
+
+
+def note_of(name: str, hint: Any, members: Mapping[str, int] | None) -> str:
     """Return a comment with unit, limits and names of the values of a field, as far as they exist."""
-    unit, limits, kind = unit_of(name), limits_of(hint), strip_annotated(hint)
+    unit = unit_of(name)
+    limits = next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
     remarks = [] if unit in (None, "1") else [f"[{unit}]"]
     if limits is not None:
         remarks.append(f"{limits.low:g} .. {limits.high:g}")
-    if isinstance(kind, type) and issubclass(kind, IntEnum):
-        remarks.append(f"{kind.__name__}: " + ", ".join(f"{e.value} {e.name}" for e in kind))
-    if is_tool_index(hint):
-        remarks.append("Tool: " + ", ".join(f"{k} {tool}" for k, tool in enumerate(arm.tools)))
+    if members is not None:
+        kind = "Tool" if is_tool_index(hint) else strip_annotated(hint).__name__
+        remarks.append(f"{kind}: " + ", ".join(f"{value} {member}" for member, value in members.items()))
     return "; ".join(remarks)
 
 
@@ -176,25 +188,21 @@ def array_shape(owner: type, name: str, arm: ArmNames) -> Shape:
     return tuple(len(getattr(arm, size)) if isinstance(size, str) else size for size in shape)
 
 
-def limits_of(hint: Any) -> Limits | None:
-    """Return the limits of an annotation, None if it has none."""
-    return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
-
-
 def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
     """Return the field that an annotation declares; SchemaError if the annotation has no fixed layout."""
-    kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
-    note, doc = note_of(name, hint, arm), " ".join(field_docs(owner).get(name, "").split())
+    kind, where, members = strip_annotated(hint), f"{owner.__name__}.{name}", members_of(hint, arm)
+    doc = " ".join(field_docs(owner).get(name, "").split())
+    shape = None
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if not NUMBER.fullmatch(scalar.str):
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
-        return Field(name, scalar.str, array_shape(owner, name, arm), note, doc)
-    if isinstance(kind, type) and issubclass(kind, IntEnum):
-        return Field(name, "<i8", None, note, doc)
-    if kind in DTYPES:
-        return Field(name, DTYPES[kind], None, note, doc)
-    raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
+        dtype, shape = scalar.str, array_shape(owner, name, arm)
+    elif members is not None or kind in DTYPES:
+        dtype = DTYPES.get(kind, DTYPES[int])
+    else:
+        raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
+    return Field(name, dtype, shape, note_of(name, hint, members), doc, members)
 
 
 def packet_layout(packet: type, names: Iterable[str], arm: ArmNames) -> Layout:
@@ -219,41 +227,27 @@ def packet_layout(packet: type, names: Iterable[str], arm: ArmNames) -> Layout:
     return Layout(tuple(sorted(fields, key=lambda f: (-f.size, f.shape is not None))))
 
 
-ROS_TIME: Final = struct.Struct("<iI")
-"""builtin_interfaces/Time: seconds and nanoseconds."""
-
-
-def ros_time(time_ns: int) -> tuple[int, int]:
-    """Split a time into seconds and nanoseconds."""
-    return divmod(time_ns, 1_000_000_000)
-
-
 class CdrWriter:
     """Message that is being encoded in CDR; values are added in the order of its definition."""
 
     def __init__(self) -> None:
         self.data = bytearray(ENCAPSULATION)
 
-    def add(self, kinds: str, *values: float) -> Self:
-        """Add numbers; `kinds` has a code of `struct` for each, such as "d" for float64."""
-        for kind, value in zip(kinds, values, strict=True):
-            size = struct.calcsize(f"<{kind}")
-            self.data = self.data.ljust(align(len(self.data), size), b"\0") + struct.pack(f"<{kind}", value)
+    def add(self, kind: str, *values: float) -> Self:
+        """Add numbers of one type, a code of `struct` such as "d" for float64."""
+        padding = (len(ENCAPSULATION) - len(self.data)) % struct.calcsize(kind)
+        self.data += struct.pack(f"<{padding}x{len(values)}{kind}", *values)
         return self
 
     def text(self, text: str) -> Self:
         """Add a string."""
         # Text from the operating system may hold bytes that UTF-8 does not have.
         content = text.encode(errors="backslashreplace") + b"\0"
-        self.add("I", len(content))
-        self.data += content
+        padding = -len(self.data) % 4
+        self.data += struct.pack(f"<{padding}xI", len(content)) + content
         return self
 
     def header(self, time_ns: int, frame: str) -> Self:
         """Add a std_msgs/Header."""
-        return self.add("iI", *ros_time(time_ns)).text(frame)
-
-    def reserve(self, numbers: int) -> int:
-        """Add zeros of type float64 to be overwritten later, and return the byte where they begin."""
-        self.add("d" * numbers, *[0.0] * numbers)
-        return len(self.data) - 8 * numbers
+        seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+        return self.add("I", seconds, nanoseconds).text(frame)

@@ -1,17 +1,20 @@
-"""Output of the verbs of `marsarm log`: JSON documents, and tables and sentences for people."""
+"""Reports of the verbs of `marsarm log`: documents, and tables and sentences for people."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from marsarm.telemetry.errors import LostMessages, span_text, trailing_bytes_text
-from marsarm.telemetry.format import FORMAT
-from marsarm.telemetry.inspection import ChannelSeries, range_of, summarize_log
+from marsarm.telemetry.format import FORMAT, TICK_NS
+from marsarm.telemetry.inspection import ChannelSeries, severity_name
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.recover import RecoveryReport
 from simgap.common.console import pluralize
-from simgap.common.report import ReportTable, print_parts
+from simgap.common.report import ReportTable
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""
@@ -19,11 +22,14 @@ JSON_KEYS: Final = ("boot", "cpu", "request")
 """Keys of the header whose values are JSON."""
 
 
-def info_json(log: Log) -> dict[str, Any]:
-    """Return a log as a JSON document, without the keys of the header in OMITTED_KEYS."""
-    info = summarize_log(log)
+def info_document(log: Log) -> dict[str, Any]:
+    """Collect a log, without the keys of the header in OMITTED_KEYS; cycles are those with a message."""
+    times = [time_ns for time_ns in log.time_ns.values() if len(time_ns)]
+    cycles = np.unique(np.concatenate(times)).tolist() if times else []
+    duration_s = (cycles[-1] - cycles[0] + TICK_NS) / 1e9 if cycles else 0.0
+    counts = Counter(evr.severity for evr in log.evrs)
     return {
-        "log": str(log.path),
+        "log": log.path,
         "format": FORMAT,
         "closed": log.end == "closed",
         "end": log.end,
@@ -34,16 +40,21 @@ def info_json(log: Log) -> dict[str, Any]:
             for name, text in log.header.items()
             if name not in OMITTED_KEYS
         },
-        "first_s": info.first_s,
-        "duration_s": info.duration_s,
-        "cycles": info.cycles,
+        "first_s": cycles[0] / 1e9 if cycles else None,
+        "duration_s": duration_s,
+        "cycles": len(cycles),
         "topics": [
-            {"topic": one.name, "messages": one.messages, "rate_hz": one.rate_hz, "truth": one.is_truth}
-            for one in info.topics
+            {
+                "topic": topic,
+                "messages": len(time_ns),
+                "rate_hz": len(time_ns) / duration_s,
+                "truth": topic in log.truth,
+            }
+            for topic, time_ns in sorted(log.time_ns.items())
         ],
-        "evrs": info.evrs,
+        "evrs": {severity_name(severity): counts[severity] for severity in sorted(counts, reverse=True)},
         "commands": [command.name for command in log.commands],
-        "lost": _lost_json(log.lost),
+        "lost": _lost_document(log.lost),
     }
 
 
@@ -54,8 +65,8 @@ def _parse_header_value(name: str, text: str) -> Any:
         return text
 
 
-def _lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
-    """Return losses as a JSON document; times in seconds of log time, null for unknown."""
+def _lost_document(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
+    """Collect losses; times in seconds of log time, None for unknown."""
     return [
         {
             "topic": one.topic,
@@ -67,99 +78,96 @@ def _lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
     ]
 
 
-def info_table(log: Log) -> None:
-    """Print a log: header, duration, topics and event reports."""
-    info = summarize_log(log)
+def info_parts(log: Log) -> list[str | ReportTable]:
+    """Show a log: header, duration, topics and event reports."""
+    info = info_document(log)
     state = log.end_note or log.end
     if log.trailing_bytes:
         state += f"; {trailing_bytes_text(log.trailing_bytes)}"
     duration = "nothing was recorded"
-    if info.first_s is not None:
-        duration = f"{info.duration_s:.3f} s from {info.first_s:.3f} s on, {info.cycles} cycles"
-    about = {name: log.header[name] for name in sorted(log.header) if name not in OMITTED_KEYS}
+    if info["first_s"] is not None:
+        duration = f"{info['duration_s']:.3f} s from {info['first_s']:.3f} s on, {info['cycles']} cycles"
+    about = {name: log.header[name] for name in sorted(info["header"])}
     about |= {"format": FORMAT, "duration": duration, "end": state}
     rows = [
-        (one.name, str(one.messages), f"{one.rate_hz:.2f}", "truth" if one.is_truth else "")
-        for one in info.topics
+        (one["topic"], str(one["messages"]), f"{one['rate_hz']:.2f}", "truth" if one["truth"] else "")
+        for one in info["topics"]
     ]
-    evrs = ", ".join(f"{count} {name}" for name, count in info.evrs.items())
-    recovered: list[str | ReportTable] = ["This log was recovered from a damaged one.", _lost_table(log.lost)]
-    topics = [ReportTable(("topic", "messages", "rate Hz", ""), rows)] if rows else []
-    print_parts(
-        [
-            *(f"{name:<16}  {text}" for name, text in about.items()),
-            *topics,
-            f"EVRs: {evrs or 'none'}",
-            *recovered,
-        ]
-    )
+    evrs = ", ".join(f"{count} {name}" for name, count in info["evrs"].items())
+    recovered: list[str | ReportTable] = []
+    if log.lost:
+        recovered = ["This log was recovered from a damaged one.", _lost_table(log.lost)]
+    return [
+        *(f"{name:<16}  {text}" for name, text in about.items()),
+        *([ReportTable(("topic", "messages", "rate Hz", ""), rows)] if rows else []),
+        f"EVRs: {evrs or 'none'}",
+        *recovered,
+    ]
 
 
-def channels_json(log: Log, channels: Sequence[ChannelSeries]) -> dict[str, Any]:
-    """Return the channels of a log as a JSON document."""
-    found = []
-    for one in channels:
-        values = range_of(one)
-        found.append(
-            {
-                "channel": one.name,
-                "type": one.type_name,
-                "unit": one.unit,
-                "truth": one.is_truth,
-                "messages": len(one.time_ns),
-                "min": values.low,
-                "max": values.high,
-                "not_finite": values.not_finite,
-            }
-        )
-    return {"log": str(log.path), "channels": found}
+def channels_document(log: Log, channels: Sequence[ChannelSeries]) -> dict[str, Any]:
+    """Collect channels of a log, with their finite ranges and the number of other values."""
+    return {"log": log.path, "channels": [_channel_document(one) for one in channels]}
 
 
-def channels_table(log: Log, channels: Sequence[ChannelSeries]) -> None:
-    """Print the channels of a log, one in each line."""
+def _channel_document(one: ChannelSeries) -> dict[str, Any]:
+    values = one.values.astype(np.int8) if one.values.dtype.kind == "b" else one.values
+    finite = values[np.isfinite(values)]
+    return {
+        "channel": one.name,
+        "type": one.type_name,
+        "unit": one.unit,
+        "truth": one.is_truth,
+        "messages": len(one.time_ns),
+        "min": finite.min() if finite.size else None,
+        "max": finite.max() if finite.size else None,
+        "not_finite": values.size - finite.size,
+    }
+
+
+def channels_parts(log: Log, channels: Sequence[ChannelSeries]) -> list[ReportTable]:
+    """Show channels of a log, one in each line."""
     rows = [
         (
             one["channel"],
             one["type"],
             one["unit"] or "",
             str(one["messages"]),
-            _number(one["min"]),
-            _number(one["max"]),
+            _number_text(one["min"]),
+            _number_text(one["max"]),
             str(one["not_finite"] or ""),
         )
-        for one in channels_json(log, channels)["channels"]
+        for one in channels_document(log, channels)["channels"]
     ]
     head = ("channel", "type", "unit", "count", "min", "max", "NaN, inf")
-    print_parts([ReportTable(head, rows, is_whole=True)])
+    return [ReportTable(head, rows, is_whole=True)]
 
 
-def _number(value: float | int | None) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+def _number_text(value: Any) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, np.floating) else str(value)
 
 
-def recovery_json(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str, Any]:
-    """Return a recovery as a JSON document."""
+def recovery_document(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str, Any]:
+    """Collect a recovery."""
     return {
-        "bad": str(bad),
-        "good": str(good),
+        "bad": bad,
+        "good": good,
         "header_lost": recovered.header_lost,
-        "saved": dict(recovered.saved),
-        "lost": _lost_json(recovered.lost),
-        "notes": list(recovered.notes),
+        "saved": recovered.saved,
+        "lost": _lost_document(recovered.lost),
+        "notes": recovered.notes,
     }
 
 
-def recovery_table(good: Path, recovered: RecoveryReport) -> None:
-    """Print the saved and the lost messages."""
+def recovery_parts(good: Path, recovered: RecoveryReport) -> list[str | ReportTable]:
+    """Show the saved and the lost messages."""
     header = ["The header is lost: versions, parameters and commands of the run."] * recovered.header_lost
-    print_parts(
-        [
-            f"{sum(recovered.saved.values())} messages saved in {good}",
-            *header,
-            *(f"{note[0].upper()}{note[1:]}." for note in recovered.notes),
-            _lost_table(recovered.lost) if recovered.lost else "Nothing was lost.",
-        ]
-    )
+    return [
+        f"{sum(recovered.saved.values())} messages saved in {good}",
+        *header,
+        *(f"{note[0].upper()}{note[1:]}." for note in recovered.notes),
+        _lost_table(recovered.lost) if recovered.lost else "Nothing was lost.",
+    ]
 
 
 def _lost_table(lost: Sequence[LostMessages]) -> ReportTable:
@@ -174,19 +182,14 @@ def _lost_table(lost: Sequence[LostMessages]) -> ReportTable:
     return ReportTable(("topic", "messages", "log time"), rows, "lost")
 
 
-def export_json(log: Log, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return an export as a JSON document."""
-    rows = [
-        {"topic": topic, "file": str(path), "rows": len(log.time_ns[topic])} for topic, path in files.items()
+def export_document(log: Log, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Collect the files that were written."""
+    rows = [{"topic": topic, "file": path, "rows": len(log.time_ns[topic])} for topic, path in files.items()]
+    return {"log": log.path, "files": rows}
+
+
+def export_parts(log: Log, files: Mapping[str, Path]) -> list[str]:
+    """Show the files that were written."""
+    return [
+        f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}" for topic, path in files.items()
     ]
-    return {"log": str(log.path), "files": rows}
-
-
-def export_table(log: Log, files: Mapping[str, Path]) -> None:
-    """Print the files that were written."""
-    print_parts(
-        [
-            f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}"
-            for topic, path in files.items()
-        ]
-    )

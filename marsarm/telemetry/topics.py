@@ -4,15 +4,17 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from fnmatch import fnmatchcase
-from operator import attrgetter
+from importlib import resources
+from io import FileIO
+from itertools import count
 from typing import Any, BinaryIO, Final, get_origin, get_type_hints
 
 from mcap.records import Channel, Metadata, Schema
-from mcap.writer import IndexType, Writer
 
 from marsarm.telemetry.events import CommandEntry, EvrEntry, LogEntry
 from marsarm.telemetry.format import (
     CHANNELS_KEY,
+    CHUNK_CYCLES,
     COMMAND_TOPIC,
     DERIVED_KEY,
     EVR_TOPIC,
@@ -21,6 +23,7 @@ from marsarm.telemetry.format import (
     TRUTH_TEXT,
     header_records,
 )
+from marsarm.telemetry.log_writer import ChunkWriter
 from marsarm.telemetry.schema import (
     ArmNames,
     Layout,
@@ -30,86 +33,12 @@ from marsarm.telemetry.schema import (
 )
 from sim.record import CycleRecord
 
-SEPARATOR: Final = "=" * 80
-
-ROS_TYPES: Final = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
-    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
-    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
-    "visualization_msgs/Marker": """\
-int32 ARROW=0
-int32 CUBE=1
-int32 SPHERE=2
-int32 CYLINDER=3
-int32 LINE_STRIP=4
-int32 LINE_LIST=5
-int32 CUBE_LIST=6
-int32 SPHERE_LIST=7
-int32 POINTS=8
-int32 TEXT_VIEW_FACING=9
-int32 MESH_RESOURCE=10
-int32 TRIANGLE_LIST=11
-int32 ARROW_STRIP=12
-int32 ADD=0
-int32 MODIFY=0
-int32 DELETE=2
-int32 DELETEALL=3
-std_msgs/Header header
-string ns
-int32 id
-int32 type
-int32 action
-geometry_msgs/Pose pose
-geometry_msgs/Vector3 scale
-std_msgs/ColorRGBA color
-builtin_interfaces/Duration lifetime
-bool frame_locked
-geometry_msgs/Point[] points
-std_msgs/ColorRGBA[] colors
-string texture_resource
-sensor_msgs/CompressedImage texture
-visualization_msgs/UVCoordinate[] uv_coordinates
-string text
-string mesh_resource
-visualization_msgs/MeshFile mesh_file
-bool mesh_use_embedded_materials
-""",
+SEPARATOR: Final = "=" * 80 + "\nMSG: "
+ROS_TYPES: Final[dict[str, str]] = {
+    part.partition("\n")[0]: part.partition("\n")[2]
+    for part in resources.files(__package__).joinpath("ros2.msg").read_text().split(SEPARATOR)[1:]
 }
-
-ROS_MESSAGES: Final = {
-    "sensor_msgs/msg/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    ),
-    "std_msgs/msg/String": "string data\n",
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers\n",
-    "rcl_interfaces/msg/Log": """\
-byte DEBUG=10
-byte INFO=20
-byte WARN=30
-byte ERROR=40
-byte FATAL=50
-builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-string file
-string function
-uint32 line
-""",
-}
+"""Definitions of the messages of ROS 2 for other tools, and of the types that they use, by name."""
 
 
 def nested_types(text: str) -> list[str]:
@@ -124,10 +53,8 @@ def nested_types(text: str) -> list[str]:
 
 def ros_schema(name: str) -> bytes:
     """Return the definition of a message with all types that it uses, as a ros2msg schema."""
-    text = ROS_MESSAGES[name]
-    return "".join(
-        [text, *(f"{SEPARATOR}\nMSG: {part}\n{ROS_TYPES[part]}" for part in nested_types(text))]
-    ).encode()
+    text = ROS_TYPES[name]
+    return "".join([text, *(f"{SEPARATOR}{part}\n{ROS_TYPES[part]}" for part in nested_types(text))]).encode()
 
 
 def channel_name(topic: str, field: str) -> str:
@@ -172,7 +99,7 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
 
 
 # The tick, the only plain field of CycleRecord, has no topic: it is the log time of every message.
-PACKET_TOPICS: Final = tuple((topic, attrgetter(topic.path)) for topic in topics_in(CycleRecord))
+PACKET_TOPICS: Final = {topic.name: topic for topic in topics_in(CycleRecord)}
 JOINT_STATES_TOPIC: Final = "/joint_states"
 TF_TOPIC: Final = "/tf"
 TF_STATIC_TOPIC: Final = "/tf_static"
@@ -183,18 +110,22 @@ ROSOUT_TOPIC: Final = "/rosout"
 DERIVED_TOPICS: Final = {
     JOINT_STATES_TOPIC: (
         "sensor_msgs/msg/JointState",
-        "/joint and /sensors: outputs as believed, torques from currents",
+        "from /joint and /sensors: outputs as believed, torques from currents",
     ),
-    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "/joint: outputs as believed, links rigid"),
-    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "the parameters"),
-    MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
-    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
+    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "from /joint: outputs as believed, links rigid"),
+    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "from the parameters"),
+    MARKERS_TOPIC: (
+        "visualization_msgs/msg/MarkerArray",
+        "from the parameters: shapes of the collision check",
+    ),
+    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "from /evr"),
     ROBOT_DESCRIPTION_TOPIC: (
         "std_msgs/msg/String",
-        "the parameters, and the scene of the run as it is drawn",
+        "from the parameters, and the scene of the run as it is drawn",
     ),
 }
 """Schema and source of each derived channel."""
+ENTRIES: Final[dict[str, type[LogEntry]]] = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,44 +136,58 @@ class TopicSpec:
     topic: str
     schema: str
     text: bytes
-    metadata: Mapping[str, str]
     layout: Layout | None = None
+    is_truth: bool = False
+    """True for the plant's own state."""
+    derived: str = ""
+    """From what a channel for other tools was computed; empty for the others."""
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Metadata in the record of the channel."""
+        layout = {} if self.layout is None else {LAYOUT_KEY: self.layout.to_json()}
+        truth = {TRUTH_KEY: TRUTH_TEXT} if self.is_truth else {}
+        return layout | truth | ({DERIVED_KEY: self.derived} if self.derived else {})
 
     @property
     def is_flight(self) -> bool:
         """True if a reader takes it: not of another program, nor computed from other channels."""
-        if self.topic in (EVR_TOPIC, COMMAND_TOPIC):
+        if self.topic in ENTRIES:
             return True
-        return self.layout is not None and DERIVED_KEY not in self.metadata
+        return self.layout is not None and not self.derived
 
-    @property
-    def is_truth(self) -> bool:
-        """True for the plant's own state."""
-        return TRUTH_KEY in self.metadata
+
+def layout_spec(
+    number: int, topic: str, kind: str, doc: str | None, layout: Layout, is_truth: bool
+) -> TopicSpec:
+    """Return the channel of messages with a layout; `kind` and `doc` name and describe their schema."""
+    text = ros_definition(doc, layout.ros_text)
+    return TopicSpec(number, topic, f"marsarm/msg/{kind}", text, layout, is_truth)
 
 
 def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
     """Return all channels of an arm with these tools and switches, flight channels first."""
+    number = count(1)
     packets = [
-        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names, arm), topic.is_truth)
-        for topic, _ in PACKET_TOPICS
-    ]
-    lines: list[tuple[str, type[LogEntry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]
-    found: list[TopicSpec] = []
-    for topic, kind, layout, is_truth in packets:
-        metadata = {LAYOUT_KEY: layout.to_json()}
-        if is_truth:
-            metadata[TRUTH_KEY] = TRUTH_TEXT
-        text = ros_definition(kind.__doc__, layout.ros_text)
-        found.append(TopicSpec(len(found) + 1, topic, schema_name(kind.__name__), text, metadata, layout))
-    for topic, entry in lines:
-        text = ros_definition(entry.__doc__, entry.ros_text())
-        found.append(TopicSpec(len(found) + 1, topic, schema_name(entry.__name__), text, {}))
-    for topic, (schema, source) in DERIVED_TOPICS.items():
-        found.append(
-            TopicSpec(len(found) + 1, topic, schema, ros_schema(schema), {DERIVED_KEY: f"from {source}"})
+        layout_spec(
+            next(number),
+            topic.name,
+            topic.packet.__name__,
+            topic.packet.__doc__,
+            packet_layout(topic.packet, topic.field_names, arm),
+            topic.is_truth,
         )
-    return tuple(found)
+        for topic in PACKET_TOPICS.values()
+    ]
+    lines = [
+        TopicSpec(next(number), topic, f"marsarm/msg/{entry.__name__}", entry.ros_definition())
+        for topic, entry in ENTRIES.items()
+    ]
+    derived = [
+        TopicSpec(next(number), topic, schema, ros_schema(schema), derived=source)
+        for topic, (schema, source) in DERIVED_TOPICS.items()
+    ]
+    return (*packets, *lines, *derived)
 
 
 def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
@@ -253,8 +198,8 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
                 "id": one.id,
                 "schema": one.schema,
                 "layout": None if one.layout is None else json.loads(one.layout.to_json()),
-                "truth": TRUTH_KEY in one.metadata,
-                "derived": DERIVED_KEY in one.metadata,
+                "truth": one.is_truth,
+                "derived": bool(one.derived),
             }
             for one in channels
         }
@@ -273,29 +218,22 @@ def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
 
 def _decode_topic(topic: str, about: Mapping[str, Any]) -> TopicSpec:
     layout = None if about["layout"] is None else Layout.from_json(json.dumps(about["layout"]))
-    entry: type[LogEntry] | None = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}.get(topic)
-    metadata = {} if layout is None else {LAYOUT_KEY: layout.to_json()}
-    if about["truth"]:
-        metadata[TRUTH_KEY] = TRUTH_TEXT
-    if about["derived"]:
-        metadata[DERIVED_KEY] = f"from {DERIVED_TOPICS[topic][1]}"
-        text = ros_schema(about["schema"])
+    schema, derived = str(about["schema"]), DERIVED_TOPICS[topic][1] if about["derived"] else ""
+    if derived:
+        text = ros_schema(schema)
+    elif topic in ENTRIES:
+        text = ENTRIES[topic].ros_definition()
     else:
-        text = ros_definition(None, layout.ros_text if layout else entry.ros_text() if entry else "")
-    return TopicSpec(int(about["id"]), topic, str(about["schema"]), text, metadata, layout)
+        text = ros_definition(None, layout.ros_text if layout else "")
+    return TopicSpec(int(about["id"]), topic, schema, text, layout, bool(about["truth"]), derived)
 
 
 def spec_of_channel(channel: Channel, schema: Schema) -> TopicSpec:
     """Return the specification of a channel from its records; errors as in `decode_topics`."""
-    layout = channel.metadata.get(LAYOUT_KEY)
-    return TopicSpec(
-        channel.id,
-        channel.topic,
-        schema.name,
-        schema.data,
-        channel.metadata,
-        None if layout is None else Layout.from_json(layout),
-    )
+    about = channel.metadata
+    layout = Layout.from_json(about[LAYOUT_KEY]) if LAYOUT_KEY in about else None
+    is_truth, derived = TRUTH_KEY in about, about.get(DERIVED_KEY, "")
+    return TopicSpec(channel.id, channel.topic, schema.name, schema.data, layout, is_truth, derived)
 
 
 def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:
@@ -309,29 +247,23 @@ def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Ch
             topic=one.topic,
             message_encoding="cdr",
             schema_id=ids[one.schema],
-            metadata=dict(one.metadata),
+            metadata=one.metadata,
         )
         for one in channels
     ]
 
 
 def begin_log(
-    file: BinaryIO, header: Mapping[str, str], channels: tuple[TopicSpec, ...], more: Sequence[Metadata] = ()
-) -> Writer:
-    """Write the beginning of a log by the library: header, more metadata, schemas and channels."""
-    # There are no attachments, and an empty index of them would point to nothing.
-    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
-    writer = Writer(file, index_types=indexes, enable_data_crcs=True)
-    writer.start(profile="", library="marsarm")
-    for one in (*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more):
-        writer.add_metadata(one.name, one.metadata)
-    texts = {one.schema: one.text for one in channels}
-    ids = {name: writer.register_schema(name, "ros2msg", text) for name, text in texts.items()}
-    for channel in channels:
-        writer.register_channel(channel.topic, "cdr", ids[channel.schema], dict(channel.metadata))
-    return writer
+    file: FileIO | BinaryIO,
+    header: Mapping[str, str],
+    channels: tuple[TopicSpec, ...],
+    more: Sequence[Metadata] = (),
+    chunk_cycles: int = CHUNK_CYCLES,
+) -> ChunkWriter:
+    """Begin a log with a header, more metadata, and channels, and return its writer.
 
-
-def schema_name(name: str) -> str:
-    """Return the full name of a marsarm schema."""
-    return f"marsarm/msg/{name}"
+    Raises:
+        OSError: the disk is full or gone.
+    """
+    metadata = [*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more]
+    return ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)

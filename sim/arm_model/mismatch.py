@@ -145,10 +145,7 @@ def _compare_frames(where: str, X: Pose, drawn: Pose, sigma: BuiltTolerances) ->
     moved = inverse(drawn) @ X
     turn_rad = float(np.arccos(np.clip((np.trace(moved.R) - 1) / 2, -1.0, 1.0)))
     shift_m = float(np.abs(moved.p).max())
-    for found, unit, one in (
-        (turn_rad, "rad", _turn_sigma(sigma)),
-        (shift_m, "m", sigma.frame_m),
-    ):
+    for found, unit, one in ((turn_rad, "rad", _turn_sigma(sigma)), (shift_m, "m", sigma.frame_m)):
         if found > MOST_SIGMA * one:
             yield (
                 f"{where}.transform: differs from that of the arm by {found:.4g} {unit}, "

@@ -91,12 +91,7 @@ def arm_mjcf(arm: ArmDescription, hull: Hull, visual: str | None, shows_hull: bo
     root.append(looks.materials)
     world = SubElement(root, "worldbody")
     rmech = SubElement(
-        world,
-        "body",
-        name="rmech",
-        pos=_numbers(FLIP * P_NR_M),
-        quat="0 1 0 0",
-        childclass="arm",
+        world, "body", name="rmech", pos=_numbers(FLIP * P_NR_M), quat="0 1 0 0", childclass="arm"
     )
     _add_bodies(arm, looks, rmech)
     looks.check_all_used(element.get("name", "") for element in rmech.iter("body"))

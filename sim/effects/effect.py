@@ -346,7 +346,7 @@ def refuse_first_joint(joint: Joint) -> None:
         raise ValueError("joint: azimuth has no joint between itself and the rover")
 
 
-def with_element(values: Array, index: int, value: float) -> Array:
+def with_element(values: NDArray[Any], index: int, value: float) -> NDArray[Any]:
     """Return a copy with one element replaced."""
     changed = values.copy()
     changed[index] = value

@@ -1,7 +1,7 @@
 """Faults that can begin during a run."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import mujoco
 import numpy as np
@@ -113,14 +113,9 @@ class ActiveSensorFault:
                 return replace(sensors, encoder_count=np.rint(wrong).astype(np.int64))
             case "switch_closed":
                 return replace(sensors, switch_closed=wrong > CLOSED_THRESHOLD)
-            case "resolver_rad":
-                return replace(sensors, resolver_rad=wrong)
-            case "current_A":
-                return replace(sensors, current_A=wrong)
-            case "winding_C":
-                return replace(sensors, winding_C=wrong)
-            case "gravity_R_m_s2":
-                return replace(sensors, gravity_R_m_s2=wrong)
+            case name:
+                found: Any = {name: wrong}
+                return replace(sensors, **found)
 
     def _of(self, sensors: Sensors) -> Array:
         values: Array = np.asarray(getattr(sensors, self.fault.sensor), dtype=float)
@@ -136,7 +131,7 @@ class JointSeized(Timed):
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Lock the motor, whatever is commanded to its brake."""
         plant.brake(self.joint, True)
-        return _jam_brake(hardware, self.joint)
+        return replace(hardware, brake_stuck=with_element(hardware.brake_stuck, self.joint, True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +142,7 @@ class BrakeStuck(Timed):
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Keep the brake on from the next time that it engages."""
-        return _jam_brake(hardware, self.joint)
+        return replace(hardware, brake_stuck=with_element(hardware.brake_stuck, self.joint, True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,9 +223,3 @@ InjectedFault = (
     | PowerLoss
 )
 """Faults that can be injected into a run."""
-
-
-def _jam_brake(hardware: Hardware, joint: Joint) -> Hardware:
-    stuck = hardware.brake_stuck.copy()
-    stuck[joint] = True
-    return replace(hardware, brake_stuck=stuck)

@@ -53,6 +53,17 @@ def mean_speed_rad_s(before: MotorSample, now: MotorSample) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class _AtSpeed(EachCycle):
+    """Effect that depends on the mean speed of a motor in the last cycle."""
+
+    joint: Joint
+
+    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
+        """Return the first sample of the motor."""
+        return sample_motor(plant, self.joint)
+
+
+@dataclass(frozen=True, slots=True)
 class CoulombFriction(Effect):
     """Added friction torque of motor and gear, independent of their speed."""
 
@@ -66,16 +77,11 @@ class CoulombFriction(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class AsymmetricFriction(EachCycle):
+class AsymmetricFriction(_AtSpeed):
     """Added friction torque of motor and gear in one direction of motion only."""
 
-    joint: Joint
     direction: Literal["positive", "negative"]
     torque_Nm: Annotated[float, ParameterSpec(-100.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
-
-    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the motor."""
-        return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
         """Return the friction for the direction of the last cycle; none at rest."""
@@ -100,16 +106,11 @@ class ViscousFriction(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class StribeckFriction(EachCycle):
+class StribeckFriction(_AtSpeed):
     """Added friction of motor and gear at low speed; it falls by a factor e at the given speed."""
 
-    joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(-100.0, 200.0, unit="N m", typical=20.0, neutral=0.0)]
     speed_rad_s: Annotated[float, ParameterSpec(1e-4, 0.1, unit="rad/s", typical=2e-3)] = 2e-3
-
-    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the motor."""
-        return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
         """Compute the friction at the mean speed of the last cycle."""
@@ -193,15 +194,10 @@ class GearHysteresis(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GearEfficiency(EachCycle):
+class GearEfficiency(_AtSpeed):
     """Factor on the efficiency of a gear; losses oppose a driven load and support an overhauling one."""
 
-    joint: Joint
     factor: Annotated[float, ParameterSpec(0.3, 1.2, unit="1", typical=-0.1, neutral=1.0)]
-
-    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the motor."""
-        return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
         """Compute the loss: load over efficiency if the motor drives, else load times efficiency."""

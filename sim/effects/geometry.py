@@ -1,14 +1,14 @@
 """Effects on frames: displacement, play, length and angle of links and tools, thermal growth and bending."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import mujoco
 import numpy as np
 
 from fsw.dictionary.enums import Frame
-from fsw.dictionary.params import LinkParams, Params, PointMass, Transform6
+from fsw.dictionary.params import LinkParams, Params, PointMass, ToolParams, Transform6
 from fsw.dictionary.types import Row6, ToolName, row6, vector3
 from fsw.kinematics.arm import pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
@@ -48,11 +48,7 @@ class FrameError(Effect):
     def on_params(self, params: Params) -> Params:
         """Set the six numbers of the displaced link transform."""
         if self.frame is Frame.TOOL:
-            tools = tuple(
-                replace(tool, transform=self._displaced(tool.transform)) if tool.name == self.tool else tool
-                for tool in params.tools
-            )
-            return replace(params, tools=tools)
+            return _with_tool(params, self.tool, lambda tool: {"transform": self._displaced(tool.transform)})
         link = link_of(params, self.frame)
         changed = self._with_fixed_lumps(link, replace(link, transform=self._displaced(link.transform)))
         return with_link(params, self.frame, changed)
@@ -125,19 +121,13 @@ class Expansion(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Scale the expansion of the link or tool."""
-        if self.frame is not Frame.TOOL:
-            link = link_of(params, self.frame)
-            return with_link(
-                params, self.frame, replace(link, expansion_1_K=self._scaled(link.expansion_1_K))
-            )
-        tools = tuple(
-            replace(tool, expansion_1_K=self._scaled(tool.expansion_1_K)) if tool.name == self.tool else tool
-            for tool in params.tools
-        )
-        return replace(params, tools=tools)
+        if self.frame is Frame.TOOL:
+            return _with_tool(params, self.tool, self._scaled)
+        link = link_of(params, self.frame)
+        return with_link(params, self.frame, replace(link, **self._scaled(link)))
 
-    def _scaled(self, expansion_1_K: Row6) -> Row6:
-        return row6(self.factor * np.array(expansion_1_K))
+    def _scaled(self, part: LinkParams | ToolParams) -> dict[str, Any]:
+        return {"expansion_1_K": row6(self.factor * np.array(part.expansion_1_K))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +193,14 @@ def check_tool(frame: Frame, tool: ToolName | None) -> None:
 
 def _transform_lump(lump: PointMass, X: Pose) -> PointMass:
     return replace(lump, com_m=vector3(X.R @ np.array(lump.com_m) + X.p))
+
+
+def _with_tool(
+    params: Params, name: ToolName | None, change: Callable[[ToolParams], dict[str, Any]]
+) -> Params:
+    """Return the parameters with some of those of one tool changed."""
+    tools = (replace(tool, **change(tool)) if tool.name == name else tool for tool in params.tools)
+    return replace(params, tools=tuple(tools))
 
 
 Axis = Literal["x", "y", "z"]

@@ -102,8 +102,7 @@ class LinkTorsion(_AddedCompliance):
     compliance_rad_Nm: Compliance
 
     def __post_init__(self) -> None:
-        _refuse_rigid(self.frame)
-        _refuse_rover(self.frame)
+        _refuse_rigid(self.frame, "rover-compliance")
 
     def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the x axis of the spring."""
@@ -119,8 +118,7 @@ class LinkBending(_AddedCompliance):
     compliance_rad_Nm: Compliance
 
     def __post_init__(self) -> None:
-        _refuse_rigid(self.frame)
-        _refuse_rover(self.frame)
+        _refuse_rigid(self.frame, "rover-compliance")
 
     def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the axis of the spring."""
@@ -140,8 +138,7 @@ class LinkCreep(EachCycle):
     time_s: Annotated[float, ParameterSpec(0.1, 1e4, unit="s", typical=5.0)] = 5.0
 
     def __post_init__(self) -> None:
-        _refuse_rigid(self.frame)
-        _refuse_rover(self.frame)
+        _refuse_rigid(self.frame, "rover-compliance")
 
     def begin(self, plant: Plant, hardware: Hardware) -> Creep:
         """Return a link that has not crept."""
@@ -205,15 +202,13 @@ class LinkMass(Effect):
         return PointMass(lump.mass_kg * self.factor, (x, y, z))
 
 
-def _refuse_rigid(frame: Frame) -> None:
+def _refuse_rigid(frame: Frame, for_rover: str | None = None) -> None:
+    """Refuse a frame without a spring, and the rover's spring if another effect is for it."""
     if frame >= len(SPRING_NAMES):
         known = ", ".join(Frame(k).name.lower() for k in range(len(SPRING_NAMES)))
         raise ValueError(f"frame: {frame.name.lower()} has no spring; there are {known}")
-
-
-def _refuse_rover(frame: Frame) -> None:
-    if frame is Frame.ARM1:
-        raise ValueError("frame: the spring of arm1 is the rover's; take rover-compliance")
+    if frame is Frame.ARM1 and for_rover is not None:
+        raise ValueError(f"frame: the spring of arm1 is the rover's; take {for_rover}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +223,8 @@ class StandInTurret(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the far lump of the last link."""
-        return _with_turret_lump(params, replace(_turret_lump(params), mass_kg=self.mass_kg))
+        link = link_of(params, Frame.ARM6)
+        return with_link(params, Frame.ARM6, replace(link, far=replace(link.far, mass_kg=self.mass_kg)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,8 +239,7 @@ class TurretMass(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the far lump of the last link."""
-        lump = _turret_lump(params)
-        return _with_turret_lump(params, replace(lump, mass_kg=lump.mass_kg + self.extra_kg))
+        return _with_turret(params, mass_kg=self.extra_kg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,8 +256,7 @@ class TurretCentre(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the far lump of the last link."""
-        lump = _turret_lump(params)
-        return _with_turret_lump(params, replace(lump, com_m=vector3(np.array(lump.com_m) + self._shift())))
+        return _with_turret(params, shift_m=self._shift())
 
     def _shift(self) -> Array:
         return np.array([self.shift_m * (self.axis == axis) for axis in "xyz"])
@@ -279,9 +273,8 @@ def _set_mass(spec: mujoco.MjSpec, mass_kg: float) -> None:
     turret.mass = mass_kg
 
 
-def _turret_lump(params: Params) -> PointMass:
-    return link_of(params, Frame.ARM6).far
-
-
-def _with_turret_lump(params: Params, lump: PointMass) -> Params:
-    return with_link(params, Frame.ARM6, replace(link_of(params, Frame.ARM6), far=lump))
+def _with_turret(params: Params, mass_kg: float = 0.0, shift_m: Array | float = 0.0) -> Params:
+    """Return the parameters with a turret of more mass, or with its centre shifted."""
+    link = link_of(params, Frame.ARM6)
+    centre_m = vector3(np.array(link.far.com_m) + shift_m)
+    return with_link(params, Frame.ARM6, replace(link, far=PointMass(link.far.mass_kg + mass_kg, centre_m)))

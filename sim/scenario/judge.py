@@ -340,8 +340,7 @@ def _force_result(
 
 def _contact_result(trace: Trace, after: int, tool: str) -> CheckResult:
     return _bool_result(
-        f"{tool} in contact",
-        _value_after(trace, after, lambda m: float(is_touching(m, tool))) == 1.0,
+        f"{tool} in contact", _value_after(trace, after, lambda m: float(is_touching(m, tool))) == 1.0
     )
 
 

@@ -71,11 +71,7 @@ def read_taught_point(table: dict[str, Any], place: KeyPath, findings: Findings)
 
 
 def read_command(
-    table: dict[str, Any],
-    place: KeyPath,
-    findings: Findings,
-    points: Mapping[str, str],
-    params: Params,
+    table: dict[str, Any], place: KeyPath, findings: Findings, points: Mapping[str, str], params: Params
 ) -> Command | None:
     """Read a command, or return None and report problems.
 

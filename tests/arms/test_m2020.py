@@ -1,13 +1,11 @@
 """The arm of Mars 2020, made of its files alone, does what Curiosity's arm does."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
@@ -18,16 +16,8 @@ from marsarm.calibration.execution import check_data, check_fit
 from marsarm.calibration.verify import simulate_campaign
 from marsarm.runs.place import place, prepare_placement
 from marsarm.runs.request import PlaceRequest, RunFiles
-from sim.arm_check import (
-    EQUALISED_JOINTS,
-    HARDSTOP_CLEARANCE_M,
-    LOAD_TOLERANCE_NM,
-    compute_hardstop_loads,
-    sweep_clearance,
-)
 from sim.arm_model.load import load_arm
-from sim.arms import BuiltArm, arm_named, without_turret
-from sim.clearance import ClearanceModel
+from sim.arms import arm_named
 from sim.frames import P_NR_M, approach_from, random_targets
 from sim.initialisation import prepare_homing, prepare_random_homing
 from sim.placement import preview_placement
@@ -39,25 +29,15 @@ from simgap.common.errors import BadRequest
 NAME = "m2020"
 MODEL = load_arm(NAME)
 PARAMS = MODEL.params
-MARS, EARTH = World(), World("earth")
+MARS = World()
 MOST_HOMING_ERROR_RAD = 0.3e-3
 
 
-@cache
-def bare() -> BuiltArm:
-    return without_turret(arm_named(NAME), on_earth=True)
-
-
-def test_its_azimuth_joint_is_where_the_rover_carries_it() -> None:
+def test_its_azimuth_joint_is_where_the_rover_carries_it_and_it_weighs_what_it_weighs() -> None:
     X = build_arm(PARAMS)
     start = forward(X, np.zeros((5, 1)), np.zeros((6, 6, 1))).X_RF[0].p[:, 0]
     np.testing.assert_allclose(start + P_NR_M, [0.0900 + 1.1756, -0.4515, 0.3116 - 1.13338], atol=1e-9)
-
-
-def test_it_weighs_what_it_weighs() -> None:
-    model = build(MARS, MODEL).compile()
-    assert model.body("turret").mass[0] == 40.0
-    assert PARAMS.links.arm6.far.mass_kg == 40.0
+    assert build(MARS, MODEL).compile().body("turret").mass[0] == PARAMS.links.arm6.far.mass_kg == 40.0
 
 
 def test_plant_and_flight_software_put_its_tools_in_the_same_places() -> None:
@@ -87,47 +67,6 @@ def test_inverse_kinematics_lead_back_to_their_targets(tool: str) -> None:
     X = tool_pose(arm, settled.frames, tool)
     np.testing.assert_allclose(X.p, p_R[:, targets], atol=1e-6)
     np.testing.assert_allclose(X.R[:, 0], approach[:, targets], atol=1e-6)
-
-
-def test_on_the_way_to_the_hardstops_it_is_clear_of_rover_ground_and_itself() -> None:
-    found = sweep_clearance(PARAMS, ClearanceModel(PARAMS, MARS, MODEL))
-    assert min(found.outside_m, found.self_m) > 2 * HARDSTOP_CLEARANCE_M
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_joint_has_room_to_find_its_hardstop_wherever_it_is_allowed_to(joint: Joint) -> None:
-    space, most = ClearanceModel(PARAMS, MARS, MODEL), PARAMS.hardstop.pose_tolerance_rad
-    rng = np.random.default_rng([15, joint])
-    stop_rad = PARAMS.joints.in_order()[joint].hardstop_rad
-    for pose in homing_start_poses(PARAMS, joint):
-        for _ in range(10):
-            way = np.repeat((pose + rng.uniform(-most, most, 5))[:, None], 12, axis=1)
-            way[joint] = np.linspace(stop_rad, way[joint, 0], 12)
-            found = space.clearance(way)
-            assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
-
-
-def test_gravity_presses_gently_on_its_hardstops() -> None:
-    torques = compute_hardstop_loads(PARAMS, MARS.gravity_N_m_s2).torque_Nm
-    joints = PARAMS.joints.in_order()
-    assert np.all(torques < [joint.output_friction_Nm for joint in joints])
-    assert np.all(torques > [-0.6 * joint.hardstop_press_Nm for joint in joints])
-
-
-def test_without_a_turret_on_earth_the_torques_are_the_same() -> None:
-    mars = compute_hardstop_loads(PARAMS, MARS.gravity_N_m_s2).torque_Nm
-    earth = compute_hardstop_loads(bare().params, EARTH.gravity_N_m_s2).torque_Nm
-    same = list(EQUALISED_JOINTS)
-    np.testing.assert_allclose(earth[same], mars[same], atol=LOAD_TOLERANCE_NM)
-
-
-def test_without_a_turret_on_earth_each_homing_is_clear() -> None:
-    space = ClearanceModel(bare().params, EARTH, MODEL)
-    for joint in Joint:
-        pose = homing_start_poses(bare().params, joint)[-1].copy()
-        pose[joint] = PARAMS.joints.in_order()[joint].hardstop_rad
-        found = space.clearance(pose[:, None])
-        assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 
 @pytest.mark.parametrize("joint", [pytest.param(j, marks=pytest.mark.slow) for j in HARDSTOP_ORDER])

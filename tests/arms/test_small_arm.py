@@ -74,7 +74,7 @@ def small_arm(folder: Path, front_m: float) -> Path:
     return folder
 
 
-def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path: Path) -> None:
+def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path):
     check_arm(load_arm(str(small_arm(tmp_path, CLEAR_m))))
 
 
@@ -89,7 +89,7 @@ def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path
     ],
     ids=lambda words: words[0],
 )
-def test_near_its_rover_it_is_refused_with_joint_and_distance(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_near_its_rover_it_is_refused_with_joint_and_distance(tmp_path, words):
     small_arm(tmp_path / "small", TOO_NEAR_m)
     done = marsarm(tmp_path, *words)
     assert done.returncode == 2
@@ -99,19 +99,19 @@ def test_near_its_rover_it_is_refused_with_joint_and_distance(tmp_path: Path, wo
     assert [path.name for path in (tmp_path / "small").iterdir()] == ["arm.toml"]
 
 
-def test_a_stowed_pose_in_the_rover_is_refused(tmp_path: Path) -> None:
+def test_a_stowed_pose_in_the_rover_is_refused(tmp_path):
     with pytest.raises(BadArm, match="cannot be stowed: the link2 is 39 mm inside the body"):
         check_arm(load_arm(str(small_arm(tmp_path, TOO_NEAR_m))))
 
 
-def test_a_workspace_out_of_its_reach_is_refused(tmp_path: Path) -> None:
+def test_a_workspace_out_of_its_reach_is_refused(tmp_path):
     path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
     path.write_text(path.read_text().replace("centre_x_m = 0.95", "centre_x_m = 2.1"))
     with pytest.raises(BadArm, match=r"tool APXS reaches none of 300 .* around 2\.1 -0\.15 -0\.3"):
         check_arm(load_arm(str(tmp_path)))
 
 
-def test_a_start_from_which_gravity_stalls_the_joint_is_refused(tmp_path: Path) -> None:
+def test_a_start_from_which_gravity_stalls_the_joint_is_refused(tmp_path):
     text = (ARMS / "m2020" / "arm.toml").read_text()
     (tmp_path / "arm.toml").write_text(
         text.replace("park_rad = [-2.9752, -1.7,", "park_rad = [-2.9752, -2.014,")
@@ -122,7 +122,7 @@ def test_a_start_from_which_gravity_stalls_the_joint_is_refused(tmp_path: Path) 
         check_arm(load_arm(str(tmp_path)))
 
 
-def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path: Path) -> None:
+def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path):
     arm = load_arm(str(small_arm(tmp_path, CLEAR_m)))
     start_R_m = forward(build_arm(arm.params), np.zeros((5, 1)), np.zeros((6, 6, 1))).X_RF[0].p[:, 0]
     np.testing.assert_allclose(start_R_m + P_NR_M, np.add(V_m, SHOULDER_m), atol=1e-12)
@@ -134,16 +134,14 @@ def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["ground", "surface", "rock_face", "terrace", "probe"])
-def test_a_part_of_its_rover_with_the_name_of_a_shape_of_the_scene_is_refused(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_part_of_its_rover_with_the_name_of_a_shape_of_the_scene_is_refused(tmp_path, name):
     path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
     path.write_text(path.read_text().replace("\nbody = [", f"\n{name} = ["))
     with pytest.raises(BadArm, match=f"rover.hull.{name}: is no name, or that of another part"):
         load_arm(str(tmp_path))
 
 
-def test_reach_draws_from_its_own_workspace(tmp_path: Path) -> None:
+def test_reach_draws_from_its_own_workspace(tmp_path):
     model = build_ik_model(ModelRequest(arm=str(small_arm(tmp_path, CLEAR_m))))
     samples, counted = sample_workspace(model, 200, 1, local_runner(1), no_progress)
     x, y, z = samples.p_NoTo_N_m
@@ -152,7 +150,7 @@ def test_reach_draws_from_its_own_workspace(tmp_path: Path) -> None:
     assert counted.targets_by_valid[0] < 20
 
 
-def test_a_file_without_rover_and_workspace_has_those_of_curiosity() -> None:
+def test_a_file_without_rover_and_workspace_has_those_of_curiosity():
     arm = default_arm()
     assert (arm.workspace.centre_x_m, arm.workspace.radius_m) == (2.1, 0.4)
     assert [part.name for part in arm.params.collision.rover][:2] == ["chassis", "shoulder_bracket"]

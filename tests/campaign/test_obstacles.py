@@ -3,7 +3,7 @@
 import pytest
 
 from helpers.marks import slow_but
-from validation.contacts import STRAIGHT_N, draw, meet
+from validation.obstacles import STRAIGHT_N, draw, meet
 
 STRAIGHT = (10, 31, 34)
 TURNS = (1, 8, 24)

@@ -8,14 +8,11 @@ import pytest
 from helpers.marks import slow_but
 from validation.requirements import (
     MEASURED,
-    PAGE,
     RequirementRow,
     find_problems,
-    has_test,
     load_table,
     make_page,
     measure,
-    read_constant,
     select,
 )
 
@@ -27,11 +24,6 @@ SAME = 1e-3
 """Largest relative change of a number that counts as the same: another processor rounds otherwise."""
 NOT_MET = {row.name for row in TABLE.rows if row.paper is not None and row.margin(row.paper) < 0}
 """Requirements that the paper's own budget does not meet."""
-
-
-def test_the_page_is_that_of_the_requirements_and_the_measured_numbers():
-    assert not list(find_problems(TABLE, KEPT))
-    assert PAGE.read_text() == make_page(TABLE, KEPT)
 
 
 def test_every_requirement_is_met_but_for_those_that_the_paper_does_not_meet():
@@ -96,14 +88,6 @@ def test_the_worst_value_counts_and_the_margin_is_what_is_left_of_the_bound():
     assert least.margin(1.0) == 1.0
     assert most.margin(9.0) == -0.5
     assert least.margin(0.25) == -0.5
-
-
-def test_tests_and_constants_are_found():
-    assert has_test("tests/campaign/test_requirements.py::test_a_wrong_row_is_named")
-    assert has_test("tests/campaign/test_requirements.py")
-    assert not has_test("tests/campaign/test_requirements.py::TABLE")
-    assert read_constant("marsarm/calibration/execution.py:FRAME_RANK") == 26
-    assert read_constant("marsarm/calibration/execution.py:NOTHING") is None
 
 
 def test_the_number_of_a_changed_tree_is_marked():

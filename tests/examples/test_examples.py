@@ -99,24 +99,14 @@ def test_a_diagnosis_finds_the_link_and_its_length(tmp_path):
     assert length_m == pytest.approx(0.006, rel=0.1)
 
 
-@pytest.fixture(scope="module")
-def robot_diagnosis(tmp_path_factory):
-    tmp_path = tmp_path_factory.mktemp("robot")
-    return run_example("robot_diagnose", tmp_path), tmp_path
-
-
 @pytest.mark.slow
-def test_a_robot_is_diagnosed_from_its_model_and_its_logs(robot_diagnosis):
-    printed, folder = robot_diagnosis
+def test_a_robot_is_diagnosed_from_its_model_and_its_logs_and_nothing_else_is_named(tmp_path):
+    printed = run_example("robot_diagnose", tmp_path)
     (delay_s,) = numbers(r"command delay at elbow: delay_s = ([\d.]+)", printed)
     assert delay_s == pytest.approx(0.03, abs=0.003)
-    assert {"patched.xml", "runtime.toml"} == {path.name for path in (folder / "patch").iterdir()}
-    assert (folder / "report.html").is_file()
-
-
-@pytest.mark.slow
-def test_nothing_else_is_named_in_the_example_of_a_robot(robot_diagnosis):
-    assert "Where: elbow." in robot_diagnosis[0]
+    assert "Where: elbow." in printed
+    assert {"patched.xml", "runtime.toml"} == {path.name for path in (tmp_path / "patch").iterdir()}
+    assert (tmp_path / "report.html").is_file()
 
 
 def test_every_example_has_a_test():

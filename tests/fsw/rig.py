@@ -16,7 +16,8 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.reference import Reference, no_reference
-from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
@@ -72,6 +73,17 @@ def facing(config: Config, tool: str) -> np.ndarray:
     boresight = config.arm.X_FT[tool].R[:, 0]
     pose[Joint.TURRET] = (0.3 - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
     return pose
+
+
+def levers_m(arm: Arm, tool: str, output_rad: np.ndarray, gravity_R_m_s2=None) -> np.ndarray:
+    """Compute by finite differences how far a radian of each joint moves a tool back along its axis."""
+
+    def pose(q: np.ndarray) -> Pose:
+        frames = forward(arm, q) if gravity_R_m_s2 is None else settle_output(arm, q, gravity_R_m_s2).frames
+        return tool_pose(arm, frames, tool)
+
+    axis, step = pose(output_rad).R[:, 0], 1e-5 * np.eye(5)
+    return np.array([(pose(output_rad - e).p - pose(output_rad + e).p) @ axis for e in step]) / 2e-5
 
 
 def matrix(X: Pose) -> np.ndarray:

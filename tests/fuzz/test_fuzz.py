@@ -11,20 +11,6 @@ from simgap.files import log_file
 from validation import fuzz_inputs
 from validation.fuzz import TARGETS, FuzzTarget, fuzz
 
-TRIES = 400
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_broken_files_are_refused_with_an_error_that_says_so(
-    target: FuzzTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    found = fuzz(target, 6, seconds=300.0, most=TRIES)
-    assert found["failed"] is None, found["why"]
-    assert found["tries"] == TRIES
-    assert 0 < found["accepted"] < TRIES
-
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_the_seeds_are_accepted(target: FuzzTarget) -> None:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from marsarm.replaying.compare import Differences, compare_behaviours
 from marsarm.replaying.inputs import SENSOR_TOPIC, behaviour_from_log
-from marsarm.replaying.tables import differences_table, verdict_line
+from marsarm.replaying.tables import difference_lines, verdict_line
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
@@ -74,7 +74,8 @@ def tell(run: ReferenceRun, old: Path, new: Path, console: Console) -> bool:
     console.print(f"{run.name}: {verdict_line(found)}", soft_wrap=True)
     if not found.identical:
         console.print("recorded is what the file held, replayed the run made anew")
-        differences_table(console, found)
+        for line in difference_lines(found):
+            console.print(line, markup=False, soft_wrap=True)
     if headers:
         console.print(f"header    has another {', '.join(headers)}")
     return bool(headers) or not found.identical

@@ -46,23 +46,15 @@ def ready() -> Plant:
     return plant
 
 
-def test_an_encoder_counts_256_a_turn_of_the_motor() -> None:
-    turn = np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])
-    np.testing.assert_allclose(2 * np.pi / CONFIG.rad_per_count, 256 * turn)
-
-
 @pytest.mark.parametrize("offset_count", [-0.49, -0.1, 0.0, 0.1, 0.49])
-def test_encoders_read_whole_counts_nearest_to_the_motor(ready: Plant, offset_count: float) -> None:
+@pytest.mark.parametrize("zero_rad", [COUNTER_ZERO_RAD, np.array([0.3, -2.0, 1.0, -0.5, 0.1])])
+def test_encoders_read_whole_counts_nearest_to_the_motor_from_a_zero_that_says_nothing(
+    ready, zero_rad, offset_count
+):
     whole = np.array([1000, -20000, 45000, 0, 7])
-    ready.data.qpos[ready.at.motor] = COUNTER_ZERO_RAD + (whole + offset_count) * CONFIG.rad_per_count
-    np.testing.assert_array_equal(avionics_of(ready).sense().encoder_count, whole)
-
-
-def test_encoders_read_0_at_an_angle_that_says_nothing(ready: Plant) -> None:
-    zero = np.array([0.3, -2.0, 1.0, -0.5, 0.1])
-    ready.data.qpos[ready.at.motor] = zero
-    sensors = avionics_of(ready, replace(nominal_hardware(), counter_zero_rad=zero))
-    np.testing.assert_array_equal(sensors.sense().encoder_count, 0)
+    ready.data.qpos[ready.at.motor] = zero_rad + (whole + offset_count) * CONFIG.rad_per_count
+    sensors = avionics_of(ready, replace(nominal_hardware(), counter_zero_rad=zero_rad))
+    np.testing.assert_array_equal(sensors.sense().encoder_count, whole)
 
 
 def test_encoders_do_not_see_backlash_and_wind_up_and_resolvers_do(ready: Plant) -> None:

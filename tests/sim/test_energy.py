@@ -1,7 +1,5 @@
 """Torque and energy: the plant weighs as much as the mass table, and loses energy only to its dampers."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ OUTBOARD = (
 SIDEWAYS_M_S2 = (3.711, 0.0, 0.0)
 
 
-def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction() -> None:
+def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction():
     plant = lab.load(lab.plant(World("earth")), lab.STRAIGHT_RAD)
     lab.hold_by_motors(plant)
     lab.run(plant, 8.0)
@@ -83,7 +81,7 @@ def effective_damping(model: mujoco.MjModel) -> tuple[lab.Array, lab.Array]:
     return joints, model.tendon_damping + step_s * model.tendon_stiffness * on_flank
 
 
-def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
+def test_without_friction_and_damping_a_free_swing_keeps_its_energy():
     """The tolerance at the reference step is one per cent of the exchanged energy; no step gains any."""
     total, kinetic, _ = free_swing(lab.plant(time_step_s=REFERENCE_STEP_S, edit=remove_friction_and_damping))
     assert kinetic.max() > 10.0
@@ -96,7 +94,7 @@ def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
     slow_but([(None, 0.01), (REFERENCE_STEP_S, 0.0015)], (None, 0.01)),
     ids=["own", "reference"],
 )
-def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | None, share: float) -> None:
+def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s, share):
     """The tolerance is a share of the exchanged energy."""
     plant = lab.plant(time_step_s=step_s, edit=remove_friction)
     total, kinetic, power = free_swing(plant)
@@ -106,9 +104,7 @@ def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | N
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
-def test_a_plant_that_blows_up_is_not_believed_and_leaves_no_file(
-    bad: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plant_that_blows_up_is_not_believed_and_leaves_no_file(bad, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.1)
@@ -118,12 +114,12 @@ def test_a_plant_that_blows_up_is_not_believed_and_leaves_no_file(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_plant_that_blows_up_while_it_is_placed_is_not_believed() -> None:
+def test_a_plant_that_blows_up_while_it_is_placed_is_not_believed():
     plant = lab.plant()
     with pytest.raises(PlantDiverged):
         plant.place(np.array([np.nan, 0.0, 0.0, 0.0, 0.0]), 0.1)
 
 
-def test_a_step_that_does_not_divide_the_control_cycle_is_refused() -> None:
+def test_a_step_that_does_not_divide_the_control_cycle_is_refused():
     with pytest.raises(ValueError, match="does not divide"):
         lab.plant(time_step_s=1 / 500)

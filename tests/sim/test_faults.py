@@ -241,14 +241,6 @@ def test_what_is_tolerated_does_not_end_a_move(name):
     assert is_at_rest(loop)
 
 
-def test_power_that_is_lost_in_a_move_leaves_the_arm_on_its_brakes():
-    loop = moving().fork((PowerLoss(now_s() + 0.25),))
-    evrs = run_to_rest(loop)
-    assert any(isinstance(evr, MotorStalled | FollowingErrorHigh) for evr in evrs)
-    assert loop.state.fault is not None
-    assert is_at_rest(loop)
-
-
 @pytest.mark.parametrize("fault", [JointSeized, BrakeStuck])
 @pytest.mark.parametrize("joint", slow_but(Joint, Joint.AZIMUTH))
 def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_next_move(fault, joint):

@@ -42,23 +42,23 @@ def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(dire
     np.testing.assert_allclose(np.mean(transmitted, axis=0), -direction * lab.OUTPUT_FRICTION_NM, rtol=0.02)
 
 
-@pytest.mark.parametrize("side", slow_but([1, -1], 1))
-def test_below_the_friction_an_output_in_its_gap_does_not_creep(side: int) -> None:
+def pulled(share: float) -> Plant:
+    """Return the weightless arm with a share of their friction on all outputs."""
     plant = weightless()
     gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
-    plant.data.qfrc_applied[gears] = side * 0.9 * lab.OUTPUT_FRICTION_NM
+    plant.data.qfrc_applied[gears] = share * lab.OUTPUT_FRICTION_NM
+    return plant
+
+
+@pytest.mark.parametrize("side", slow_but([1, -1], 1))
+def test_below_the_friction_an_output_in_its_gap_does_not_creep_and_above_it_goes_to_the_flank(side):
+    plant = pulled(0.9 * side)
     lab.run(plant, 1.0)
     start = plant.output_rad()
     assert np.all(np.abs(lab.gear_rad(plant)) < 0.1 * lab.HALF_BACKLASH_RAD)
     lab.run(plant, 60.0)
     assert np.abs(plant.output_rad() - start).max() < CREEP_RAD
-
-
-@pytest.mark.parametrize("side", [1, -1])
-def test_above_the_friction_an_output_in_its_gap_goes_to_the_flank(side: int) -> None:
-    plant = weightless()
-    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
-    plant.data.qfrc_applied[gears] = side * 1.1 * lab.OUTPUT_FRICTION_NM
+    plant = pulled(1.1 * side)
     lab.run(plant, 10.0)
     assert np.all(side * lab.gear_rad(plant) > 0.999 * lab.HALF_BACKLASH_RAD)
 

@@ -22,14 +22,14 @@ from sim.arms import arm_named, without_turret
 from sim.clearance import ClearanceModel
 from sim.world import World
 
-NOMINAL = arm_named("nominal")
-WHOLE = NOMINAL.params
 MARS, EARTH = World(), World("earth")
 
 
-@pytest.fixture(scope="module")
-def bare() -> Params:
-    return without_turret(NOMINAL, on_earth=True).params
+ARMS = {name: arm_named(name) for name in ("nominal", "m2020")}
+BARE = {name: without_turret(arm, on_earth=True) for name, arm in ARMS.items()}
+PLACES = [*((arm, MARS) for arm in ARMS.values()), (BARE["nominal"], EARTH)]
+EACH_PLACE = pytest.mark.parametrize(("arm", "world"), PLACES, ids=["mars", "m2020", "earth"])
+EACH_ARM = pytest.mark.parametrize("name", ARMS)
 
 
 def path_to_hardstop(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
@@ -44,62 +44,65 @@ def test_the_order_has_every_joint_once() -> None:
     assert sorted(HARDSTOP_ORDER) == list(Joint)
 
 
-@pytest.mark.parametrize(("world", "whole"), [(MARS, True), (EARTH, False)], ids=["mars", "earth"])
-def test_on_the_whole_way_the_arm_is_clear_of_rover_ground_and_itself(world, whole, bare) -> None:
-    params = WHOLE if whole else bare
-    space = ClearanceModel(params, world)
-    found = sweep_clearance(params, space)
+@EACH_PLACE
+def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and_itself(arm, world):
+    found = sweep_clearance(arm.params, ClearanceModel(arm.params, world, arm.model))
     assert min(found.outside_m, found.self_m) > 2 * HARDSTOP_CLEARANCE_M
+    stops = [joint.hardstop_rad for joint in arm.params.joints.in_order()]
+    np.testing.assert_allclose(sweep_poses(arm.params).min(axis=1), stops)
 
 
-@pytest.mark.parametrize(("world", "whole"), [(MARS, True), (EARTH, False)], ids=["mars", "earth"])
+@EACH_PLACE
 @pytest.mark.parametrize("joint", Joint)
-def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, world, whole, bare) -> None:
-    params = WHOLE if whole else bare
-    space, most = ClearanceModel(params, world), params.hardstop.pose_tolerance_rad
+def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, arm, world):
+    space, most = ClearanceModel(arm.params, world, arm.model), arm.params.hardstop.pose_tolerance_rad
     rng = np.random.default_rng([15, joint])
-    for pose in homing_start_poses(params, joint):
+    for pose in homing_start_poses(arm.params, joint):
         for _ in range(20):
-            found = space.clearance(path_to_hardstop(params, joint, pose + rng.uniform(-most, most, 5)))
+            found = space.clearance(path_to_hardstop(arm.params, joint, pose + rng.uniform(-most, most, 5)))
             assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 
-def test_the_way_goes_to_every_hardstop(bare) -> None:
-    for params in (WHOLE, bare):
-        stops = [joint.hardstop_rad for joint in params.joints.in_order()]
-        np.testing.assert_allclose(sweep_poses(params).min(axis=1), stops)
+@EACH_ARM
+def test_without_a_turret_on_earth_each_joint_is_clear_at_its_hardstop(name):
+    params, model = BARE[name].params, BARE[name].model
+    space = ClearanceModel(params, EARTH, model)
+    for joint in Joint:
+        pose = homing_start_poses(params, joint)[-1].copy()
+        pose[joint] = params.joints.in_order()[joint].hardstop_rad
+        found = space.clearance(pose[:, None])
+        assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 
-def test_gravity_presses_gently_on_every_hardstop_or_not_at_all() -> None:
-    torques = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
-    press = np.array([joint.hardstop_press_Nm for joint in WHOLE.joints.in_order()])
-    friction = np.array([joint.output_friction_Nm for joint in WHOLE.joints.in_order()])
-    assert np.all(torques < friction)
-    assert np.all(torques > -0.6 * press)
+@EACH_ARM
+def test_gravity_presses_gently_on_every_hardstop_or_not_at_all(name):
+    params = ARMS[name].params
+    torques, joints = compute_hardstop_loads(params, MARS.gravity_N_m_s2).torque_Nm, params.joints.in_order()
+    assert np.all(torques < [joint.output_friction_Nm for joint in joints])
+    assert np.all(torques > [-0.6 * joint.hardstop_press_Nm for joint in joints])
 
 
-def test_the_torques_are_the_same_on_earth_without_a_turret(bare) -> None:
-    mars = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
-    earth = compute_hardstop_loads(bare, EARTH.gravity_N_m_s2).torque_Nm
-    np.testing.assert_allclose(earth, mars, atol=LOAD_TOLERANCE_NM + 0.6)
-    np.testing.assert_allclose(
-        earth[list(EQUALISED_JOINTS)], mars[list(EQUALISED_JOINTS)], atol=LOAD_TOLERANCE_NM
+@EACH_ARM
+def test_the_torques_are_the_same_on_earth_without_a_turret_and_others_in_the_poses_of_mars(name):
+    in_mars_poses = without_turret(ARMS[name], on_earth=False).params
+    mars = compute_hardstop_loads(ARMS[name].params, MARS.gravity_N_m_s2).torque_Nm
+    earth, other = (
+        compute_hardstop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
+        for params in (BARE[name].params, in_mars_poses)
     )
+    same = list(EQUALISED_JOINTS)
+    np.testing.assert_allclose(earth[same], mars[same], atol=LOAD_TOLERANCE_NM)
+    if name == "nominal":
+        np.testing.assert_allclose(earth, mars, atol=LOAD_TOLERANCE_NM + 0.6)
+        assert np.abs(other - mars).max() > 50
 
 
-def test_in_the_poses_of_mars_they_are_others() -> None:
-    params = without_turret(NOMINAL, on_earth=False).params
-    mars = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
-    earth = compute_hardstop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
-    assert np.abs(earth - mars).max() > 50
-
-
-def test_torques_that_no_pose_has_are_refused(bare) -> None:
+def test_torques_that_no_pose_has_are_refused() -> None:
     with pytest.raises(NoPlan, match="best torques differ"):
-        equalise_loads(bare, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
+        equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
 
 
 def test_the_turret_that_is_not_there_is_known_to_be_gone() -> None:
-    arm = without_turret(NOMINAL, on_earth=True)
-    assert arm.params.links.arm6.far.mass_kg == 0.0
-    assert replace(arm.params.links.arm6, far=WHOLE.links.arm6.far) == WHOLE.links.arm6
+    arm6, whole = (arms["nominal"].params.links.arm6 for arms in (BARE, ARMS))
+    assert arm6.far.mass_kg == 0.0
+    assert replace(arm6, far=whole.far) == whole

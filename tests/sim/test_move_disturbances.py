@@ -49,8 +49,11 @@ def drawn(loop: ClosedLoop) -> np.ndarray:
     return np.concatenate([*screws, scatter.gear_rad, scatter.motor_rad])
 
 
-def test_before_the_first_move_everything_stands_as_it_was_built():
-    assert not drawn(start_loop()).any()
+def test_before_the_first_move_everything_stands_as_it_was_built_and_sensors_have_the_same_noise():
+    loop = start_loop()
+    assert not drawn(loop).any()
+    resolvers = [one.cycle().sensors.resolver_rad for one in (loop, start_loop(effects=()))]
+    assert np.array_equal(*resolvers)
 
 
 def test_every_move_draws_anew_and_stays_with_it_to_its_end():
@@ -81,11 +84,6 @@ def test_a_fork_draws_what_the_run_itself_would_have():
         move(one, 0.02)
     assert np.array_equal(drawn(loop), drawn(fork))
     assert np.array_equal(loop.plant.data.qpos, fork.plant.data.qpos)
-
-
-def test_the_noise_of_sensors_is_the_same_with_and_without_draws():
-    readings = [start_loop(effects=effects).cycle().sensors.resolver_rad for effects in ((), BY_CHANCE)]
-    assert np.array_equal(*readings)
 
 
 def test_flight_software_does_not_see_where_its_encoders_are_wrong():

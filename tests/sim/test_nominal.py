@@ -53,7 +53,8 @@ def in_rmech(plant: Plant, body: str) -> tuple[lab.Array, lab.Array]:
     return R_RW @ (of.xpos - rmech.xpos), R_RW @ of.xmat.reshape(3, 3)
 
 
-def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant) -> None:
+def test_every_tool_and_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal):
+    """Body arm1 is frame Arm1, turret is Arm6; link1 to link5 are Arm1 to Arm5 turned by their joints."""
     outputs = random_poses(7, 500)
     frames = forward(CONFIG.arm, outputs)
     for k in range(outputs.shape[1]):
@@ -63,19 +64,10 @@ def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pla
             X_RT = tool_pose(CONFIG.arm, frames, tool)[k]
             np.testing.assert_allclose(truth.p_RoTo_R_m[tool_index(tool)], X_RT.p, rtol=0, atol=1e-10)
             np.testing.assert_allclose(truth.R_RT[tool_index(tool)], X_RT.R, rtol=0, atol=1e-10)
-
-
-def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant) -> None:
-    """Body arm1 is frame Arm1, turret is Arm6; link1 to link5 are Arm1 to Arm5 turned by their joints."""
-    outputs = random_poses(8, 100)
-    frames = forward(CONFIG.arm, outputs)
-    for k in range(outputs.shape[1]):
-        set_pose(nominal, outputs[:, k])
         expected = {"arm1": frames.X_RF[0, k], "turret": frames.X_RF[5, k]}
         for joint in Joint:
-            turned = rotation_z(outputs[joint, k])
             X_RF = frames.X_RF[int(joint), k]
-            expected[f"link{joint + 1}"] = Pose(X_RF.R @ turned, X_RF.p)
+            expected[f"link{joint + 1}"] = Pose(X_RF.R @ rotation_z(outputs[joint, k]), X_RF.p)
         for body, X in expected.items():
             p_R_m, R = in_rmech(nominal, body)
             np.testing.assert_allclose(p_R_m, X.p, rtol=0, atol=1e-10)
@@ -83,71 +75,44 @@ def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pl
 
 
 @pytest.mark.parametrize("link", range(6))
-def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(
-    nominal: Plant, link: int
-) -> None:
+def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(nominal, link):
     """Compare in the rover frame at the zero pose, where flight kinematics give each link frame."""
-    mujoco.mj_resetData(nominal.model, nominal.data)
-    mujoco.mj_kinematics(nominal.model, nominal.data)
-    frames = forward(CONFIG.arm, np.zeros(5))
-    X_RL = frames.X_RL[link]
+    set_pose(nominal, np.zeros(5))
+    X_RL = forward(CONFIG.arm, np.zeros(5)).X_RL[link]
     rmech = nominal.data.body("rmech")
     lumps = (LINKS[link].near, LINKS[link].far)
     for body, lump in zip(LUMPS[link][::-1], lumps[::-1], strict=False):
         assert nominal.model.body(body).mass[0] == pytest.approx(lump.mass_kg, abs=1e-12)
         p_R_m = rmech.xmat.reshape(3, 3).T @ (nominal.data.body(body).xipos - rmech.xpos)
         np.testing.assert_allclose(p_R_m, X_RL.R @ lump.com_m + X_RL.p, rtol=0, atol=1e-12)
-
-
-def test_flight_software_believes_in_the_whole_mass_of_the_arm(nominal: Plant) -> None:
-    believed = sum(link.near.mass_kg + link.far.mass_kg for link in LINKS)
-    assert believed == pytest.approx(nominal.model.body_mass.sum(), abs=1e-12)
-    assert believed == pytest.approx(65.0 + 30.0, abs=1e-12)
+    assert sum(link.near.mass_kg + link.far.mass_kg for link in LINKS) == pytest.approx(65 + 30, abs=1e-12)
+    assert nominal.model.body_mass.sum() == pytest.approx(65 + 30, abs=1e-12)
 
 
 @pytest.mark.parametrize("link", range(5))
-def test_each_compliance_is_one_over_the_stiffness_of_the_springs(nominal: Plant, link: int) -> None:
+def test_each_compliance_is_one_over_the_stiffness_of_the_springs_and_the_turret_has_none(nominal, link):
     axes = ("rx", "ry", "rz", "tx", "ty", "tz")
     springs = [nominal.model.joint(f"{SPRINGS[link]}_{axis}") for axis in axes]
     stiffness = np.diag([float(np.ravel(spring.stiffness)[0]) for spring in springs])
     np.testing.assert_allclose(np.array(LINKS[link].compliance) @ stiffness, np.eye(6), rtol=0, atol=1e-12)
-
-
-def test_the_turret_is_rigid_to_both() -> None:
     assert not np.any(LINKS[5].compliance)
 
 
 @pytest.mark.parametrize("joint", Joint)
-def test_each_gear_has_the_backlash_and_the_stiffness_that_flight_software_believes(
-    nominal: Plant, joint: Joint
-) -> None:
-    gear, believed = nominal.model.tendon(f"{joint.name.lower()}_gear"), JOINT_PARAMS[joint]
-    dead_band = nominal.model.tendon_lengthspring[gear.id]
-    np.testing.assert_allclose(dead_band, np.array([-0.5, 0.5]) * believed.backlash_rad)
-    assert np.ravel(nominal.model.tendon_stiffness[gear.id])[0] == believed.gear_stiffness_Nm_rad
-    output = nominal.model.tendon(f"{joint.name.lower()}_output")
-    assert nominal.model.tendon_frictionloss[output.id] == believed.output_friction_Nm
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_the_hardstops_stand_two_degrees_outside_the_soft_limits(nominal: Plant, joint: Joint) -> None:
-    low, high = nominal.model.tendon_lengthspring[nominal.model.tendon(f"{joint.name.lower()}_output").id]
-    believed = JOINT_PARAMS[joint]
+def test_each_joint_has_the_gear_hardstops_and_motor_that_flight_software_believes(nominal, joint):
+    model, name, believed = nominal.model, joint.name.lower(), JOINT_PARAMS[joint]
+    gear, output = model.tendon(f"{name}_gear").id, model.tendon(f"{name}_output").id
+    dead_band = np.array([-0.5, 0.5]) * believed.backlash_rad
+    np.testing.assert_allclose(model.tendon_lengthspring[gear], dead_band)
+    assert np.ravel(model.tendon_stiffness[gear])[0] == believed.gear_stiffness_Nm_rad
+    assert model.tendon_frictionloss[output] == believed.output_friction_Nm
+    # the hardstops stand two degrees outside of the soft limits
+    low, high = model.tendon_lengthspring[output]
     assert believed.soft_min_rad - low == pytest.approx(np.radians(2.0), abs=1e-5)
     assert high - believed.soft_max_rad == pytest.approx(np.radians(2.0), abs=1e-5)
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_the_rotor_inertia_comes_through_the_gear_ratio_squared(nominal: Plant, joint: Joint) -> None:
-    rotor_kg_m2 = 1.5e-6 if joint <= Joint.ELBOW else 1.0e-6
-    armature = nominal.model.joint(f"{joint.name.lower()}_motor")
-    reflected = nominal.model.dof_armature[armature.dofadr[0]]
-    assert reflected == pytest.approx(rotor_kg_m2 * JOINT_PARAMS[joint].gear_ratio ** 2, rel=1e-3)
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_at_the_current_limit_a_motor_gives_the_published_torque(nominal: Plant, joint: Joint) -> None:
-    published = 1143.0 if joint <= Joint.ELBOW else 259.0
-    motor = nominal.model.actuator(joint.name.lower())
-    limit = JOINT_PARAMS[joint].current_limit_A
-    assert motor.gainprm.ravel()[1] * limit == pytest.approx(published, rel=1e-3)
+    # the rotor inertia comes through the square of the gear ratio
+    rotor_kg_m2, published_Nm = (1.5e-6, 1143.0) if joint <= Joint.ELBOW else (1.0e-6, 259.0)
+    reflected = model.dof_armature[model.joint(f"{name}_motor").dofadr[0]]
+    assert reflected == pytest.approx(rotor_kg_m2 * believed.gear_ratio**2, rel=1e-3)
+    most_Nm = model.actuator(name).gainprm.ravel()[1] * believed.current_limit_A
+    assert most_Nm == pytest.approx(published_Nm, rel=1e-3)

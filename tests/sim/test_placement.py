@@ -36,21 +36,21 @@ def place(placement: Placement, world: World) -> tuple[ClosedLoop, PlacementResu
     return loop, run.result()
 
 
-def test_an_open_target_has_a_direct_way() -> None:
+def test_an_open_target_has_a_direct_way():
     found = preview(OPEN)
     assert found.problem is None
     assert len(found.plans) == 2
     assert 10.0 < found.duration_s < 300.0
 
 
-def test_a_preview_takes_a_tool_in_any_case_and_tells_what_no_command_may_hold() -> None:
+def test_a_preview_takes_a_tool_in_any_case_and_tells_what_no_command_may_hold():
     assert preview(OPEN, tool="APXS").branch == preview(OPEN).branch
     assert preview(OPEN, tool="spoon").problem == "tool: 'spoon' is not known; there are " + ", ".join(TOOLS)
     problem = preview(((100.0, 0.0, 0.0), (0.0, 0.0, -1.0))).problem
     assert problem == "p_RoTo_R_m: number 1: 99.90998 is outside -20 .. 20"
 
 
-def test_a_target_behind_an_edge_has_a_way_from_farther_away() -> None:
+def test_a_target_behind_an_edge_has_a_way_from_farther_away():
     found = preview(BEHIND_AN_EDGE)
     assert found.problem is None
     assert len(found.plans) == 3
@@ -65,15 +65,13 @@ def test_a_target_behind_an_edge_has_a_way_from_farther_away() -> None:
     ],
     ids=["too far", "from below", "close to the rover"],
 )
-def test_a_target_without_a_way_is_told_with_what_is_in_it(
-    surface: tuple[Vector3, Vector3], problem: str
-) -> None:
+def test_a_target_without_a_way_is_told_with_what_is_in_it(surface, problem):
     found = preview(surface)
     assert found.problem is not None
     assert re.search(problem, found.problem), found.problem
 
 
-def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() -> None:
+def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there():
     world, placement = World(surface=Surface(*OPEN)), Placement("apxs", *OPEN)
     poses = replace(NOMINAL.params.poses, unstow_via_rad=((-3.0, 0.0, 0.0, 0.0, 0.0),))
     through_the_rover = replace(NOMINAL, params=replace(NOMINAL.params, poses=poses))
@@ -86,7 +84,7 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
-def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
+def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface):
     world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
     found = preview_placement(NOMINAL, world, Placement("apxs", *surface))
     assert found.problem is None

@@ -19,24 +19,13 @@ STOPPED_MM = 0.02
 FINE_S = REFERENCE_STEP_S
 AT_REST_J = 1e-7
 """Energy at which the arm still swings by about 6 um."""
-WORLDS = {
-    "mars": World(),
-    "mars, 25 deg": lab.tilted_world(20, -15),
-    "earth": World("earth"),
-}
-POSES = {
-    "straight": lab.STRAIGHT_RAD,
-    "ready": lab.READY_RAD,
-    "stowed": lab.STOWED_RAD,
-    "left": lab.LEFT_RAD,
-}
+WORLDS = {"mars": World(), "mars, 25 deg": lab.tilted_world(20, -15), "earth": World("earth")}
+POSES = {"straight": lab.STRAIGHT_RAD, "ready": lab.READY_RAD, "stowed": lab.STOWED_RAD, "left": lab.LEFT_RAD}
 
 
 @pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
 @pytest.mark.parametrize("pose", slow_but(POSES, "stowed"))
-def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
-    world: World, pose: str
-) -> None:
+def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
     coarse, fine = (lab.load(lab.plant(world, step_s), POSES[pose]) for step_s in (None, FINE_S))
     assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
@@ -44,9 +33,7 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
 
 @pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
 @pytest.mark.parametrize("pose", slow_but(["straight", "ready"], "ready"))
-def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
-    world: World, pose: str
-) -> None:
+def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
     coarse, fine = (
         lab.load(lab.plant(world, step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)
     )
@@ -59,7 +46,7 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world: World) -> None:
+def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world):
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
     coarse, fine = (move_arm(world, step_s, goal) for step_s in (None, FINE_S))
     assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
@@ -81,7 +68,7 @@ def move_arm(world: World, time_step_s: float | None, goal_rad: tuple[float, ...
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -> None:
+def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side):
     """Apply known torques to all outputs, without gravity, so that friction carries a known share.
 
     If the load grew, friction carries its full F of it, and the gear the rest. If the load fell by more than

@@ -18,25 +18,18 @@ READY_RAD = arm_named("nominal").params.poses.ready_rad
 TURN = MoveJoint(Joint.WRIST, READY_RAD[Joint.WRIST] + 0.02)
 
 
-def test_a_run_begins_stowed_with_all_joints_calibrated():
-    loop = start_loop()
+def test_a_run_begins_stowed_and_calibrated_and_an_effect_is_the_same_as_its_text():
+    loop = start_loop(effects=["joint-seized:elbow:at_s=7"])
     assert loop.state.mode is Mode.STOWED
     assert loop.state.joints.reference.calibrated.all()
-
-
-def test_an_effect_is_the_same_as_its_text():
+    # an effect that begins in the run is not one of the arm
+    assert (loop.setup.arm.effects, len(loop.setup.effects)) == ((), 1)
     by_text, by_class = (
         start_loop("as-built:7", effects=[effect], start_rad=READY_RAD)
         for effect in ("coulomb-friction:elbow:torque_Nm=25", CoulombFriction(Joint.ELBOW, 25.0))
     )
     assert by_text.setup.arm == by_class.setup.arm
     assert by_text.setup.arm.effects[-1] == CoulombFriction(Joint.ELBOW, 25.0)
-
-
-def test_an_effect_that_begins_in_the_run_is_not_one_of_the_arm():
-    setup = start_loop(effects=["joint-seized:elbow:at_s=7"]).setup
-    assert setup.arm.effects == ()
-    assert len(setup.effects) == 1
 
 
 def test_a_wrong_name_of_an_arm_or_an_effect_is_refused():
@@ -46,16 +39,11 @@ def test_a_wrong_name_of_an_arm_or_an_effect_is_refused():
         start_loop(effects=["coulomb-friction:elbow"])
 
 
-def test_a_sequence_keeps_every_cycle_with_its_events():
-    loop = start_loop(start_rad=READY_RAD)
-    result = run_commands(loop, TURN)
+def test_a_sequence_keeps_every_cycle_and_a_series_has_the_values_of_the_cycles_that_have_them():
+    result = run_commands(start_loop(start_rad=READY_RAD), TURN)
     assert result.outcome is Outcome.DONE
     assert [one.tick for one in result.cycles] == list(range(len(result.cycles)))
     assert CommandCompleted("MoveJoint") in [evr for _, evr in result.evrs]
-
-
-def test_a_series_has_the_values_of_the_cycles_that_have_them():
-    result = run_commands(start_loop(start_rad=READY_RAD), TURN)
     time_s, motor_rad = result.series("outputs.joint.motor_rad")
     assert motor_rad.shape == (len(result.cycles), 5)
     np.testing.assert_allclose(np.diff(time_s), 1 / 64)

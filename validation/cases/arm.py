@@ -1,7 +1,7 @@
 """Blind cases of this arm: the solver's campaign, sealed truth, logs of every case, and their diagnosis."""
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -54,7 +54,6 @@ from validation.cases.arm_truth import (
     SealedEffect,
     TrueCase,
     check_leakage,
-    find_contradictions,
     list_uncatalogued,
     load_outside_effects,
     plan_cases,
@@ -77,7 +76,7 @@ class NoDiagnosis(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class ArmCases:
+class ArmCases(sealed.CaseMaker[TrueCase]):
     """Cases of this arm."""
 
     sessions: tuple[str, ...] | None = None
@@ -110,10 +109,6 @@ class ArmCases:
         outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [])
 
-    def check(self, cases: Sequence[TrueCase]) -> Iterator[str]:
-        """Yield how a truth contradicts itself."""
-        return find_contradictions(cases)
-
     def record(self, path: Path, case: TrueCase) -> None:
         """Record the sessions of a case; a session whose motion does not complete gets no log."""
         effects = tuple(map(resolve_effect, (*case.background, *(one.spec for one in case.effects))))
@@ -122,19 +117,15 @@ class ArmCases:
             check_leakage(log, case)
 
     def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
-        """Compute the model of the campaign."""
         load_model(folder / CAMPAIGN_FOLDER, self.kinds, run, progress)
 
     def load(self, folder: Path) -> None:
-        """Load the model of the campaign."""
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
         """Diagnose a case.
 
         Args:
-            folder: Folder of the cases.
-            case: Folder of the logs.
             without: Name of an effect that the catalogue does not have; "" for none.
 
         Raises:
@@ -157,14 +148,12 @@ class ArmCases:
         except NoDiagnosis as why:
             return {"verdict": "unknown", "refused": str(why), "effects": []}
 
-    def score(
-        self, folder: Path, solved: Sequence[tuple[TrueCase, Document]], progress: Progress
-    ) -> CaseScore:
+    def score(self, folder: Path, solved: Sequence[tuple[TrueCase, Document]]) -> CaseScore:
         """Score solved cases; a small run is in bounds if no name is wrong and the truth is in each set."""
         for case, result in solved:
             check_result(case, result)
         found = score(load_classes(folder / CAMPAIGN_FOLDER), solved)
-        is_right = found.found.covered.hits == found.found.reported.of
+        is_right = found.covered.hits == found.reported.of
         in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
         return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
 
@@ -240,7 +229,6 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
 
     Args:
         context: Its folder holds the cases.
-        maker: Diagnoses them.
         cases: Greatest number of cases; those with the largest effects are taken.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")

@@ -22,48 +22,30 @@ SolvedCase = tuple[TrueCase, ResultDocument]
 
 
 @dataclass(frozen=True, slots=True)
-class DetectionRates:
-    """Rates at which true effects of the catalogue are found."""
-
-    reported: Rate
-    """Rate at which a finding stands for the effect."""
-    place: Rate
-    """Rate at which that finding, or what is the same here, has the location; of those reported."""
-    effect: Rate
-    """Rate at which that finding is of the right class; of those reported."""
-    covered: Rate
-    """Rate at which the set at the reported level holds the truth; of those reported with a place."""
-
-
-@dataclass(frozen=True, slots=True)
-class OutsideRates:
-    """Rates of wrong statements about effects outside the catalogue, over cases.
-
-    Intervals of `by_effect` are from a bootstrap over effects.
-    """
-
-    wrong_place: Rate
-    wrong_family: Rate
-    wrong_effect: Rate
-    by_effect: Mapping[str, tuple[float, float]]
-    reported: Rate
-    """Cases with a finding, or with something that remains."""
-
-
-@dataclass(frozen=True, slots=True)
 class Score:
     """Rates over cases."""
 
     cases: int
     false_alarm: Rate
     """No-effect cases with a verdict other than "none"."""
-    outside: OutsideRates
-    found: DetectionRates
-    """Of effects from the detection limit of the selection on."""
+    reported: Rate
+    """Effects of the catalogue, from the detection limit of the selection on, for which a finding stands."""
+    place: Rate
+    """Of those reported: that finding, or what is the same here, has the location."""
+    effect: Rate
+    """Of those reported: that finding is of the right class."""
+    covered: Rate
+    """Of those reported with a place: the set at the reported level holds the truth."""
     spurious: Rate
     """Named effects that are not effects of the case, in cases with effects of the catalogue."""
     interval: Rate
     """True amplitudes within their 90 % intervals, where the effect itself is named."""
+    wrong: Mapping[str, Rate]
+    """Cases outside the catalogue with a wrong statement, by level: place, family, effect."""
+    by_effect: Mapping[str, tuple[float, float]]
+    """Intervals of these rates, from a bootstrap over effects."""
+    outside_reported: Rate
+    """Cases outside the catalogue with a finding, or with something that remains."""
     seconds: Median
     """CPU seconds for a case."""
     max_seconds: float
@@ -84,17 +66,40 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
     outside = [(true, result) for true, result in solved if true.kind == "out-of-catalogue"]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     assigned = [one for true, result in inside for one in _assign(classes, true, result)]
+    clear = [one for one in assigned if one.times_family_wise >= 1.0]
+    given = [(one.effect, one.finding) for one in clear if one.finding is not None]
     named = [(true, one) for true, result in inside for one in _named(result)]
     seconds = [float(result["seconds"]) for _, result in solved]
+    wrong = {
+        "place": [_says_wrong_place(true.effects[0], result) for true, result in outside],
+        "family": [_says_wrong_family(true.effects[0], result) for true, result in outside],
+        "effect": [any(one["effects"] for one in result["effects"]) for _, result in outside],
+    }
+    names = [true.effects[0].name for true, _ in outside]
     return Score(
-        len(solved),
-        rate_of(result["verdict"] != "none" for result in nothing),
-        _outside_rates(outside),
-        _detection_rates(classes, [one for one in assigned if one.times_family_wise >= 1.0]),
-        rate_of(_is_spurious(classes, true, one) for true, one in named),
-        rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
-        median_with_interval(seconds),
-        max(seconds, default=float("nan")),
+        cases=len(solved),
+        false_alarm=rate_of(result["verdict"] != "none" for result in nothing),
+        reported=rate_of(one.finding is not None for one in clear),
+        place=rate_of(
+            bool(classes.locations(one.name, one.place) & classes.locations(found["name"], found["place"]))
+            for one, found in given
+        ),
+        effect=rate_of(
+            _class(classes, one) == classes.of(found["name"], found["place"]) for one, found in given
+        ),
+        covered=rate_of(
+            _is_covered(classes, one, found) for one, found in given if found["level"] != "unlocated"
+        ),
+        spurious=rate_of(
+            not _classes(classes, one) & {_class(classes, effect) for effect in true.effects}
+            for true, one in named
+        ),
+        interval=rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
+        wrong={level: rate_of(hits) for level, hits in wrong.items()},
+        by_effect={level: _bootstrap_over(names, hits) for level, hits in wrong.items()},
+        outside_reported=rate_of(result["verdict"] != "none" for _, result in outside),
+        seconds=median_with_interval(seconds),
+        max_seconds=max(seconds, default=float("nan")),
     )
 
 
@@ -110,7 +115,7 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
     order = sorted(range(len(true.effects)), key=lambda k: -true.effects[k].times_limit)
     for rule in rules:
         for k in order:
-            found = _first(free, rule, true.effects[k])
+            found = next((one for one in free if rule(true.effects[k], one)), None)
             if k not in assigned and found is not None:
                 assigned[k] = found
                 free.remove(found)
@@ -122,27 +127,6 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
     ]
 
 
-def _first(
-    free: Sequence[FindingDocument],
-    rule: Callable[[SealedEffect, FindingDocument], bool],
-    effect: SealedEffect,
-) -> FindingDocument | None:
-    return next((one for one in free if rule(effect, one)), None)
-
-
-def _detection_rates(classes: EquivalenceClasses, each: Sequence[_Assigned]) -> DetectionRates:
-    reported = [(one.effect, one.finding) for one in each if one.finding is not None]
-    return DetectionRates(
-        rate_of(one.finding is not None for one in each),
-        rate_of(
-            bool(classes.locations(one.name, one.place) & classes.locations(found["name"], found["place"]))
-            for one, found in reported
-        ),
-        rate_of(_class(classes, one) == classes.of(found["name"], found["place"]) for one, found in reported),
-        rate_of(_is_covered(classes, one, found) for one, found in reported if found["level"] != "unlocated"),
-    )
-
-
 def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDocument) -> bool:
     """Check that the set at the level of a finding holds the truth."""
     if found["level"] in NAMED_LEVELS:
@@ -151,22 +135,6 @@ def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDo
     if found["level"] == "place":
         return has_place
     return has_place and bool(classes.families(one.name, one.place) & set(found["families"]))
-
-
-def _outside_rates(cases: Sequence[SolvedCase]) -> OutsideRates:
-    wrong = {
-        "place": [_says_wrong_place(true.effects[0], result) for true, result in cases],
-        "family": [_says_wrong_family(true.effects[0], result) for true, result in cases],
-        "effect": [any(one["effects"] for one in result["effects"]) for _, result in cases],
-    }
-    names = [true.effects[0].name for true, _ in cases]
-    return OutsideRates(
-        rate_of(wrong["place"]),
-        rate_of(wrong["family"]),
-        rate_of(wrong["effect"]),
-        {level: _bootstrap_over(names, hits) for level, hits in wrong.items()},
-        rate_of(result["verdict"] != "none" for _, result in cases),
-    )
 
 
 def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
@@ -206,10 +174,6 @@ def _classes(classes: EquivalenceClasses, finding: FindingDocument) -> set[int |
     return {classes.of(one["name"], one["place"]) for one in (finding, *finding["effects"])}
 
 
-def _is_spurious(classes: EquivalenceClasses, true: TrueCase, finding: FindingDocument) -> bool:
-    return not _classes(classes, finding) & {_class(classes, one) for one in true.effects}
-
-
 def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
     """Return for every amplitude of every named true effect whether its interval contains the truth."""
     found = {(one["name"], one["place"]): one for one in _named(document)}
@@ -225,23 +189,22 @@ def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
 
 def make_tables(score: Score) -> tuple[Table, ...]:
     """Return the tables of the page; intervals are exact, 95 %, those by effect from a bootstrap."""
-    found = score.found
     bars = (
         ("no effect called one", "9 % or fewer", score.false_alarm),
-        ("reported, from the limit of the selection on", "85 %", found.reported),
-        ("right place, of those", "95 %", found.place),
-        ("right effect as first choice, of those", "88 %", found.effect),
-        ("in the set of the level that was reported", "95 %", found.covered),
+        ("reported, from the limit of the selection on", "85 %", score.reported),
+        ("right place, of those", "95 %", score.place),
+        ("right effect as first choice, of those", "88 %", score.effect),
+        ("in the set of the level that was reported", "95 %", score.covered),
         ("named, but not of the case", "", score.spurious),
         ("90 % intervals that cover", "85 to 95 %", score.interval),
         ("CPU seconds for a case, median", "10 or fewer", f"{score.seconds.median:.1f}"),
         ("the longest", "", f"{score.max_seconds:.1f}"),
     )
     outside = [
-        (f"wrong {level}, {bar} % or fewer", _outside_text(score.outside, level))
+        (f"wrong {level}, {bar} % or fewer", _outside_text(score.wrong[level], score.by_effect[level]))
         for level, bar in (("place", 8), ("family", 14), ("effect", 20))
     ]
-    outside.append(("something is reported", str(score.outside.reported)))
+    outside.append(("something is reported", str(score.outside_reported)))
     rows = tuple((name, wanted, str(value)) for name, wanted, value in bars)
     return (
         Table(f"{score.cases} blind cases", ("", "wanted", "found"), rows),
@@ -249,8 +212,6 @@ def make_tables(score: Score) -> tuple[Table, ...]:
     )
 
 
-def _outside_text(found: OutsideRates, level: str) -> str:
-    rate: Rate = getattr(found, f"wrong_{level}")
-    least, most = found.by_effect[level]
-    between = f"{100 * least:.1f} to {100 * most:.1f}"
+def _outside_text(rate: Rate, by_effect: tuple[float, float]) -> str:
+    between = " to ".join(f"{100 * one:.1f}" for one in by_effect)
     return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {between})" if rate.of else "no case"

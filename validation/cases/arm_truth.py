@@ -42,8 +42,6 @@ from simgap.common.toml import read_toml
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.25, "out-of-catalogue": 0.35, "pair": 0.15}
 """Shares of all cases; the others have one effect of the catalogue."""
-EFFECTS_OF_KIND: Final[dict[CaseKind, int]] = {"none": 0, "single": 1, "pair": 2, "out-of-catalogue": 1}
-CASE_NAME: Final = re.compile(r"case-\d{3,}")
 ALLOWED_KEYS: Final = frozenset({
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git"),
     *("params", "params_sha256", "boot", "commands", "commands_sha256", SESSION, CHANNELS_KEY),
@@ -82,25 +80,6 @@ class TrueCase:
     effects: tuple[SealedEffect, ...]
     background: tuple[str, ...]
     seed: int
-
-
-def find_contradictions(cases: Sequence[TrueCase]) -> Iterator[str]:
-    """Yield how cases contradict their kind or themselves, and which come twice."""
-    if not cases:
-        yield "it has no case"
-    if len({case.name for case in cases}) < len(cases):
-        yield "two cases have one name"
-    for case in cases:
-        if CASE_NAME.fullmatch(case.name) is None:
-            yield f"{case.name!r} is no name of a case; case-000 is one"
-        if len(case.effects) != EFFECTS_OF_KIND[case.kind]:
-            yield f"{case.name}: {len(case.effects)} effects do not make it {case.kind!r}"
-        if len({(effect.name, effect.place) for effect in case.effects}) < len(case.effects):
-            yield f"{case.name}: the same effect comes twice"
-        for effect in case.effects:
-            numbers = [*effect.values.values(), effect.times_limit]
-            if not np.all(np.isfinite(numbers)) or effect.times_limit <= 0.0:
-                yield f"{case.name}: {effect.name} has a size that no effect can have"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +182,6 @@ def resolve_effect(spec: str) -> Effect:
 class OutsideEffect:
     """Right answers for an effect that is in no catalogue."""
 
-    is_related: bool
     families: frozenset[str]
     location: str
     """Its location where its place is none; else empty."""
@@ -214,8 +192,8 @@ def load_outside_effects() -> Mapping[str, OutsideEffect]:
     """Load the families and locations of the effects outside the catalogue, by name."""
     document = read_toml(EFFECTS_FOLDER / "families.toml")
     return {
-        name: OutsideEffect(kind == "related", frozenset(one["families"]), one.get("location", ""))
-        for kind, effects in document.items()
+        name: OutsideEffect(frozenset(one["families"]), one.get("location", ""))
+        for effects in document.values()
         for name, one in effects.items()
     }
 

@@ -1,7 +1,7 @@
 """Sealed cases of any robot: drawn with their truth, written as the files that a user has, and diagnosed."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -52,7 +52,7 @@ class PlannedRobotCase:
 
 
 @dataclass(frozen=True, slots=True)
-class RobotCases:
+class RobotCases(sealed.CaseMaker[SealedCase]):
     """Cases of some robots."""
 
     models: tuple[str, ...] = tuple(ARMS)
@@ -83,19 +83,8 @@ class RobotCases:
         sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
         return drafts
 
-    def check(self, cases: Sequence[SealedCase]) -> Iterator[str]:
-        """Find nothing: what pydantic reads has no contradictions."""
-        return iter(())
-
     def record(self, path: Path, case: SealedCase) -> None:
-        """Simulate and write the log of a case."""
         write_logs(path, record_logs(case.truth))
-
-    def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
-        """Do nothing: cases share nothing."""
-
-    def load(self, folder: Path) -> None:
-        """Do nothing."""
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
@@ -105,10 +94,7 @@ class RobotCases:
         except RobotError as why:
             return {"findings": [], "remaining": [], "refused": str(why)}
 
-    def score(
-        self, folder: Path, solved: Sequence[tuple[SealedCase, Document]], progress: Progress
-    ) -> CaseScore:
-        """Compare results with the truth."""
+    def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
         found = score_cases(solved)
         is_quiet = not found.document["bars"]["false alarms"]["hits"]
         return found if self.test_rates else CaseScore(found.document, found.tables, is_quiet)

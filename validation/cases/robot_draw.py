@@ -13,7 +13,6 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
-from validation.cases.robot_outside import Outside
 from validation.cases.robot_setup import (
     ARMS,
     CORRELATION,
@@ -211,8 +210,7 @@ def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.rand
     times = float(np.exp(rng.uniform(*np.log(TIMES_LIMIT))))
     effect, reached = find_size(campaign, one, sign, shape, times)
     kind = one.entry.kind
-    families = kind.families if issubclass(kind, Outside) else frozenset({kind.family})
-    accepted = tuple(sorted(map(str, families)))
+    accepted = tuple(sorted(map(str, kind.families)))
     return DrawnEffect(kind.name, one.place, str(kind.family), effect.size, shape, reached, accepted)
 
 

@@ -8,33 +8,25 @@ from simgap.effects.effect import Family
 from validation.cases.robot_truth import Run, TrueEffect
 
 
-class CommandDelay(TrueEffect):
+class CommandDelay(TrueEffect, name="command delay", family=Family.TIMING):
     """Command that arrives late; size [s]."""
-
-    name = "command delay"
-    family = Family.TIMING
 
     @property
     def command_delay_s(self) -> float:
         return self.size
 
 
-class MeasurementDelay(TrueEffect):
+class MeasurementDelay(TrueEffect, name="measurement delay", family=Family.TIMING):
     """Logged position that is old; size [s]."""
-
-    name = "measurement delay"
-    family = Family.TIMING
 
     @property
     def log_delay_s(self) -> float:
         return self.size
 
 
-class VelocityLimit(TrueEffect):
+class VelocityLimit(TrueEffect, name="velocity limit", family=Family.ACTUATION):
     """Set-point that follows the command at a limited velocity; size 1 / limit [s/rad]."""
 
-    name = "velocity limit"
-    family = Family.ACTUATION
     at: float | None
 
     def begin(self, run: Run) -> None:
@@ -48,11 +40,9 @@ class VelocityLimit(TrueEffect):
         return self.at
 
 
-class AccelerationLimit(TrueEffect):
+class AccelerationLimit(TrueEffect, name="acceleration limit", family=Family.ACTUATION):
     """Set-point that follows the command at a limited acceleration; size 1 / limit [s2/rad]."""
 
-    name = "acceleration limit"
-    family = Family.ACTUATION
     at: float | None
     speed: float
 
@@ -76,62 +66,45 @@ class AccelerationLimit(TrueEffect):
         return self.at
 
 
-class TorqueLimit(TrueEffect):
+class TorqueLimit(TrueEffect, name="torque limit", family=Family.ACTUATION):
     """Torque limit below the stated one; size 1 / limit less 1 / stated limit [1/(N m)]."""
-
-    name = "torque limit"
-    family = Family.ACTUATION
 
     def limited(self, run: Run, torque_Nm: float, limit_Nm: float) -> float:
         limit = 1.0 / (1.0 / limit_Nm + self.size)
         return min(max(torque_Nm, -limit), limit)
 
 
-class ClampLow(TrueEffect):
+class ClampLow(TrueEffect, name="command clamp, low", family=Family.ACTUATION):
     """Commands that are cut off at the lower end; size: length of the range that is lost [rad]."""
-
-    name = "command clamp, low"
-    family = Family.ACTUATION
 
     def command(self, run: Run, command: float) -> float:
         return max(command, self.scene.low_rad[self.j] + self.size)
 
 
-class ClampHigh(TrueEffect):
+class ClampHigh(TrueEffect, name="command clamp, high", family=Family.ACTUATION):
     """Commands that are cut off at the upper end; size: length of the range that is lost [rad]."""
-
-    name = "command clamp, high"
-    family = Family.ACTUATION
 
     def command(self, run: Run, command: float) -> float:
         return min(command, self.scene.high_rad[self.j] - self.size)
 
 
-class GainError(TrueEffect):
+class GainError(TrueEffect, name="gain error", family=Family.ACTUATION):
     """Gain of the position loop and its damping, times 1 + size."""
-
-    name = "gain error"
-    family = Family.ACTUATION
 
     def servo(self, run: Run, torque_Nm: float) -> float:
         return torque_Nm * (1.0 + self.size)
 
 
-class DeadZone(TrueEffect):
+class DeadZone(TrueEffect, name="dead zone", family=Family.ACTUATION):
     """Position errors below the size [rad] give no torque."""
-
-    name = "dead zone"
-    family = Family.ACTUATION
 
     def error(self, run: Run, error: float) -> float:
         return math.copysign(max(abs(error) - self.size, 0.0), error)
 
 
-class Integral(TrueEffect):
+class Integral(TrueEffect, name="integral leak", family=Family.ACTUATION):
     """Integral of the error, with a leak; size: integral over position gain [1/s]."""
 
-    name = "integral leak"
-    family = Family.ACTUATION
     sum_rad_s: float
 
     def begin(self, run: Run) -> None:
@@ -143,11 +116,8 @@ class Integral(TrueEffect):
         return error + self.size * self.sum_rad_s
 
 
-class BackEmf(TrueEffect):
+class BackEmf(TrueEffect, name="back-EMF", family=Family.ACTUATION):
     """Torque limit that falls with the speed; size: share of the limit per rad/s [s/rad]."""
-
-    name = "back-EMF"
-    family = Family.ACTUATION
 
     def limited(self, run: Run, torque_Nm: float, limit_Nm: float) -> float:
         speed = run.v[self.j]
@@ -155,12 +125,8 @@ class BackEmf(TrueEffect):
         return min(max(torque_Nm, -max(low, 0.0)), max(high, 0.0))
 
 
-class SupplySag(TrueEffect):
+class SupplySag(TrueEffect, name="supply sag", family=Family.ACTUATION, is_everywhere=True):
     """Supply that gives way for all joints; size: fall of all torques when each motor has its largest."""
-
-    name = "supply sag"
-    family = Family.ACTUATION
-    is_everywhere = True
 
     def limited(self, run: Run, torque_Nm: float, limit_Nm: float) -> float:
         joints = self.robot.joints
@@ -168,66 +134,47 @@ class SupplySag(TrueEffect):
         return torque_Nm * max(1.0 - self.size * load / len(joints), 0.0)
 
 
-class Armature(TrueEffect):
+class Armature(TrueEffect, name="armature", family=Family.INERTIA):
     """Inertia of the rotor; size [kg m2]."""
-
-    name = "armature"
-    family = Family.INERTIA
 
     def build(self, spec: mujoco.MjSpec) -> None:
         spec.joint(self.place).armature += self.size
 
 
-class Viscous(TrueEffect):
+class Viscous(TrueEffect, name="viscous friction", family=Family.FRICTION):
     """Friction in proportion to the velocity; size [N m s/rad]."""
-
-    name = "viscous friction"
-    family = Family.FRICTION
 
     def torque_Nm(self, run: Run) -> float:
         return -self.size * run.v[self.j]
 
 
-class Coulomb(TrueEffect):
+class Coulomb(TrueEffect, name="Coulomb friction", family=Family.FRICTION):
     """Dry friction; size [N m]."""
-
-    name = "Coulomb friction"
-    family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
         return self.size
 
 
-class Stribeck(TrueEffect):
+class Stribeck(TrueEffect, name="Stribeck friction", family=Family.FRICTION):
     """Dry friction that is larger near rest; size [N m], shape: Stribeck velocity."""
-
-    name = "Stribeck friction"
-    family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
         width_rad_s = 0.03 * 5.0**self.shape
         return self.size * math.exp(-((run.v[self.j] / width_rad_s) ** 2))
 
 
-class LoadFriction(TrueEffect):
+class LoadFriction(TrueEffect, name="load-dependent friction", family=Family.FRICTION, needs_load=True):
     """Dry friction in proportion to the load of the gear; size: share of the load."""
-
-    name = "load-dependent friction"
-    family = Family.FRICTION
-    needs_load = True
 
     def friction_Nm(self, run: Run) -> float:
         return self.size * abs(run.load_Nm[self.j])
 
 
-class AsymmetricFriction(TrueEffect):
+class AsymmetricFriction(TrueEffect, name="asymmetric friction", family=Family.FRICTION):
     """Dry friction in one direction only, that of the sign; size [N m].
 
     The range of a friction from -(F + s) to F is one of F + s / 2 beside a constant torque of -s / 2.
     """
-
-    name = "asymmetric friction"
-    family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
         return 0.5 * abs(self.size)
@@ -236,11 +183,8 @@ class AsymmetricFriction(TrueEffect):
         return -0.5 * self.size
 
 
-class TemperatureFriction(TrueEffect):
+class TemperatureFriction(TrueEffect, name="temperature-dependent friction", family=Family.FRICTION):
     """Dry friction of a cold joint; size: [N m] per 10 K below 40 degC."""
-
-    name = "temperature-dependent friction"
-    family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
         return self.size * (40.0 - run.temperature_degC) / 10.0

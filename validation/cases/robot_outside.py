@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from typing import ClassVar
 
 from simgap.effects.effect import Family
 from validation.cases.robot_truth import Run, TrueEffect
@@ -10,20 +9,10 @@ from validation.cases.robot_truth import Run, TrueEffect
 F = Family
 
 
-class Outside(TrueEffect):
-    """Effect outside the catalogue."""
-
-    families: ClassVar[frozenset[Family]]
-    """Families that name its mechanism rightly; the first level below them has no right name."""
-
-
-class CreepingLink(Outside):
+class CreepingLink(
+    TrueEffect, name="creeping link", family=F.TRANSMISSION, also=(F.GEOMETRY,), needs_load=True
+):
     """Mount of the encoder that yields to the load within seconds; size [rad/(N m)], shape: time constant."""
-
-    name = "creeping link"
-    family = F.TRANSMISSION
-    families = frozenset({F.TRANSMISSION, F.GEOMETRY})
-    needs_load = True
 
     def begin(self, run: Run) -> None:
         self.slow_Nm: float | None = None
@@ -35,12 +24,8 @@ class CreepingLink(Outside):
         return q_rad + self.size * self.slow_Nm
 
 
-class DriftingTorque(Outside):
+class DriftingTorque(TrueEffect, name="drifting torque", family=F.EXTERNAL):
     """Torque that depends on the time alone; size [N m], shape: period and phase."""
-
-    name = "drifting torque"
-    family = F.EXTERNAL
-    families = frozenset({F.EXTERNAL})
 
     def begin(self, run: Run) -> None:
         self.phase = float(run.rng.uniform(0.0, 2.0 * math.pi))
@@ -49,12 +34,8 @@ class DriftingTorque(Outside):
         return self.size * math.sin(2.0 * math.pi * run.time_s / (1.5 + 3.0 * self.shape) + self.phase)
 
 
-class Hysteresis(Outside):
+class Hysteresis(TrueEffect, name="hysteresis", family=F.FRICTION, also=(F.TRANSMISSION, F.EXTERNAL)):
     """Bouc-Wen hysteresis; size: torque when it has yielded [N m], shape: angle of yielding."""
-
-    name = "hysteresis"
-    family = F.FRICTION
-    families = frozenset({F.FRICTION, F.TRANSMISSION, F.EXTERNAL})
 
     def begin(self, run: Run) -> None:
         self.z = 0.0
@@ -66,12 +47,8 @@ class Hysteresis(Outside):
         return -self.size * self.z
 
 
-class WobblingBase(Outside):
+class WobblingBase(TrueEffect, name="wobbling base", family=F.TRANSMISSION, also=(F.GEOMETRY, F.EXTERNAL)):
     """Base that tilts and swings under the reaction of the first joint; size [rad/(N m)]."""
-
-    name = "wobbling base"
-    family = F.TRANSMISSION
-    families = frozenset({F.TRANSMISSION, F.GEOMETRY, F.EXTERNAL})
 
     def begin(self, run: Run) -> None:
         self.tilt, self.rate = 0.0, 0.0
@@ -87,12 +64,8 @@ class WobblingBase(Outside):
         run.model.opt.gravity[:] = (9.81 * math.sin(tilt), 0.0, -9.81 * math.cos(tilt))
 
 
-class Cogging(Outside):
+class Cogging(TrueEffect, name="cogging", family=F.EXTERNAL, also=(F.ACTUATION,)):
     """Torque ripple of three high orders at once; size [N m], shape: phases."""
-
-    name = "cogging"
-    family = F.EXTERNAL
-    families = frozenset({F.EXTERNAL, F.ACTUATION})
 
     def torque_Nm(self, run: Run) -> float:
         q, turn = run.q[self.j], 6.0 * self.shape
@@ -101,12 +74,8 @@ class Cogging(Outside):
         )
 
 
-class CommandDropout(Outside):
+class CommandDropout(TrueEffect, name="command dropout", family=F.TIMING, also=(F.ACTUATION,)):
     """Commands that are lost at random; the last one stays; size: mean time of a gap [s]."""
-
-    name = "command dropout"
-    family = F.TIMING
-    families = frozenset({F.TIMING, F.ACTUATION})
 
     def begin(self, run: Run) -> None:
         self.until_s, self.held = -1e9, 0.0
@@ -119,12 +88,8 @@ class CommandDropout(Outside):
         return command
 
 
-class StickySpot(Outside):
+class StickySpot(TrueEffect, name="sticky spot", family=F.FRICTION):
     """Friction that is larger at one place; size [N m], shape: the place."""
-
-    name = "sticky spot"
-    family = F.FRICTION
-    families = frozenset({F.FRICTION})
 
     def friction_Nm(self, run: Run) -> float:
         return self.size * math.exp(-(((run.q[self.j] - self.middle_rad) / 0.06) ** 2))
@@ -136,12 +101,8 @@ class StickySpot(Outside):
         return low + (0.25 + 0.5 * self.shape) * (high - low)
 
 
-class OneWayFriction(Outside):
+class OneWayFriction(TrueEffect, name="one-way friction", family=F.FRICTION):
     """Friction of one direction that varies with the position; size [N m], shape: phase."""
-
-    name = "one-way friction"
-    family = F.FRICTION
-    families = frozenset({F.FRICTION})
 
     def friction_Nm(self, run: Run) -> float:
         if run.v[self.j] <= 0.0:
@@ -149,23 +110,15 @@ class OneWayFriction(Outside):
         return self.size * (1.0 + math.sin(4.0 * run.q[self.j] + 6.0 * self.shape))
 
 
-class EccentricGear(Outside):
+class EccentricGear(TrueEffect, name="eccentric gear", family=F.ACTUATION, also=(F.TRANSMISSION,)):
     """Torque constant that varies with the angle; size: share, shape: phase."""
-
-    name = "eccentric gear"
-    family = F.ACTUATION
-    families = frozenset({F.ACTUATION, F.TRANSMISSION})
 
     def servo(self, run: Run, torque_Nm: float) -> float:
         return torque_Nm * (1.0 + self.size * math.sin(5.0 * run.q[self.j] + 6.0 * self.shape))
 
 
-class ThermalGain(Outside):
+class ThermalGain(TrueEffect, name="thermal gain", family=F.ACTUATION):
     """Torque constant that falls as the motor heats; size: share at the full torque, shape: time constant."""
-
-    name = "thermal gain"
-    family = F.ACTUATION
-    families = frozenset({F.ACTUATION})
 
     def begin(self, run: Run) -> None:
         self.heat: float | None = None
@@ -177,12 +130,8 @@ class ThermalGain(Outside):
         return torque_Nm * max(1.0 - self.size * self.heat, 0.2)
 
 
-class SlackCable(Outside):
+class SlackCable(TrueEffect, name="slack cable", family=F.EXTERNAL):
     """Cable that pulls when it is taut; size [N m/rad], shape: where, and to which side."""
-
-    name = "slack cable"
-    family = F.EXTERNAL
-    families = frozenset({F.EXTERNAL})
 
     def torque_Nm(self, run: Run) -> float:
         low, high = self.scene.low_rad[self.j], self.scene.high_rad[self.j]
@@ -191,23 +140,15 @@ class SlackCable(Outside):
         return -side * self.size * max(side * (run.q[self.j] - middle) - 0.4 * half, 0.0)
 
 
-class QuantisedTorque(Outside):
+class QuantisedTorque(TrueEffect, name="quantised torque", family=F.ACTUATION):
     """Torque in steps; size: the step [N m]."""
-
-    name = "quantised torque"
-    family = F.ACTUATION
-    families = frozenset({F.ACTUATION})
 
     def servo(self, run: Run, torque_Nm: float) -> float:
         return self.size * math.trunc(torque_Nm / self.size)
 
 
-class HiddenMode(Outside):
+class HiddenMode(TrueEffect, name="hidden mode", family=F.TRANSMISSION, also=(F.INERTIA,)):
     """Mass on a spring within a link; size: its inertia [kg m2], shape: frequency."""
-
-    name = "hidden mode"
-    family = F.TRANSMISSION
-    families = frozenset({F.TRANSMISSION, F.INERTIA})
 
     def begin(self, run: Run) -> None:
         self.at: float | None = None
@@ -222,12 +163,8 @@ class HiddenMode(Outside):
         return -self.size * pull
 
 
-class AgeingFriction(Outside):
+class AgeingFriction(TrueEffect, name="ageing friction", family=F.FRICTION):
     """Dry friction that grows while the joint rests and is gone once it moves; size [N m] per decade."""
-
-    name = "ageing friction"
-    family = F.FRICTION
-    families = frozenset({F.FRICTION})
 
     def begin(self, run: Run) -> None:
         self.rest_s = 0.0
@@ -238,12 +175,8 @@ class AgeingFriction(Outside):
         return self.size * math.log10(1.0 + self.rest_s / 0.01)
 
 
-class WanderingDelay(Outside):
+class WanderingDelay(TrueEffect, name="wandering delay", family=F.TIMING, also=(F.ACTUATION,)):
     """Command delay that comes and goes with the time; size: its largest [s], shape: period."""
-
-    name = "wandering delay"
-    family = F.TIMING
-    families = frozenset({F.TIMING, F.ACTUATION})
 
     def begin(self, run: Run) -> None:
         self.past: deque[float] = deque(maxlen=1 + round(self.size / run.step_s))
@@ -254,12 +187,8 @@ class WanderingDelay(Outside):
         return self.past[min(round(share * self.size / run.step_s), len(self.past) - 1)]
 
 
-class OneWayGain(Outside):
+class OneWayGain(TrueEffect, name="one-way gain", family=F.ACTUATION):
     """Torque constant that differs by the sign of the torque; size: share."""
-
-    name = "one-way gain"
-    family = F.ACTUATION
-    families = frozenset({F.ACTUATION})
 
     def servo(self, run: Run, torque_Nm: float) -> float:
         return torque_Nm * (1.0 + self.size) if torque_Nm > 0.0 else torque_Nm

@@ -209,27 +209,17 @@ CORRELATION: Final = 0.8
 """Correlation of neighbouring samples, 10 ms apart: a time constant of 45 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """First-order autoregression with the variance and the first covariance of noise and quantisation."""
-
-    sd_rad: float
-    correlation: float
-
-
-def noise_with_quantisation() -> Noise:
-    """Return the noise of the logs; quantisation adds a variance of quantum^2 / 12, white."""
-    variance = NOISE_RAD**2 + QUANTUM_RAD**2 / 12.0
-    return Noise(float(np.sqrt(variance)), CORRELATION * NOISE_RAD**2 / variance)
+VARIANCE_RAD2: Final = NOISE_RAD**2 + QUANTUM_RAD**2 / 12.0
+LOG_SD_RAD: Final = float(np.sqrt(VARIANCE_RAD2))
+LOG_CORRELATION: Final = CORRELATION * NOISE_RAD**2 / VARIANCE_RAD2
+"""First-order autoregression of the logs: quantisation adds a variance of quantum^2 / 12, white."""
 
 
 def whiten(change_rad: Array) -> Array:
     """Whiten changes of positions along their last axis, (..., n)."""
-    noise = noise_with_quantisation()
-    first = change_rad[..., :1] / noise.sd_rad
-    later = change_rad[..., 1:] - noise.correlation * change_rad[..., :-1]
-    later = later / (noise.sd_rad * np.sqrt(1.0 - noise.correlation**2))
-    return np.concatenate([first, later], axis=-1)
+    first = change_rad[..., :1] / LOG_SD_RAD
+    later = change_rad[..., 1:] - LOG_CORRELATION * change_rad[..., :-1]
+    return np.concatenate([first, later / (LOG_SD_RAD * np.sqrt(1.0 - LOG_CORRELATION**2))], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,11 +23,8 @@ def scale(values: object, factor: float) -> np.ndarray:
     return np.asarray(values, float) * factor
 
 
-class Compliance(TrueEffect):
+class Compliance(TrueEffect, name="joint compliance", family=Family.TRANSMISSION):
     """Spring between motor and link; size: 1 / stiffness [rad/(N m)]. Its damping is 2 ms of that."""
-
-    name = "joint compliance"
-    family = Family.TRANSMISSION
 
     def build(self, spec: mujoco.MjSpec) -> None:
         gear = add_gear(spec, self.place)
@@ -35,11 +32,8 @@ class Compliance(TrueEffect):
         gear.stiffness[0], gear.damping[0] = 1.0 / self.size, 0.002 / self.size
 
 
-class Backlash(TrueEffect):
+class Backlash(TrueEffect, name="backlash", family=Family.TRANSMISSION):
     """Free angle between motor and link; size [rad]. The flanks are forty times as stiff as the servo."""
-
-    name = "backlash"
-    family = Family.TRANSMISSION
 
     def build(self, spec: mujoco.MjSpec) -> None:
         add_gear(spec, self.place)
@@ -51,11 +45,8 @@ class Backlash(TrueEffect):
         tendon.springlength = [-0.5 * self.size, 0.5 * self.size]
 
 
-class Payload(TrueEffect):
+class Payload(TrueEffect, name="payload", family=Family.INERTIA):
     """Mass at the tool; size [kg]."""
-
-    name = "payload"
-    family = Family.INERTIA
 
     def build(self, spec: mujoco.MjSpec) -> None:
         site = spec.site(self.robot.tool_site)
@@ -65,22 +56,16 @@ class Payload(TrueEffect):
         )  # fmt: skip
 
 
-class LinkMass(TrueEffect):
+class LinkMass(TrueEffect, name="link mass", family=Family.INERTIA):
     """Mass and inertia of a link, times 1 + size."""
-
-    name = "link mass"
-    family = Family.INERTIA
 
     def build(self, spec: mujoco.MjSpec) -> None:
         for geom in link_of(spec, self.place).geoms:
             geom.mass *= 1.0 + self.size
 
 
-class LinkCentre(TrueEffect):
+class LinkCentre(TrueEffect, name="link centre", family=Family.INERTIA):
     """Centre of mass of a link that is farther along it; size [m]."""
-
-    name = "link centre"
-    family = Family.INERTIA
 
     def build(self, spec: mujoco.MjSpec) -> None:
         along = link_direction(self.robot, self.place)
@@ -91,11 +76,8 @@ class LinkCentre(TrueEffect):
                 geom.pos = np.asarray(geom.pos) + self.size * along
 
 
-class LinkLength(TrueEffect):
+class LinkLength(TrueEffect, name="link length", family=Family.GEOMETRY):
     """Link that is longer: its child sits farther out; size [m]."""
-
-    name = "link length"
-    family = Family.GEOMETRY
 
     def build(self, spec: mujoco.MjSpec) -> None:
         along = link_direction(self.robot, self.place)
@@ -114,21 +96,15 @@ def link_direction(robot: Robot, joint: str) -> np.ndarray:
     return np.asarray(centre / np.linalg.norm(centre))
 
 
-class JointZero(TrueEffect):
+class JointZero(TrueEffect, name="joint zero", family=Family.GEOMETRY):
     """Encoder zero that is wrong; size [rad], with a sign."""
-
-    name = "joint zero"
-    family = Family.GEOMETRY
 
     def shows(self, run: Run, q_rad: float) -> float:
         return q_rad + self.size
 
 
-class GravityDirection(TrueEffect):
+class GravityDirection(TrueEffect, name="gravity direction", family=Family.GEOMETRY):
     """Base that is tilted; size [rad], shape: direction of the tilt."""
-
-    name = "gravity direction"
-    family = Family.GEOMETRY
 
     def build(self, spec: mujoco.MjSpec) -> None:
         # about y (shape 0) tilts the plane of the arms; the part about x is at most as large
@@ -138,41 +114,29 @@ class GravityDirection(TrueEffect):
         spec.option.gravity = 9.81 * direction / np.linalg.norm(direction)
 
 
-class Spring(TrueEffect):
+class Spring(TrueEffect, name="spring", family=Family.EXTERNAL):
     """Spring at a joint; size [N m/rad], shape: angle at which it is at rest."""
-
-    name = "spring"
-    family = Family.EXTERNAL
 
     def torque_Nm(self, run: Run) -> float:
         return -self.size * (run.q[self.j] - 0.8 * (2.0 * self.shape - 1.0))
 
 
-class PositionTorque(TrueEffect):
+class PositionTorque(TrueEffect, name="position-dependent torque", family=Family.EXTERNAL):
     """Torque that varies with the position as a sine with one to two turns; size [N m]."""
-
-    name = "position-dependent torque"
-    family = Family.EXTERNAL
 
     def torque_Nm(self, run: Run) -> float:
         return self.size * math.sin((1.0 + round(self.shape)) * run.q[self.j] + 6.0 * self.shape)
 
 
-class ConstantTorque(TrueEffect):
+class ConstantTorque(TrueEffect, name="constant torque", family=Family.EXTERNAL):
     """Constant torque at a joint; size [N m], with a sign."""
-
-    name = "constant torque"
-    family = Family.EXTERNAL
 
     def torque_Nm(self, run: Run) -> float:
         return self.size
 
 
-class Plane(TrueEffect):
+class Plane(TrueEffect, name="contact with a plane", family=Family.CONTACT):
     """Horizontal plane that the tool touches; size: height over where the tool was lowest [m]."""
-
-    name = "contact with a plane"
-    family = Family.CONTACT
 
     def build(self, spec: mujoco.MjSpec) -> None:
         site = spec.site(self.robot.tool_site)
@@ -187,33 +151,23 @@ class Plane(TrueEffect):
         )  # fmt: skip
 
 
-class PeriodicError(TrueEffect):
+class PeriodicError(TrueEffect, name="periodic joint error", family=Family.GEOMETRY):
     """Encoder error that repeats with a turn; size [rad], shape: order from 2 to 12."""
-
-    name = "periodic joint error"
-    family = Family.GEOMETRY
 
     def shows(self, run: Run, q_rad: float) -> float:
         order = 2 + int(11 * min(self.shape, 0.999))
         return q_rad + self.size * math.sin(order * q_rad + 20.0 * self.shape)
 
 
-class EncoderScale(TrueEffect):
+class EncoderScale(TrueEffect, name="encoder scale", family=Family.TIMING):
     """Encoder that shows 1 + size times the angle."""
-
-    name = "encoder scale"
-    family = Family.TIMING
 
     def shows(self, run: Run, q_rad: float) -> float:
         return q_rad * (1.0 + self.size)
 
 
-class Coupling(TrueEffect):
+class Coupling(TrueEffect, name="joint coupling", family=Family.TRANSMISSION, needs_load=True):
     """Gear that turns with the neighbour towards the base too: its load comes back there; size: ratio."""
-
-    name = "joint coupling"
-    family = Family.TRANSMISSION
-    needs_load = True
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
         super().__init__(scene, place, size, shape)

@@ -65,10 +65,24 @@ class TrueEffect:
 
     name: ClassVar[str]
     family: ClassVar[Family]
-    needs_load: ClassVar[bool] = False
+    families: ClassVar[frozenset[Family]]
+    """Families that name its mechanism rightly."""
+    needs_load: ClassVar[bool]
     """True if it reads the load of the gears, which costs time."""
-    is_everywhere: ClassVar[bool] = False
+    is_everywhere: ClassVar[bool]
     """True if it acts on the servos of all joints."""
+
+    def __init_subclass__(
+        cls,
+        *,
+        name: str,
+        family: Family,
+        also: tuple[Family, ...] = (),
+        needs_load: bool = False,
+        is_everywhere: bool = False,
+    ) -> None:
+        cls.name, cls.family, cls.families = name, family, frozenset({family, *also})
+        cls.needs_load, cls.is_everywhere = needs_load, is_everywhere
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
         """Make it.

@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -90,7 +90,7 @@ class CaseScore:
         return "\n".join(lines)
 
 
-class CaseMaker(Protocol[Case]):
+class CaseMaker(Generic[Case]):
     """Robot of some cases: all that differs between robots. Objects go to other processes."""
 
     name: ClassVar[str]
@@ -103,12 +103,11 @@ class CaseMaker(Protocol[Case]):
 
     def draw(self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress) -> tuple[Case, ...]:
         """Draw the truth of all cases, and write what solving may know before them."""
-
-    def check(self, cases: Sequence[Case]) -> Iterator[str]:
-        """Yield how a sealed truth contradicts itself."""
+        raise NotImplementedError
 
     def record(self, path: Path, case: Case) -> None:
         """Record the logs of a case."""
+        raise NotImplementedError
 
     def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
         """Compute what all cases share, in parallel, before they are solved."""
@@ -118,9 +117,11 @@ class CaseMaker(Protocol[Case]):
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose the logs of a case."""
+        raise NotImplementedError
 
-    def score(self, folder: Path, solved: Sequence[tuple[Case, Document]], progress: Progress) -> CaseScore:
+    def score(self, folder: Path, solved: Sequence[tuple[Case, Document]]) -> CaseScore:
         """Compare results with the truth."""
+        raise NotImplementedError
 
 
 def run_steps(
@@ -130,8 +131,6 @@ def run_steps(
 
     Args:
         context: Its folder holds the cases.
-        maker: Robot of the cases.
-        cases: Number of cases.
         step: One of STEPS.
         partial: Score only cases that are solved, instead of refusing others.
         is_kept: Keep the cases in a folder of the name and the seed if the context names none.
@@ -148,7 +147,7 @@ def run_steps(
             solved, every = solve_cases(folder, maker, run, progress)
             document |= {"solved": solved, "cases": every}
         if step in ("all", "score"):
-            found = score_cases(folder, maker, partial, progress)
+            found = score_cases(folder, maker, partial)
             (folder / "score.md").write_text(found.markdown(), encoding="utf-8")
             document |= {**found.document, "in_bounds": found.in_bounds}
         return document
@@ -176,11 +175,8 @@ def make_cases(
         truth = SealedTruth(salt(seed), drawn)
         seal(folder, truth)
     progress(DRAWING_SHARE, 1.0, f"SHA-256 of the truth {truth.digest()}")
-    jobs = [
-        (case_path(folder, maker, case.name).absolute(), maker, case)
-        for case in truth.cases
-        if not case_path(folder, maker, case.name).exists()
-    ]
+    paths = [(case_path(folder, maker, case.name).absolute(), case) for case in truth.cases]
+    jobs = [(path, maker, case) for path, case in paths if not path.exists()]
     of_cases = part_of(progress, DRAWING_SHARE, 1.0)
     for done, name in enumerate(run(record_case, jobs), 1):
         of_cases(done, len(jobs), f"recorded {name}")
@@ -284,8 +280,6 @@ def load_truth(folder: Path, maker: CaseMaker[Case]) -> SealedTruth[Case]:
         truth: SealedTruth[Case] = maker.truth_type.validate_json(raw)
     except ValidationError as error:
         raise BadRequest(f"{path}: was sealed, but is no truth ({describe_first_problem(error)})") from error
-    if contradiction := next(maker.check(truth.cases), None):
-        raise BadRequest(f"{path}: was sealed, but is no truth ({contradiction})")
     return truth
 
 
@@ -329,7 +323,7 @@ def solve_case(job: tuple[Path, CaseMaker[Any], Path]) -> str:
     return case.stem
 
 
-def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool, progress: Progress) -> CaseScore:
+def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore:
     """Score the cases of a folder; the truth must match its digest.
 
     Raises:
@@ -343,7 +337,7 @@ def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool, progress: Pr
             "the step solve goes on, partial=true scores those that are solved"
         )
     solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
-    found = maker.score(folder, solved, progress)
+    found = maker.score(folder, solved)
     return CaseScore({"digest": truth.digest(), **found.document}, found.tables, found.in_bounds)
 
 

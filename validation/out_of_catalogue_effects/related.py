@@ -29,11 +29,9 @@ class ChurningGrease(EachCycle):
     """Friction at an output speed of 0.02 rad/s."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the motor."""
         return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
-        """Compute the friction at the mean speed of the last cycle."""
         now = sample_motor(plant, self.joint)
         share = mean_speed_rad_s(state, now) / FULL_RAD_S
         return now, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * share * share))
@@ -55,11 +53,9 @@ class SharedSeal(EachCycle):
         refuse_first_joint(self.joint)
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the other motor."""
         return sample_motor(plant, Joint(self.joint - 1))
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
-        """Compute the friction at the mean speed of the other motor in the last cycle."""
         now = sample_motor(plant, Joint(self.joint - 1))
         share = abs(mean_speed_rad_s(state, now)) / FULL_RAD_S
         return now, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * share))
@@ -76,7 +72,6 @@ class ChippedTooth(EachCycle):
     sharp: Annotated[float, ParameterSpec(1.0, 1000.0, unit="1", typical=8.0)] = 8.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Return the error at the present motor angle: a pulse, which is shorter if it is sharper."""
         from_tooth_rad = self.turns * float(plant.motor_rad()[self.joint])
         pulse = float(np.exp(self.sharp * (np.cos(from_tooth_rad) - 1.0)))
         return None, Disturbance(gear_rad=at_joint(self.joint, -self.behind_rad * pulse))
@@ -92,11 +87,9 @@ class UnevenMesh(EachCycle):
     """Teeth that pass for one turn of the output."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
-        """Return the stiffness as built."""
         return float(plant.model.tendon_stiffness[plant.at.gear_tendons[self.joint]])
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
-        """Set the stiffness at the present motor angle."""
         between = 0.5 - 0.5 * float(np.cos(self.turns * plant.motor_rad()[self.joint]))
         plant.model.tendon_stiffness[plant.at.gear_tendons[self.joint]] = state / (1.0 + self.share * between)
         return state, Disturbance()
@@ -119,7 +112,6 @@ class TwoJointCable(EachCycle):
         refuse_first_joint(self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Return the torque, which is equal on both outputs."""
         other, angle_rad = Joint(self.joint - 1), plant.output_rad()
         stretch_rad = float(angle_rad[self.joint] + angle_rad[other]) - self.relaxed_rad
         torque_Nm = -self.stiffness_Nm_rad * stretch_rad
@@ -135,11 +127,9 @@ class FilteredSetpoint(EachCycle):
     """Time constant."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> Setpoint:
-        """Return the present set-point, which an arm at rest has had for long."""
         return self._present_setpoint(plant)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Setpoint) -> tuple[Setpoint, Disturbance]:
-        """Apply the filtered set-point; a braked motor has no lag."""
         goal = self._present_setpoint(plant)
         if not self.lag_s or plant.data.eq_active[plant.at.brake[self.joint]]:
             return goal, Disturbance()
@@ -167,7 +157,6 @@ class TwistUnderBending(EachCycle):
     """Coupling as a share of the geometric mean of the two compliances; at 1 the link would buckle."""
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Turn the rest angle about each axis by the present load about the other one."""
         model, at = plant.model, [spring_address(plant, self.link, axis) for axis in ("x", self.axis)]
         stiffness_Nm_rad = model.jnt_stiffness[model.dof_jntid[at]]
         load_Nm = stiffness_Nm_rad * (plant.data.qpos[at] - model.qpos_spring[at])
@@ -187,12 +176,10 @@ class OpeningFlange(EachCycle):
     compliance_rad_Nm: Annotated[float, ParameterSpec(0.0, 1e-3, unit="rad/(N m)", typical=1e-5, neutral=0.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
-        """Return the stiffness as built."""
         bend = spring_address(plant, self.link, self.axis)
         return float(plant.model.jnt_stiffness[plant.model.dof_jntid[bend]])
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
-        """Set the stiffness for the side to which the link is bent, with the compliance in series."""
         bend, sign = spring_address(plant, self.link, self.axis), 1.0 if self.side == "positive" else -1.0
         opens = sign * float(plant.data.qpos[bend] - plant.model.qpos_spring[bend]) > 0.0
         softer = 1.0 + self.compliance_rad_Nm * state * opens
@@ -210,16 +197,15 @@ class LiftingWheel(EachCycle):
     """Moment of either sign at which the wheel lifts."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
-        """Return the stiffness as built."""
         at = spring_address(plant, "rover", self.axis)
         return float(plant.model.jnt_stiffness[plant.model.dof_jntid[at]])
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
-        """Set stiffness and rest angle for the present load, so that it is continuous at the moment."""
         at, stiffness_Nm_rad, rest_rad = spring_address(plant, "rover", self.axis), state, 0.0
         angle_rad = float(plant.data.qpos[at])
         if abs(angle_rad) > self.moment_Nm / state:
             stiffness_Nm_rad = state / (1.0 + self.compliance_rad_Nm * state)
+            # the moment is continuous where the wheel lifts
             rest_rad = -self.compliance_rad_Nm * self.moment_Nm * float(np.sign(angle_rad))
         plant.model.jnt_stiffness[plant.model.dof_jntid[at]] = stiffness_Nm_rad
         plant.model.qpos_spring[at] = rest_rad
@@ -242,7 +228,6 @@ class SaturatingMotor(ReadingError):
     share_1_A: Annotated[float, ParameterSpec(0.0, 10.0, unit="1/A", typical=0.1, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the current that the motor takes."""
         more = at_joint(self.joint, self.share_1_A * abs(float(sensors.current_A[self.joint])))
         return replace(sensors, current_A=sensors.current_A * (1.0 + more))
 
@@ -255,7 +240,6 @@ class DriftingCurrent(ReadingError):
     drift_A_s: Annotated[float, ParameterSpec(-0.6, 0.6, unit="A/s", typical=6e-3, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the drift so far."""
         drifted_A = self.drift_A_s * sensors.cycle / CYCLE_HZ
         return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, drifted_A))
 
@@ -268,6 +252,5 @@ class MagneticResolver(ReadingError):
     shift_rad_A: Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad/A", typical=1e-4, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the shifted angle."""
         shift_rad = self.shift_rad_A * float(sensors.current_A[self.joint])
         return replace(sensors, resolver_rad=sensors.resolver_rad + at_joint(self.joint, shift_rad))

@@ -28,7 +28,6 @@ class DeadBand(EachCycle):
     """Error to either side that it does not correct."""
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Move the set-point towards the present angle by the band, but not beyond it."""
         error_rad = float(plant.data.ctrl[2 * self.joint] - plant.motor_rad()[self.joint])
         plant.data.ctrl[2 * self.joint] -= min(max(error_rad, -self.band_rad), self.band_rad)
         return None, Disturbance()
@@ -43,7 +42,6 @@ class Dither(EachCycle):
     frequency_Hz: Annotated[float, ParameterSpec(0.1, 31.0, unit="Hz", typical=5.0)] = 5.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Add the oscillation at the present time."""
         phase_rad = 2.0 * np.pi * self.frequency_Hz * float(plant.data.time)
         plant.data.ctrl[2 * self.joint] += self.amplitude_rad * float(np.sin(phase_rad))
         return None, Disturbance()
@@ -59,11 +57,9 @@ class FeedForward(EachCycle):
     """Rate at which it is three quarters of the full torque."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
-        """Return the share of the torque that is applied: none at rest."""
         return 0.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
-        """Add the change of the torque to the integral of the controller, which holds it."""
         share = float(np.tanh(plant.data.ctrl[2 * self.joint + 1] / self.rate_rad_s))
         actuator = plant.at.actuators[self.joint]
         _, integral_gain_Nm_rads, _ = plant.model.actuator_gainprm[actuator, GAINS]
@@ -82,11 +78,9 @@ class KickingBrake(EachCycle):
     """Time constant."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
-        """Return the turn so far, zero, of a brake that is just applied."""
         return 0.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
-        """Move the angle at which the brake holds the motor towards that of the seated brake."""
         brake = plant.at.brake[self.joint]
         if not plant.data.eq_active[brake]:
             return 0.0, Disturbance()
@@ -104,13 +98,11 @@ class SlippingBelt(EachCycle):
     """Share at a load of 100 N m."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
-        """Return the motor angle and the slip so far, zero."""
         return float(plant.motor_rad()[self.joint]), 0.0
 
     def cycle(
         self, plant: Plant, hardware: Hardware, state: tuple[float, float]
     ) -> tuple[tuple[float, float], Disturbance]:
-        """Let the output slip in the direction of its load, whichever way the motor moved."""
         (before_rad, slip_rad), now_rad = state, float(plant.motor_rad()[self.joint])
         load = float(plant.gear_torque_Nm()[self.joint]) / LOAD_NM
         slip_rad += self.share * load * abs(now_rad - before_rad)
@@ -137,7 +129,6 @@ class ScrewingBearing(EachCycle):
             raise ValueError("joint: the link after turret is rigid; take another joint")
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Shift the link after the joint by the present output angle."""
         shift_m = self.pitch_m_rad * float(plant.output_rad()[self.joint])
         plant.model.qpos_spring[plant.at.springs[self.joint + 1][ALONG_Z]] = shift_m
         return None, Disturbance()
@@ -152,7 +143,6 @@ class SteadyWind(EachCycle):
     force_N: Annotated[float, ParameterSpec(-400.0, 400.0, unit="N", typical=4.0, neutral=0.0)]
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Apply the force at the centre of mass of the outer half of the link."""
         axis, body = "xyz".index(self.axis), plant.model.body(f"{self.link}_far").id
         plant.data.xfrc_applied[body, axis] = self.force_N * FLIP[axis]
         return None, Disturbance()
@@ -167,7 +157,6 @@ class SwayingRover(EachCycle):
     frequency_Hz: Annotated[float, ParameterSpec(0.01, 2.0, unit="Hz", typical=0.4)] = 0.4
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Rotate the body of the rover under the arm at the present time."""
         phase_rad = 2.0 * np.pi * self.frequency_Hz * float(plant.data.time)
         turned_rad = self.angle_rad * float(np.sin(phase_rad))
         plant.model.qpos_spring[plant.at.springs[0]["xyz".index(self.axis)]] = turned_rad
@@ -190,7 +179,6 @@ class HeaterOnLine(ReadingError):
     """Time from one switching on to the next; it is off in the first half."""
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the current of the heater while it is on."""
         is_on = sensors.cycle / (CYCLE_HZ * self.period_s) % 1.0 >= 0.5
         return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, self.heater_A * is_on))
 
@@ -228,7 +216,6 @@ class _Core:
         return replace(self, centre_A=min(max(self.centre_A, low_A), high_A))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the error of the core."""
         share = (self.centre_A - float(sensors.current_A[self.joint])) / self.reversal_A
         more_A = at_joint(self.joint, self.remanence_A * share)
         return replace(sensors, current_A=sensors.current_A + more_A)
@@ -296,7 +283,6 @@ class _Shaken:
         return replace(self, last_count=now, power=float(share @ share))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return readings with the shift along the axis."""
         gravity_R_m_s2 = sensors.gravity_R_m_s2.copy()
         gravity_R_m_s2[self.axis] += self.shift_m_s2 * self.power
         return replace(sensors, gravity_R_m_s2=gravity_R_m_s2)

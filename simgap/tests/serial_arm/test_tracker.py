@@ -19,7 +19,7 @@ from simgap.serial_arm.effects import (
 )
 from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.model import TERMS
-from simgap.serial_arm.tracker import diagnose_tracker
+from simgap.serial_arm.tracker import diagnose_tracker, fit_tracker
 
 COUNT = 500
 WAVES = (0.0, 3e-4, 0.0, 0.0, 0.0, 0.0)
@@ -175,3 +175,19 @@ def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table
     assert found.errors[0].explained * 1e3 < held_out_mm
     assert "air temperature" in {one.effect for one in found.rejected}
     assert "temperature" not in {one.depends_on for one in found.remaining}
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_the_arm_of_one_series_is_that_of_a_series_four_months_later(real_data):
+    folder, models = real_data / "ur10-tracker", "models/robots/ur10"
+    arm = read_arm(repository_file(f"{models}/arm.toml"))
+    one, other = (
+        read_series(arm, folder / table, repository_file(f"{models}/{mapping}"))
+        for table, mapping in (
+            ("series_a_grid.csv", "series_a.toml"),
+            ("series_c_random_poses.csv", "series_c.toml"),
+        )
+    )
+    moved = fit_tracker(fit_tracker(arm, one).found.arm, other, terms=())
+    assert moved.models[-1].fresh.rms_m < 0.60e-3

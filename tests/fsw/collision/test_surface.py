@@ -40,9 +40,6 @@ def test_level_ground_as_a_surface_has_the_distances_of_the_ground_to_the_last_b
     ground = TargetSurface(np.array([0.0, 0.0, GEOMETRY.ground_z_m]), UP)
     clearance = compute_clearances(GEOMETRY, frames, FAR_M, surface=ground)
     np.testing.assert_array_equal(clearance[COUNTED, SURFACE], clearance[COUNTED, GROUND])
-
-
-def test_without_a_surface_nothing_is_near_one():
     assert np.isinf(compute_clearances(GEOMETRY, READY, FAR_M)[:, SURFACE]).all()
 
 

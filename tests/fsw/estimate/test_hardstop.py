@@ -101,12 +101,7 @@ def test_a_width_that_is_no_gap_leaves_the_drawing_s(width):
     assert 2 * result.half_backlash_rad == pytest.approx(2 * CONFIG.half_backlash_rad[Joint.WRIST])
 
 
-def test_readings_without_a_rise_have_no_line():
-    rng = np.random.default_rng(5)
-    angle = np.linspace(0.03, 0.0, 800)
-    flat = Readings(angle, -40.0 + rng.standard_normal(800))
-    assert fit_contact_line(CONFIG, Joint.WRIST, 0.0, flat) is None
-
-
-def test_a_few_readings_have_no_line():
-    assert fit_contact_line(CONFIG, Joint.WRIST, 0.0, Readings(np.zeros(3), np.zeros(3))) is None
+def test_few_readings_and_readings_without_a_rise_have_no_line():
+    flat = Readings(np.linspace(0.03, 0.0, 800), -40.0 + np.random.default_rng(5).standard_normal(800))
+    for readings in (flat, Readings(np.zeros(3), np.zeros(3))):
+        assert fit_contact_line(CONFIG, Joint.WRIST, 0.0, readings) is None

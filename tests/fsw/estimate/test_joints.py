@@ -35,11 +35,18 @@ def first_update(count, reference=REMEMBERED, **readings):
     return update_joints(CONFIG, uninitialised_estimate(CONFIG, reference), quiet_sensors(count, **readings))
 
 
-def resting(count=(100, 200, 300, 400, 500)):
+def resting(count=(100, 200, 300, 400, 500), reference=REMEMBERED):
     """Return joints under a load, and their sensor readings."""
-    joints = apply_load(CONFIG, first_update(np.array(count)), LOADS_NM)
+    joints = apply_load(CONFIG, first_update(np.array(count), reference), LOADS_NM)
     sensors = quiet_sensors(count, resolver_rad=joints.output_rad + BIAS)
     return joints, sensors
+
+
+def calibrated(joints, joint, off_rad=0.0, share=1.0):
+    """Return joints after one found its hardstop off its drawing, and a share of its backlash."""
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    found = HardstopFit(stop + off_rad, 30.0, 1.5e-5, share * HALF[joint], backlash_measured=True)
+    return apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
 
 
 def test_before_the_first_reading_nothing_is_known():
@@ -107,9 +114,7 @@ def test_the_likely_output_is_the_motor_with_its_likely_gear_angle():
 def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it(joint, off_rad):
     """The new zero changes the angle at which the output met its stop by `off_rad`."""
     before, sensors = resting()
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = HardstopFit(stop + off_rad, 30.0, 1.5e-5, 1.1 * HALF[joint], backlash_measured=True)
-    after = apply_calibration(CONFIG, before, LOADS_NM, joint, found)
+    after = calibrated(before, joint, off_rad, 1.1)
     this = np.arange(5) == joint
     np.testing.assert_allclose(after.motor_rad - before.motor_rad, np.where(this, -off_rad, 0.0), atol=1e-12)
     np.testing.assert_array_equal(after.reference.half_backlash_rad, np.where(this, 1.1 * HALF, 0.9 * HALF))
@@ -120,6 +125,8 @@ def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it
     np.testing.assert_allclose(next_one.motor_rate_rad_s, 0, atol=1e-9)
     # the gear has just dragged the joint off its stop
     np.testing.assert_array_equal(next_one.gear_rad[joint], after.bounds.lowest_rad[joint])
+    first_time, _ = resting(reference=no_reference(CONFIG))
+    np.testing.assert_array_equal(calibrated(first_time, joint).reference.calibrated, this)
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -129,25 +136,13 @@ def test_a_calibration_learns_the_bias_of_its_resolver_from_what_it_reads(joint)
     for _ in range(10 * CYCLE_HZ):
         joints = update_joints(CONFIG, joints, sensors)
     np.testing.assert_allclose(joints.resolver_error_rad, 1e-3, atol=1e-9)
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = HardstopFit(stop + 2e-3, 30.0, 1.5e-5, HALF[joint], backlash_measured=False)
-    joints = apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
+    joints = calibrated(joints, joint, 2e-3)
     for _ in range(10 * CYCLE_HZ):
         joints = update_joints(CONFIG, joints, sensors)
     expected = np.where(np.arange(5) == joint, 0.0, 1e-3)
     np.testing.assert_allclose(joints.resolver_error_rad, expected, atol=1e-9)
     learned = sensors.resolver_rad[joint] - joints.output_rad[joint]
     assert joints.reference.resolver_bias_rad[joint] == pytest.approx(learned, abs=1e-9)
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_joint_calibrated_for_the_first_time_is_calibrated_from_then_on(joint):
-    count = np.array([100, 200, 300, 400, 500])
-    joints = first_update(count, no_reference(CONFIG))
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = HardstopFit(stop, 30.0, 1.5e-5, HALF[joint], backlash_measured=True)
-    joints = apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
-    np.testing.assert_array_equal(joints.reference.calibrated, np.arange(5) == joint)
 
 
 def test_the_resolver_error_is_smoothed():

@@ -180,5 +180,7 @@ def refusal(rig: Rig, command: Command) -> str:
     assert evr.command == type(command).__name__
     assert rig.state.mode is before.mode
     assert rig.state.move is None
+    assert rig.state.changed_config is before.changed_config
+    assert rig.state.joints.down_R is before.joints.down_R
     assert not rig.outputs.drive.brake_release.any()
     return evr.reason

@@ -5,6 +5,7 @@ import pytest
 
 from fsw.dictionary.commands import (
     ROVER,
+    Calibrate,
     Dock,
     GuardedMove,
     MoveJoints,
@@ -23,7 +24,16 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
-from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal
+from tests.fsw.executive.lab import (
+    COMMANDS,
+    CONFIG,
+    HERE,
+    INF,
+    TOUCHED,
+    deployed,
+    guarded_in_contact,
+    refusal,
+)
 from tests.fsw.rig import Rig, floats
 from tests.tools import SWITCHES
 
@@ -34,18 +44,13 @@ def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
     p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
     command = PlaceTool("apxs", HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
     rig = deployed()
-    to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
+    to_standoff, touch = steps_of(rig, command)
     assert isinstance(to_standoff, MoveTool)
     assert isinstance(touch, GuardedMove)
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, p - 0.04 * approach, atol=1e-12)
     np.testing.assert_allclose(touch.end_p_RoTo_R_m, p + 0.02 * approach, atol=1e-12)
     assert to_standoff.line_m == pytest.approx(0.06)
-
-
-def test_a_placement_runs_through_its_moves_and_ends_in_contact():
-    rig = deployed()
-    ahead = rig.here("apxs", 0.02)
-    rig.cycle(PlaceTool("apxs", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02))
+    rig.cycle(COMMANDS[PlaceTool](rig))
     while rig.state.mode is not Mode.GUARDED:
         rig.cycle()
     evrs = rig.run(**TOUCHED)
@@ -64,30 +69,27 @@ def test_a_step_that_cannot_be_is_found_before_the_first_begins():
     assert "clear" not in reason
 
 
+def steps_of(rig, command):
+    return expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
+
+
 def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
     rig = guarded_in_contact()
     X = rig.tool_pose("apxs")
-    back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, ToolChange("mahli"))
+    back, to_standoff, touch = steps_of(rig, ToolChange("mahli"))
     assert back == Retract("apxs", 0.10, "on", "absolute")
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, X.p - 0.10 * X.R[:, 0], atol=2e-5)
     np.testing.assert_allclose(touch.approach_R, X.R[:, 0], atol=1e-5)
     assert (to_standoff.tool, touch.tool) == ("mahli", "mahli")
-
-
-def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
-    rig = guarded_in_contact()
-    command = ToolChange("mahli", deflection="off")
-    back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
+    # without compensation it counts from the rigid arm
+    back, to_standoff, touch = steps_of(rig, ToolChange("mahli", deflection="off"))
     assert {back.deflection, to_standoff.deflection, touch.deflection} == {"off"}
-    deflected = rig.tool_pose("apxs")
     spot = np.array(to_standoff.p_FoTo_F_m) + 0.10 * np.array(to_standoff.approach_F)
-    assert 2e-3 < np.linalg.norm(spot - deflected.p) < 0.1
+    assert 2e-3 < np.linalg.norm(spot - X.p) < 0.1
 
 
 def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
-    rig = guarded_in_contact()
-    command = ToolChange("portion", hover_m=0.03)
-    *_, to_standoff, hover = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
+    *_, to_standoff, hover = steps_of(guarded_in_contact(), ToolChange("portion", hover_m=0.03))
     assert hover.straight
     apart = np.array(hover.p_FoTo_F_m) - np.array(to_standoff.p_FoTo_F_m)
     np.testing.assert_allclose(apart, 0.07 * np.array(hover.approach_F), atol=1e-12)
@@ -115,26 +117,17 @@ def test_the_tool_that_touches_is_not_changed_for_itself():
 def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
     rig = deployed()
     p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
-    (move,) = expand_command(CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05))
-    np.testing.assert_allclose(move.p_FoTo_F_m, p - 0.05 * approach, atol=1e-12)
-    (move,) = expand_command(
-        CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05, along_gravity=True)
-    )
-    np.testing.assert_allclose(move.p_FoTo_F_m, p - [0, 0, 0.05], atol=1e-9)
-    np.testing.assert_allclose(move.approach_F, [0, 0, 1], atol=1e-9)
-
-
-@pytest.mark.parametrize("command", [MoveTeachPoint("there"), Dock("there")])
-def test_a_point_that_was_not_taught_is_refused_with_those_that_were(command):
-    assert refusal(deployed(), command) == "point 'there' was not taught; there are here"
+    for along_gravity, way in ((False, approach), (True, [0, 0, 1])):
+        (move,) = steps_of(rig, MoveTeachPoint("here", 0.05, along_gravity=along_gravity))
+        np.testing.assert_allclose(move.p_FoTo_F_m, p - 0.05 * np.array(way), atol=1e-9)
+        np.testing.assert_allclose(move.approach_F, way, atol=1e-9)
 
 
 def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
     rig = deployed()
-    (touch,) = expand_command(CONFIG, rig.state.joints, rig.state.tool, Dock("here", 0.02))
-    np.testing.assert_allclose(
-        touch.end_p_RoTo_R_m, np.array(HERE.p_RoTo_R_m) + 0.02 * np.array(HERE.approach_R), atol=1e-12
-    )
+    (touch,) = steps_of(rig, Dock("here", 0.02))
+    end = np.array(HERE.p_RoTo_R_m) + 0.02 * np.array(HERE.approach_R)
+    np.testing.assert_allclose(touch.end_p_RoTo_R_m, end, atol=1e-12)
     rig.cycle(Dock("here", 0.02))
     for _ in range(40):
         rig.cycle()
@@ -206,15 +199,13 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (
-            MoveTool("apxs", (0, 0, 0), (1, 0, 0), frame="TOOL"),
-            "frame: 'TOOL' is not known; there are rover",
-        ),
-        (
-            MoveTool("apxs", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]),
-            "a straight move stays",
-        ),
+        (MoveJoints((1.0, INF, 1.0, 1.0, 1.0)), "angle_rad: number 2: inf is outside -7 .. 7"),
+        (Calibrate(2.0), "joint: 2.0 is not known; there are azimuth, elevation, elbow, wrist, turret"),
+        (MoveTool("apxs", (0, 0, 0), (1, 0, 0), frame="TOOL"), "frame: 'TOOL' is not known; there are rover"),
+        (MoveTool("apxs", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]), "a straight move stays"),
         (PlaceTool("portion", (2, 0, 0), (0, 0, 1)), "portion has no contact switch"),
+        (MoveTeachPoint("there"), "point 'there' was not taught; there are here"),
+        (Dock("there"), "point 'there' was not taught; there are here"),
     ],
 )
 def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):

@@ -6,13 +6,7 @@ import pytest
 from fsw.dictionary.commands import ClearFault
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
-from fsw.dictionary.faults import (
-    ContactLost,
-    GravityImplausible,
-    NoContact,
-    OverTemperature,
-    SensorNotFinite,
-)
+from fsw.dictionary.faults import ContactLost, GravityImplausible, NoContact, OverTemperature, SensorNotFinite
 from fsw.executive.context import TRANSITIONS, ModeEvent
 from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
@@ -32,14 +26,6 @@ def respond(rig, before, *found):
     joints, last_rad = rig.state.joints, last_setpoint(rig.state)
     decision = decide(CONFIG.protection, before.mode, before.fault, found, joints.motor_rad, last_rad)
     return apply_decision(CONFIG, before, decision, joints)
-
-
-@pytest.mark.parametrize("mode", Mode)
-def test_what_is_no_fault_changes_nothing_and_is_reported(mode):
-    rig = moving()
-    after = respond(rig, MoveOutcome(mode, rig.state.move, None, None, ()), CommandCompleted("Stop"))
-    assert (after.mode, after.move, after.fault) == (mode, rig.state.move, None)
-    assert after.evrs == (CommandCompleted("Stop"),)
 
 
 @pytest.mark.parametrize("mode", [mode for mode in Mode if (mode, ModeEvent.STOP) in TRANSITIONS])
@@ -66,14 +52,19 @@ def test_power_off_is_a_brake_without_power():
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_fault_brakes_the_move_and_remembers_where_it_happened(mode):
+def test_only_a_fault_brakes_the_move_and_where_it_happened_is_remembered(mode):
     rig = moving()
-    found = (NoContact(0.1), CommandCompleted("Stop"))
-    after = respond(rig, MoveOutcome(mode, rig.state.move, None, None, ()), *found)
+    before, found = (
+        MoveOutcome(mode, rig.state.move, None, None, ()),
+        (NoContact(0.1), CommandCompleted("Stop")),
+    )
+    after = respond(rig, before, *found)
     assert after.mode is Mode.FAULTED
     assert after.move.phase is Phase.BRAKE
     assert after.fault == StandingFault(mode, frozenset({(NoContact, None), (CommandCompleted, None)}))
     assert after.evrs == (*found, RESPONDED)
+    calm = respond(rig, before, found[1])
+    assert (calm.mode, calm.move, calm.fault, calm.evrs) == (mode, rig.state.move, None, found[1:])
 
 
 def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():

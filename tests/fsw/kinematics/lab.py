@@ -23,6 +23,7 @@ from validation.kinematics_trials import (
     claimed_roots,
     find_regular,
     root_distances,
+    root_errors,
     smallest_singular_value,
 )
 
@@ -83,6 +84,14 @@ def assert_poses_found(solved: SolvedTargets) -> None:
     assert not lost.size, [(solved.q[:, k].tolist(), solved.sigma[k]) for k in lost[:3]]
     at = np.flatnonzero(clear & (limit_excess(solved.trial.arm, solved.q).max(axis=0) < -INSIDE_RAD))
     assert (solved.result.verdict[distance.argmin(axis=0)[at], at] == BranchVerdict.VALID).all()
+
+
+def assert_roots_meet(solved: SolvedTargets, bound_m: float, told: float = 2e-8) -> None:
+    """Assert that every root meets its target, and that the result tells by how much."""
+    there = claimed_roots(solved.result)
+    error = root_errors(solved.trial, solved.result, solved.p, solved.a)[there]
+    assert error.max() < bound_m
+    np.testing.assert_allclose(solved.result.error[there], error, rtol=0, atol=told)
 
 
 def closest_roots(result: IkResult) -> np.ndarray:

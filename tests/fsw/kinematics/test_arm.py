@@ -72,15 +72,8 @@ def drawn_tool(tool: str) -> np.ndarray:
 
 
 @given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
-def test_six_parameters_come_back_from_their_transform(theta, d, beta, b, alpha, a):
-    given_numbers = Transform6(theta, d, beta, b, alpha, a)
-    back = pose_to_transform6(transform6_to_pose(given_numbers))
-    for name in Transform6.__slots__:
-        assert getattr(back, name) == pytest.approx(getattr(given_numbers, name), abs=1e-11 / np.cos(beta))
-
-
-@given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
-def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha, a):
+def test_the_link_transform_is_equation_1_of_the_paper_and_its_numbers_come_back(theta, d, beta, b, alpha, a):
+    link = Transform6(theta, d, beta, b, alpha, a)
     expected = (
         turn(rotation_z(np.array(theta)))
         @ translation([0, 0, d])
@@ -89,8 +82,10 @@ def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha,
         @ turn(rotation_x(np.array(alpha)))
         @ translation([a, 0, 0])
     )
-    X = transform6_to_pose(Transform6(theta, d, beta, b, alpha, a))
-    np.testing.assert_allclose(matrix(X), expected, atol=1e-12)
+    np.testing.assert_allclose(matrix(transform6_to_pose(link)), expected, atol=1e-12)
+    back = pose_to_transform6(transform6_to_pose(link))
+    for name in Transform6.__slots__:
+        assert getattr(back, name) == pytest.approx(getattr(link, name), abs=1e-11 / np.cos(beta))
 
 
 def test_the_nominal_soft_limits_are_those_of_the_table():

@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.azimuth import (
-    solve_azimuths,
-    solve_offset_azimuths,
-)
+from fsw.kinematics.azimuth import solve_azimuths, solve_offset_azimuths
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import to_shoulder_frame
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from validation.kinematics_samples import draw_vectors
-from validation.kinematics_trials import Trial, skew_tool
+from validation.kinematics_trials import skew_tool
 
 N = 1000
 DRAWING = config_of().arm
@@ -31,11 +27,6 @@ def feet(arm, q):
     n, z5 = frames.X_RF.R[:, 2, 1], frames.X_RF.R[:, 2, 4]
     sine = np.sum(np.cross(n, X.R[:, 0], axis=0) * z5, axis=0)
     return s, p - s.radius_m * a, a, q[0] + s.theta_rad[0], sine
-
-
-def hard(arm):
-    """Draw joint vectors near and far from double roots."""
-    return draw_vectors(Trial("", arm, "drill", None), np.random.default_rng(2), N)[0]
 
 
 @pytest.mark.parametrize("sine", [1e-1, 1e-3, 1e-5, 1e-7])

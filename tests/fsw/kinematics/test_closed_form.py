@@ -50,18 +50,16 @@ def worst_error(arm, roots, p, a, tool=TOOL):
     return np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
 
 
-@pytest.mark.parametrize("tool", TOOLS)
-def test_the_drawing_is_orthogonal_and_its_tools_radial(tool):
-    s = ARM.orthogonal[tool]
-    assert s.is_exact
-    # to the accuracy of the angles in the tool table
-    assert abs(s.offset_m) < 1e-15
-    assert abs(s.boresight_z) < 1e-15
-    assert not config_of("calibrated:3").arm.orthogonal[tool].is_exact
-
-
-def test_a_tool_alone_does_not_make_the_arm_less_orthogonal():
+def test_the_drawing_is_orthogonal_its_tools_radial_and_the_shape_of_other_tools_is_read():
+    for s in ARM.orthogonal.values():
+        assert s.is_exact
+        # to the accuracy of the angles in the tool table
+        assert max(abs(s.offset_m), abs(s.boresight_z)) < 1e-15
+    assert not config_of("calibrated:3").arm.orthogonal[TOOL].is_exact
     assert skew_tool(1).orthogonal[TOOL].is_exact
+    s = tool_of_the_drawing_but(0.03, 0.2).orthogonal[TOOL]
+    assert abs(s.offset_m) == pytest.approx(0.03 / np.cos(0.2), rel=1e-12)
+    assert abs(s.boresight_z) == pytest.approx(np.sin(0.2), rel=1e-12)
 
 
 @pytest.mark.parametrize("tool", TOOLS)
@@ -81,45 +79,22 @@ def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
     return with_tool(R, X.p + np.array([0.0, offset_m, 0.0]))
 
 
-def test_shape_reads_offset_and_lean_of_a_tool():
-    s = tool_of_the_drawing_but(0.03, 0.2).orthogonal[TOOL]
-    assert abs(s.offset_m) == pytest.approx(0.03 / np.cos(0.2), rel=1e-12)
-    assert abs(s.boresight_z) == pytest.approx(np.sin(0.2), rel=1e-12)
+SHAPES = {"lean": (0.0, 1.2), "aside": (OFFSET_M, 0.0), "skew": (OFFSET_M, TILT_RAD)}
+ANY_TOOL = [
+    *((skew_tool(seed, *shape), seed, N) for seed in range(12) for shape in SHAPES.values()),
+    *((tool_of_the_drawing_but(offset_m), 9, 5 * N) for offset_m in (1e-3, 0.03, 0.06, 0.15)),
+]
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_every_root_of_a_skew_tool_meets_its_target(seed):
-    arm = skew_tool(seed)
-    q = in_limits(config_of(), np.random.default_rng(seed), N)
-    p, a, _ = targets_of(arm, q)
+@pytest.mark.parametrize(("arm", "seed", "n"), ANY_TOOL)
+def test_every_root_of_any_tool_meets_its_target_and_the_pose_that_made_it_is_among_them(arm, seed, n):
+    q = in_limits(config_of(), np.random.default_rng(seed), n)
+    p, a, clear = targets_of(arm, q)
     roots = closed_form(arm, TOOL, p, a)
     there = (roots.missing_m == 0) & (roots.wrist_sine > FREE_SINE)
     assert there.mean() > 0.5
     assert worst_error(arm, roots, p, a)[there].max() < MEETS
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize(
-    ("offset_m", "tilt_rad"),
-    [(0.0, 1.2), (OFFSET_M, 0.0), (OFFSET_M, TILT_RAD)],
-    ids=["lean", "aside", "skew"],
-)
-def test_the_pose_that_made_a_skew_tool_s_target_is_among_its_roots(seed, offset_m, tilt_rad):
-    arm = skew_tool(seed, offset_m, tilt_rad)
-    q = in_limits(config_of(), np.random.default_rng(50 + seed), N)
-    p, a, clear = targets_of(arm, q)
-    roots = closed_form(arm, TOOL, p, a)
-    looked_at = clear > 1e-4
-    assert looked_at.mean() > 0.99
-    assert nearest(roots, q)[looked_at].max() < SAME_RAD
-
-
-@pytest.mark.parametrize("offset_m", [1e-3, 0.03, 0.06, 0.15])
-def test_no_root_of_an_offset_tool_is_lost_near_the_azimuth_axis(offset_m):
-    arm = tool_of_the_drawing_but(offset_m)
-    q = in_limits(config_of(), np.random.default_rng(9), 5 * N)
-    p, a, clear = targets_of(arm, q)
-    roots = closed_form(arm, TOOL, p, a)
+    assert (clear > 1e-4).mean() > 0.99
     assert nearest(roots, q)[clear > 1e-4].max() < SAME_RAD
 
 

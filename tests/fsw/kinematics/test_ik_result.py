@@ -5,12 +5,7 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
-from fsw.kinematics.ik import (
-    FREE_SINE,
-    BranchVerdict,
-    IkResult,
-    describe_slot,
-)
+from fsw.kinematics.ik import FREE_SINE, BranchVerdict, IkResult, describe_slot
 from tests.fsw.rig import config_of
 
 ARM = config_of().arm
@@ -22,12 +17,7 @@ def one(verdict, joint=Joint.AZIMUTH, excess=0.0, error=np.nan, angle=np.nan):
         np.full((5, 8), np.nan), np.zeros((5, 8)), np.zeros(8, int), np.zeros(8, int),
         np.zeros(8), np.full(8, np.nan),
     )  # fmt: skip
-    blank.verdict[2], blank.joint[2], blank.excess[2], blank.error[2] = (
-        verdict,
-        joint,
-        excess,
-        error,
-    )
+    blank.verdict[2], blank.joint[2], blank.excess[2], blank.error[2] = (verdict, joint, excess, error)
     blank.output_rad[:, 2] = angle
     return blank
 

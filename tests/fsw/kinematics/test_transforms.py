@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.linalg import expm
@@ -127,12 +127,15 @@ def test_a_batch_is_its_single_cases(function):
         np.testing.assert_allclose(batch[(..., *index)], function(s[where], t[where]), rtol=0, atol=4e-15)
 
 
-def test_poses_of_a_batch_are_taken_by_the_index_of_the_batch():
+def test_poses_of_a_batch_are_taken_by_the_index_of_the_batch_and_made_one_again():
     X = screw_exp(many(6, 3))
     for index in ((2, 5), 3, (slice(None), 1), (Ellipsis, 0)):
         where = index if isinstance(index, tuple) else (index,)
         np.testing.assert_array_equal(X[index].R, X.R[(slice(None), slice(None), *where)])
         np.testing.assert_array_equal(X[index].p, X.p[(slice(None), *where)])
+    again = stack_poses([X[index] for index in np.ndindex(BATCH)])
+    for k, index in enumerate(np.ndindex(BATCH)):
+        assert_same(again[k], X[index], atol=0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0, np.pi - 1e-9, np.pi])
@@ -142,21 +145,11 @@ def test_the_angle_between_two_vectors_is_that_of_the_turn_between_them(angle):
     assert angle_between(across, 5 * turned) == pytest.approx(angle, abs=4e-15)
 
 
-def test_poses_made_one_are_those_that_they_were():
-    X = screw_exp(many(6, 3))
-    again = stack_poses([X[index] for index in np.ndindex(BATCH)])
-    for k, index in enumerate(np.ndindex(BATCH)):
-        assert_same(again[k], X[index], atol=0)
-
-
 @given(st.floats(-1e3, 1e3))
+@example(np.pi)
+@example(-np.pi)
 def test_wrap_gives_the_same_angle_within_half_a_turn(angle):
     wrapped = wrap_angle(np.array(angle))
     assert -np.pi <= wrapped < np.pi
     turns = (angle - wrapped) / (2 * np.pi)
     assert abs(turns - round(turns)) < 1e-10
-
-
-def test_half_a_turn_wraps_to_the_negative_end():
-    assert wrap_angle(np.array(np.pi)) == -np.pi
-    assert wrap_angle(np.array(-np.pi)) == -np.pi

@@ -47,25 +47,30 @@ def following(move):
     return replace(AT_READY, motor_rad=move.setpoint.motor_rad, motor_rate_rad_s=move.setpoint.rate_rad_s)
 
 
-def test_the_phases_follow_one_another_to_the_end():
-    move, phases, ticks = move_by(0.002), [], 0
+def advance(move, joints=None):
+    """Run a cycle of a move; the joints follow if nothing else is said."""
+    return advance_move(CONFIG, move, following(move) if joints is None else joints, NO_LOAD, SENSORS)
+
+
+def run_through(move):
+    """Run a move to its end; return the move in each cycle, and the last result."""
+    moves = []
     while move is not None:
-        if not phases or phases[-1] is not move.phase:
-            phases.append(move.phase)
-        result = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS)
-        move, ticks = result.move, ticks + 1
-        assert ticks < 2000
-    assert phases == list(Phase)
+        moves.append(move)
+        result = advance(move)
+        move = result.move
+        assert len(moves) < 2000
+    return moves, result
+
+
+def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_the_path_without_a_jump():
+    moves, result = run_through(move_by(0.02))
+    phases = [move.phase for move in moves]
+    assert phases == sorted(phases)
+    assert set(phases) == set(Phase)
     assert result.evrs == (CommandCompleted("MoveJoints"),)
     assert result.end_mode is Mode.DEPLOYED
-
-
-def test_the_set_point_goes_from_the_start_to_the_end_of_the_path_without_a_jump():
-    move, seen = move_by(0.02), []
-    while move is not None:
-        seen.append(move.setpoint.motor_rad)
-        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
-    seen = np.array(seen)
+    seen = np.array([move.setpoint.motor_rad for move in moves])
     np.testing.assert_array_equal(seen[0], READY)
     np.testing.assert_allclose(seen[-1], READY + 0.02, atol=1e-12)
     assert (np.abs(np.diff(seen, axis=0)) <= CONFIG.speed_rad_s / 64 * (1 + 1e-9)).all()
@@ -73,14 +78,9 @@ def test_the_set_point_goes_from_the_start_to_the_end_of_the_path_without_a_jump
 
 def test_paths_run_one_after_the_other_each_to_its_end():
     there, back = joint_path(CONFIG, READY, READY + 0.01), joint_path(CONFIG, READY + 0.01, READY)
-    move = move_by(0.0, paths=(there, back))
-    highest = -np.inf
-    while move is not None:
-        highest = max(highest, move.setpoint.motor_rad[0] - READY[0])
-        last = move
-        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
-    assert highest == pytest.approx(0.01)
-    np.testing.assert_allclose(last.setpoint.motor_rad, READY, atol=1e-12)
+    moves, _ = run_through(move_by(0.0, paths=(there, back)))
+    assert max(move.setpoint.motor_rad[0] for move in moves) == pytest.approx(READY[0] + 0.01)
+    np.testing.assert_allclose(moves[-1].setpoint.motor_rad, READY, atol=1e-12)
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -132,24 +132,20 @@ def test_calm_is_counted_anew_after_the_last_motion():
     move = move_by(0.0, phase=Phase.SETTLE)
     calm = following(move)
     for upset in (0, 3):
-        settling = move
+        settling, cycles = move, 0
         for joints in [calm] * upset + [replace(calm, motor_rad=calm.motor_rad + 1e-3)]:
-            settling = advance_move(CONFIG, settling, joints, NO_LOAD, SENSORS).move
-        cycles = 0
+            settling = advance(settling, joints).move
         while settling.phase is Phase.SETTLE:
-            settling = advance_move(CONFIG, settling, calm, NO_LOAD, SENSORS).move
-            cycles += 1
+            settling, cycles = advance(settling, calm).move, cycles + 1
         assert cycles == CONFIG.settle_ticks
 
 
 def test_a_stop_goes_on_from_the_set_point_without_a_jump():
     move = move_by(0.5)
     for _ in range(300):
-        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
+        move = advance(move).move
     rate = move.setpoint.rate_rad_s
-    braking = advance_move(
-        CONFIG, stop_early(CONFIG, move, Mode.DEPLOYED), following(move), NO_LOAD, SENSORS
-    ).move
+    braking = advance(stop_early(CONFIG, move, Mode.DEPLOYED), following(move)).move
     step = braking.setpoint.motor_rad - move.setpoint.motor_rad
     np.testing.assert_allclose(step, (rate + braking.setpoint.rate_rad_s) / 2 / 64, atol=1e-12)
     assert (braking.setpoint.rate_rad_s < rate).all()

@@ -163,15 +163,10 @@ def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
         assert near_mm == pytest.approx(10.0, abs=RUN_UP_MM)
 
 
-def unstowing():
-    return way(np.array(PARAMS.poses.stowed_rad), *PARAMS.poses.unstow_via_rad, READY)
-
-
 def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
-    there = unstowing()
-    back = way(READY, *PARAMS.poses.unstow_via_rad[::-1], PARAMS.poses.stowed_rad)
-    for paths in (there, back):
-        assert check_paths(CONFIG, JOINTS, paths, PADDING_M) is None
+    there = np.array([PARAMS.poses.stowed_rad, *PARAMS.poses.unstow_via_rad, READY])
+    for poses_rad in (there, there[::-1]):
+        assert check_paths(CONFIG, JOINTS, way(*poses_rad), PADDING_M) is None
 
 
 def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():

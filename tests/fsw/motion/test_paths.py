@@ -32,17 +32,11 @@ poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.d
 
 @settings(max_examples=30)
 @given(poses)
-def test_a_joint_move_goes_from_rest_to_rest(pair):
+def test_a_joint_move_goes_from_rest_to_rest_within_speed_and_acceleration_and_never_turns_back(pair):
     path = joint_path(CONFIG, *pair)
     for time, pose in ((0.0, pair[0]), (path.duration_s, pair[1]), (path.duration_s + 5, pair[1])):
         np.testing.assert_allclose(path.at(time).motor_rad, pose, atol=1e-9)
         np.testing.assert_allclose(path.at(time).rate_rad_s, 0, atol=1e-9)
-
-
-@settings(max_examples=30)
-@given(poses)
-def test_a_joint_move_keeps_to_its_speed_and_acceleration_and_never_turns_back(pair):
-    path = joint_path(CONFIG, *pair)
     times, angle, rate = sampled(path)
     assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
     acceleration = np.diff(rate, axis=0) / np.diff(times)[:, None]
@@ -75,10 +69,7 @@ def test_a_move_to_where_the_arm_is_takes_no_time_and_stays():
     np.testing.assert_array_equal(path.at(1.0).rate_rad_s, 0)
 
 
-@given(
-    hnp.arrays(float, 5, elements=st.floats(-1, 1)),
-    hnp.arrays(float, 5, elements=st.floats(-3, 3)),
-)
+@given(hnp.arrays(float, 5, elements=st.floats(-1, 1)), hnp.arrays(float, 5, elements=st.floats(-3, 3)))
 def test_a_stop_begins_where_the_move_was_and_slows_every_joint_to_rest(share, angle):
     start = Setpoint(angle, share * CONFIG.speed_rad_s)
     path = stop_path(CONFIG, start)
@@ -164,7 +155,7 @@ CROSSING = [
         for start in ("facing", "ready")
         # in the ready pose the drill is parallel to the pitch axes: no line starts there
         if (tool, start) != ("drill", "ready")
-    ),
+    )
 ]
 
 

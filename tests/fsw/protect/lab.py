@@ -1,5 +1,7 @@
 """An arm in plain values to which nothing happens, and the readings of its sensors."""
 
+from pathlib import Path
+
 import numpy as np
 
 from fsw.dictionary.enums import Mode
@@ -17,6 +19,8 @@ READY = np.array(PARAMS.poses.ready_rad)
 ZERO = np.zeros(5)
 WOUND_RAD = CONFIG.half_backlash_rad + 0.02
 """Gears that a load holds far out on a flank."""
+
+PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 
 STILL = MoveStatus(
     setpoint_rad=READY,
@@ -93,3 +97,16 @@ def assert_reports_from(persistence, check, event):
         assert check(count) == (count + 1, ())
     for count in (persistence - 1, persistence, 7 * persistence):
         assert check(count) == (count + 1, (event,))
+
+
+def rows(heading):
+    """The cells of the table under a heading of the page of faults."""
+    section = PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def persistence_of(kind):
+    """The persistence of a monitor, as the page has it: a number, or the name of a parameter."""
+    said = next(row[3] for row in rows("Monitors") if row[0] == kind.__name__)
+    return int(said) if said.isdigit() else getattr(MONITORS, said.strip("`"))

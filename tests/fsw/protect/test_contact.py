@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
-from fsw.kinematics.chain import forward, tool_pose
 from fsw.protect.contact import (
     FORCE_GAIN,
     FULL_LEVER_M,
@@ -46,6 +45,7 @@ from tests.fsw.protect.lab import (
     resting,
     sensors,
 )
+from tests.fsw.rig import levers_m
 from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
 
 FREE = [Mode.STOWED, Mode.DEPLOYED, Mode.FREE_SPACE]
@@ -97,13 +97,9 @@ def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactl
 
 
 @with_switches
-def test_one_closed_switch_is_contact_whichever_it_is_and_counting_begins_anew(tool):
+def test_one_closed_switch_is_contact_and_a_tool_that_hardly_presses_may_have_its_switches_open(tool):
     for switch in TOOL_SWITCHES[tool]:
         assert check_contact_kept(BOUNDS, 100, a_press(tool, 300.0), closed(switch)) == (0, ())
-
-
-@with_switches
-def test_a_tool_that_hardly_presses_may_have_its_switches_open(tool):
     for force_N in (STEP_N, 0.0, -1.0):
         assert check_contact_kept(BOUNDS, 100, a_press(tool, force_N), closed()) == (0, ())
 
@@ -118,14 +114,8 @@ def wound_by(torque_Nm, **changes):
 
 
 def test_at_the_ready_pose_the_drill_has_leverage_enough_for_its_force_to_be_told():
-    """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, READY), "drill").R[:, 0]
-
-    def along_m(q):
-        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), "drill").p @ axis_R
-
-    levers_m = np.array([along_m(READY - step) - along_m(READY + step) for step in 1e-5 * np.eye(5)]) / 2e-5
-    found_N, lever_m = force_error(wound_by(200.0 * levers_m), levers_m)
+    drill_m = levers_m(CONFIG.arm, "drill", READY)
+    found_N, lever_m = force_error(wound_by(200.0 * drill_m), drill_m)
     assert found_N == pytest.approx(200.0)
     assert lever_m > LEAST_LEVER_M
 
@@ -263,20 +253,13 @@ def test_unless_a_tool_approaches_no_force_is_looked_for(arm):
 
 @with_switches
 def test_an_approach_begins_with_no_force_and_the_wind_up_that_virtual_work_gives(tool):
-    """By finite differences: how far each joint moves the tool along its axis."""
-    output_rad = READY + WOUND_RAD
-    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, output_rad), tool).R[:, 0]
-
-    def along_m(q):
-        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), tool).p @ axis_R
-
-    moved_m = [along_m(output_rad + step) - along_m(output_rad - step) for step in 1e-5 * np.eye(5)]
     off_rad = np.array([1e-4, -2e-4, 3e-4, 0.0, 5e-5])
     state, found = approach(approaching(tool, resolver_error_rad=off_rad), None)
     assert found == ()
     assert state.force_N == 0.0
     np.testing.assert_array_equal(state.rest_rad, off_rad)
-    np.testing.assert_allclose(state.rad_per_N, -np.array(moved_m) / 2e-5 / STIFFNESS, atol=1e-12)
+    expected = levers_m(CONFIG.arm, tool, READY + WOUND_RAD) / STIFFNESS
+    np.testing.assert_allclose(state.rad_per_N, expected, atol=1e-12)
 
 
 @joints

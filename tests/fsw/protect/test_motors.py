@@ -66,15 +66,11 @@ def unsafe_setpoint(last_rad, setpoint_rad, homing=None, bounds=BOUNDS):
 
 @joints
 @pytest.mark.parametrize("value", BAD)
-def test_what_is_no_number_does_not_go_out(joint, value):
+def test_what_is_no_number_does_not_go_out_and_nothing_after_it(joint, value):
     (evr,) = unsafe_setpoint(READY, at(joint, value, READY))
     assert isinstance(evr, SetpointUnsafe)
     assert evr.joint is joint
     assert evr.last_rad == READY[joint]
-
-
-@joints
-def test_nothing_goes_out_after_what_was_no_number(joint):
     assert unsafe_setpoint(at(joint, np.nan, READY), READY) != ()
 
 
@@ -87,12 +83,9 @@ def test_a_jump_is_a_step_larger_than_speed_and_factor_allow(joint, sign):
         assert unsafe_setpoint(ZERO, at(joint, jump), bounds=WIDE) == (SetpointUnsafe(joint, jump, 0.0),)
 
 
-def test_of_several_set_points_that_must_not_go_out_the_first_is_named():
+def test_of_several_set_points_that_must_not_go_out_the_first_is_named_and_none_is_left_out():
     (evr,) = unsafe_setpoint(ZERO, np.array([0.0, 0.0, 5.0, 0.0, 9.0]), bounds=WIDE)
     assert evr == SetpointUnsafe(Joint.ELBOW, 5.0, 0.0)
-
-
-def test_no_joint_is_left_out_of_the_check_of_set_points():
     with pytest.raises(ValueError, match="shorter"):
         unsafe_setpoint(READY[:4], READY)
 
@@ -186,11 +179,7 @@ def lagging(joint, lag_rad):
 RESOLVER_RAD = MONITORS.resolver_error_rad
 MONITORED = {
     "angle below": (BOUNDS, below, lambda j, beyond: (standing_at(j, beyond(LOWEST[j])), {})),
-    "angle above": (
-        BOUNDS,
-        above,
-        lambda j, beyond: (standing_at(j, beyond(HIGHEST[j])), {}),
-    ),
+    "angle above": (BOUNDS, above, lambda j, beyond: (standing_at(j, beyond(HIGHEST[j])), {})),
     "behind": (ANY_ANGLE, above, lambda j, beyond: (lagging(j, -beyond(LAG_RAD)), {})),
     "ahead": (ANY_ANGLE, above, lambda j, beyond: (lagging(j, beyond(LAG_RAD)), {})),
     "current below": (BOUNDS, above, lambda j, beyond: (moving(), {"current_A": at(j, -beyond(OVER_A[j]))})),
@@ -301,12 +290,9 @@ def test_a_motor_near_its_set_point_or_asked_to_stand_or_in_homing_has_not_stall
     assert stall(100, joint, 0.0, ASKED, homing=Joint.AZIMUTH) == (0, ())
 
 
-def test_motors_that_all_lag_far_but_turn_as_they_are_asked_to_have_not_stalled():
+def test_motors_that_all_lag_have_stalled_only_if_they_lack_their_rate_and_the_worst_is_named():
     move = a_move(setpoint_rate_rad_s=np.array([0.01, -0.02, 0.01, -0.01, 0.03]))
     assert check_stall(BOUNDS, 100, move, np.ones(5), move.setpoint_rate_rad_s) == (0, ())
-
-
-def test_of_two_motors_that_stall_the_one_that_lacks_more_of_its_rate_is_named():
     move = a_move(setpoint_rate_rad_s=np.array([0.01, 0.02, 0.01, 0.01, 0.01]))
     _, (evr,) = check_stall(BOUNDS, 1000, move, np.ones(5), ZERO)
     assert evr == MotorStalled(Joint.ELEVATION, 0.0, 0.02)
@@ -336,18 +322,14 @@ def test_a_hot_winding_is_reported_whether_the_arm_moves_or_not(joint, is_moving
 
 
 @joints
-def test_a_cold_winding_is_reported_of_an_arm_that_moves(joint):
+def test_a_cold_winding_is_reported_of_an_arm_that_moves_unless_another_is_hot(joint):
     bound, persistence = MONITORS.winding_min_C, MONITORS.winding_persistence
     assert check_windings(BOUNDS, 100, True, at(joint, bound, 20.0)) == (0, ())
     cold = at(joint, below(bound), bound)
     event = UnderTemperature(joint, below(bound), bound)
     assert_reports_from(persistence, lambda count: check_windings(BOUNDS, count, True, cold), event)
     assert check_windings(BOUNDS, 100, False, cold) == (0, ())
-
-
-def test_a_winding_too_hot_counts_more_than_one_too_cold():
-    both = np.array([200.0, -140.0, 0.0, 0.0, 0.0])
-    _, found = check_windings(BOUNDS, 1000, True, both)
+    _, found = check_windings(BOUNDS, 1000, True, np.array([200.0, -140.0, 0.0, 0.0, 0.0]))
     assert found == (OverTemperature(Joint.AZIMUTH, 200.0, MONITORS.winding_max_C),)
 
 
@@ -366,9 +348,6 @@ def test_a_resolver_is_reported_beyond_its_bound_and_what_is_unknown_of_its_gear
     assert (evr.joint, evr.error_rad) == (joint, sign * 2 * bound)
     assert evr.bound_rad == pytest.approx(1.75 * bound, rel=1e-12)
     assert check_resolvers(BOUNDS, 100, off._replace(gear_uncertainty_rad=np.full(5, bound))) == (0, ())
-
-
-@joints
-def test_a_resolver_of_a_joint_that_is_not_calibrated_disagrees_with_nothing(joint):
-    off = resting(resolver_error_rad=at(joint, 1.0), calibrated=np.arange(5) != joint)
-    assert check_resolvers(BOUNDS, 100, off) == (0, ())
+    # one that is not calibrated disagrees with nothing
+    unknown = resting(resolver_error_rad=at(joint, 1.0), calibrated=np.arange(5) != joint)
+    assert check_resolvers(BOUNDS, 100, unknown) == (0, ())

@@ -40,6 +40,7 @@ from tests.fsw.protect.lab import (
     at,
     closed,
     moving,
+    persistence_of,
     resting,
     sensors,
 )
@@ -78,27 +79,21 @@ FAR = moving(a_move(setpoint_rad=READY + at(ELBOW, 0.02)))
 OUTSIDE = at(ELBOW, BOUNDS.highest_rad[ELBOW] + 0.01, READY)
 TURNED_R = np.array([2.0, 0.0, 3.0])
 PERSISTENT = {
-    FollowingErrorHigh: (MONITORS.following_persistence, "following", FAR, {}),
-    MotorStalled: (MONITORS.stall_persistence, "stalled", stalling(), {}),
-    OverCurrent: (MONITORS.over_current_persistence, "over_current", moving(), {"current_A": HIGH_A}),
-    OverTemperature: (MONITORS.winding_persistence, "winding", resting(), {"winding_C": HOT}),
-    UnderTemperature: (MONITORS.winding_persistence, "winding", moving(), {"winding_C": COLD}),
-    ResolverDisagrees: (
-        MONITORS.resolver_persistence,
-        "resolver",
-        resting(resolver_error_rad=at(ELBOW, 1.0)),
-        {},
-    ),
-    TiltChanged: (MONITORS.tilt_persistence, "tilt", moving(imu_R_m_s2=TURNED_R), {}),
-    ContactLost: (MONITORS.contact_persistence, "contact", pressing(), {}),
+    FollowingErrorHigh: ("following", FAR, {}),
+    MotorStalled: ("stalled", stalling(), {}),
+    OverCurrent: ("over_current", moving(), {"current_A": HIGH_A}),
+    OverTemperature: ("winding", resting(), {"winding_C": HOT}),
+    UnderTemperature: ("winding", moving(), {"winding_C": COLD}),
+    ResolverDisagrees: ("resolver", resting(resolver_error_rad=at(ELBOW, 1.0)), {}),
+    TiltChanged: ("tilt", moving(imu_R_m_s2=TURNED_R), {}),
+    ContactLost: ("contact", pressing(), {}),
     PreloadOutside: (
-        MONITORS.preload_persistence,
         "press",
         pressing(resolver_error_rad=500.0 * LEVERS_M / STIFFNESS),
         {"switch_closed": PRESSED},
     ),
 }
-"""Persistence, name of the count, and an arm with readings beyond the bound."""
+"""Name of the count, and an arm with readings beyond the bound."""
 AT_ONCE = {
     ContactInFreeSpace: (resting(), {"switch_closed": closed("drt_1")}),
     SoftLimitPassed: (
@@ -113,22 +108,16 @@ def kinds(found):
 
 
 @pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
-def test_a_monitor_with_a_persistence_reports_from_it_on_and_counts_by_itself(kind):
-    persistence, name, arm, readings = PERSISTENT[kind]
-    state = MonitorState()
+def test_a_monitor_with_a_persistence_reports_from_it_on_counts_by_itself_and_from_the_start(kind):
+    name, arm, readings = PERSISTENT[kind]
+    state, persistence = MonitorState(), persistence_of(kind)
     for cycle in range(1, persistence + 4):
         state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
         assert kinds(found) == ([kind] if cycle >= persistence else [])
         counts = {field: getattr(state.counts, field) for field in state.counts.__slots__}
         assert counts.pop(name) == cycle
         assert set(counts.values()) == {0}
-
-
-@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
-def test_what_is_over_before_its_persistence_counts_from_the_start(kind):
-    persistence, _, arm, readings = PERSISTENT[kind]
-    quiet = pressing() if arm.mode is Mode.PRELOAD else moving()
-    state = MonitorState()
+    quiet, state = pressing() if arm.mode is Mode.PRELOAD else moving(), MonitorState()
     for cycle in range(1, 4 * persistence):
         if cycle % persistence:
             state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
@@ -186,7 +175,7 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
 
 @pytest.mark.parametrize("kind", [MotorStalled, FollowingErrorHigh, OverCurrent])
 def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(kind):
-    persistence, _, arm, readings = PERSISTENT[kind]
+    persistence, (_, arm, readings) = persistence_of(kind), PERSISTENT[kind]
     arm = arm._replace(move=arm.move._replace(is_releasing=True))
     state = MonitorState()
     for cycle in range(1, 2 * persistence):
@@ -196,7 +185,7 @@ def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(
 
 
 def test_an_arm_that_is_being_stopped_may_be_cold():
-    persistence, _, arm, readings = PERSISTENT[UnderTemperature]
+    persistence, (_, arm, readings) = persistence_of(UnderTemperature), PERSISTENT[UnderTemperature]
     for cold in (arm._replace(move=arm.move._replace(is_stopping=True)), resting()):
         state = MonitorState()
         for cycle in range(1, 2 * persistence):
@@ -263,14 +252,11 @@ def protected(arm, fault=None, unusable=(), of_move=(), last_rad=READY, state=No
     return protect(BOUNDS, state, fault, arm, live(1, **readings), last_rad, unusable, of_move)
 
 
-def test_if_nothing_happens_nothing_is_decided():
+def test_nothing_is_decided_unless_something_happens():
     for arm in (resting(), moving(), pressing()):
         state, decision = protected(arm, switch_closed=pressed(arm))
         assert decision is None
         assert state.cycle == 1
-
-
-def test_any_and_all_switches_that_close_in_free_space_are_noticed():
     for closed_ones in (closed("drt_1"), closed(*SWITCHES)):
         _, decision = protected(resting(), switch_closed=closed_ones)
         assert kinds(decision.evrs) == [ContactInFreeSpace, FaultResponse]

@@ -102,18 +102,14 @@ def test_gravity_is_implausible_outside_its_bounds_in_any_direction(direction):
             assert evr.gravity_m_s2 == pytest.approx(pull_m_s2, rel=1e-12)
 
 
-@pytest.mark.parametrize(("bound", "beyond"), [(MIN_m_s2, below), (MAX_m_s2, above)])
-def test_gravity_at_its_bound_is_plausible_and_the_next_number_is_not(bound, beyond):
-    assert found_in(gravity_R_m_s2=[0.0, 0.0, bound]) == ()
-    assert found_in(gravity_R_m_s2=[0.0, 0.0, beyond(bound)]) != ()
-
-
-@pytest.mark.parametrize(("bound", "beyond"), [(MIN_C, below), (MAX_C, above)])
-def test_a_structure_at_its_bound_is_plausible_and_the_next_number_is_not(bound, beyond):
-    assert found_in(structure_C=bound) == ()
-    assert found_in(structure_C=beyond(bound)) == (
-        StructureTemperatureImplausible(beyond(bound), MIN_C, MAX_C),
-    )
+def test_gravity_and_structure_at_their_bounds_are_plausible_and_the_next_number_is_not():
+    for bound, beyond in ((MIN_m_s2, below), (MAX_m_s2, above)):
+        assert found_in(gravity_R_m_s2=[0.0, 0.0, bound]) == ()
+        assert found_in(gravity_R_m_s2=[0.0, 0.0, beyond(bound)]) != ()
+    for bound, beyond in ((MIN_C, below), (MAX_C, above)):
+        wrong = StructureTemperatureImplausible(beyond(bound), MIN_C, MAX_C)
+        assert found_in(structure_C=bound) == ()
+        assert found_in(structure_C=beyond(bound)) == (wrong,)
 
 
 def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
@@ -136,8 +132,16 @@ def with_one_the_same(place):
     return tuple(x if k == place else x + 0.5 * (-1) ** k for k, x in enumerate(BEFORE))
 
 
-def test_readings_that_all_change_are_alive_however_long_they_stood():
+def test_readings_that_change_are_alive_however_long_they_stood_and_frozen_sensors_are_named_once_each():
     assert check_frozen(BOUNDS, (10_000,) * 14, BEFORE, LATER) == ((0,) * 14, ())
+    bound = MONITORS.frozen_persistence
+    stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3 + (0,)
+    _, found = check_frozen(BOUNDS, stood, BEFORE, BEFORE)
+    assert found == (SensorFrozen("resolver_rad", bound), SensorFrozen("gravity_R_m_s2", bound + 4))
+    counts = NONE_UNCHANGED
+    for before, now in pairwise([BEFORE, BEFORE, BEFORE, LATER, LATER]):
+        counts, _ = check_frozen(BOUNDS, counts, before, now)
+    assert counts == (1,) * 14
 
 
 @pytest.mark.parametrize("place", range(14))
@@ -153,13 +157,6 @@ def test_a_number_that_stays_the_same_is_counted_by_itself_and_named_from_its_pe
         assert found == (SensorFrozen(SENSOR_AT[place], stood + 1),)
 
 
-def test_sensors_that_are_frozen_together_are_named_once_each_and_those_that_only_stand_are_not():
-    bound = MONITORS.frozen_persistence
-    stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3 + (0,)
-    _, found = check_frozen(BOUNDS, stood, BEFORE, BEFORE)
-    assert found == (SensorFrozen("resolver_rad", bound), SensorFrozen("gravity_R_m_s2", bound + 4))
-
-
 def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
     with pytest.raises(ValueError, match="shorter"):
         check_frozen(BOUNDS, (0,) * 13, BEFORE, BEFORE)
@@ -167,14 +164,11 @@ def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
         check_frozen(BOUNDS, (10_000,) * 13, BEFORE[:13], BEFORE[:13])
 
 
-def test_cycles_are_counted_from_the_second_call_on():
+def test_cycles_are_counted_from_the_second_call_on_and_a_count_that_repeats_or_goes_back_is_a_fault():
     for before, now in ((None, 12345), (7, 8), (-2, -1)):
         assert check_cycle_count(BOUNDS, before, now) == ()
-
-
-@pytest.mark.parametrize("now", [7, 6, -43, -(10**9)])
-def test_a_count_that_repeats_or_goes_back_is_a_fault(now):
-    assert check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
+    for now in (7, 6, -43, -(10**9)):
+        assert check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
 
 
 @pytest.mark.parametrize("before", [-5, 0, 1000])
@@ -230,10 +224,3 @@ def test_a_turn_of_exactly_the_bound_is_none(angle_rad):
     for bound, said in ((exactly, False), (below(exactly), True)):
         bounds = replace(BOUNDS, monitors=replace(MONITORS, tilt_rad=bound))
         assert bool(check_tilt(bounds, 0, planned, read)[0]) is said
-
-
-def test_counts_of_readings_go_on_from_cycle_to_cycle():
-    counts = NONE_UNCHANGED
-    for before, now in pairwise([BEFORE, BEFORE, BEFORE, LATER, LATER]):
-        counts, _ = check_frozen(BOUNDS, counts, before, now)
-    assert counts == (1,) * 14

@@ -2,14 +2,13 @@
 
 import re
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsw.dictionary import faults
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, FaultResponse
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, FaultResponse
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
     ContactLost,
@@ -21,9 +20,8 @@ from fsw.dictionary.faults import (
 )
 from fsw.dictionary.motion_params import MonitorParams
 from fsw.protect.responses import RESPONSE_TO, Response, StandingFault, decide, identify, response_to
-from tests.fsw.protect.lab import BOUNDS, CONFIG, MONITORS, READY, at
+from tests.fsw.protect.lab import BOUNDS, CONFIG, MONITORS, READY, at, rows
 
-PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
     Fault
 }
@@ -32,13 +30,6 @@ FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and i
 def test_every_fault_has_a_response_and_every_response_is_used():
     assert set(RESPONSE_TO) == FAULTS
     assert set(RESPONSE_TO.values()) == set(Response)
-
-
-def rows(heading):
-    """The cells of the table under a heading of the page."""
-    section = PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
-    lines = [line for line in section.splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
 def test_the_page_says_of_every_fault_what_is_done_about_it():
@@ -75,17 +66,6 @@ def test_two_events_are_the_same_news_if_they_are_of_one_class_and_about_the_sam
     assert identify(NoContact(0.1)) == identify(NoContact(0.2)) == (NoContact, None)
 
 
-def test_what_is_no_fault_has_no_response():
-    quiet: tuple[Evr, ...] = (
-        CommandCompleted("Stop"),
-        ContactMade("apxs_1", 0.1),
-        CommandAborted("Stop"),
-    )
-    assert response_to(quiet) is None
-    assert response_to(()) is None
-    assert response_to((*quiet, NoContact(0.1))) is Response.BRAKE_AND_REFUSE
-
-
 def test_of_several_faults_the_severest_response_counts_in_whatever_order_they_come():
     stop, brake, off = CyclesMissed(9, 4), NoContact(0.1), OverCurrent(Joint.ELBOW, 5.0, 4.75)
     for several, response in (
@@ -99,10 +79,7 @@ def test_of_several_faults_the_severest_response_counts_in_whatever_order_they_c
         assert response_to(several[::-1]) is response
 
 
-BRAKING = {
-    NoContact(0.1): Response.BRAKE_AND_REFUSE,
-    OverCurrent(Joint.ELBOW, 5.0, 4.75): Response.POWER_OFF,
-}
+BRAKING = {NoContact(0.1): Response.BRAKE_AND_REFUSE, OverCurrent(Joint.ELBOW, 5.0, 4.75): Response.POWER_OFF}
 
 
 def decision(*found, mode=Mode.FREE_SPACE, fault=None, motor_rad=READY):
@@ -110,19 +87,20 @@ def decision(*found, mode=Mode.FREE_SPACE, fault=None, motor_rad=READY):
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_what_is_no_fault_is_reported_and_nothing_is_done(mode):
-    done = decision(CommandCompleted("Stop"), mode=mode)
-    assert (done.response, done.fault, done.evrs) == (None, None, (CommandCompleted("Stop"),))
-
-
-@pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("trouble", BRAKING, ids=lambda evr: evr.name)
-def test_a_fault_that_brakes_stands_in_the_mode_in_which_it_happened(trouble, mode):
+def test_only_a_fault_has_a_response_and_one_that_brakes_stands_in_the_mode_in_which_it_happened(
+    trouble, mode
+):
     found = (trouble, CommandAborted("MoveJoints"))
     done = decision(*found, mode=mode)
     assert done.response is BRAKING[trouble]
     assert done.fault == StandingFault(mode, frozenset({identify(trouble), (CommandAborted, None)}))
     assert done.evrs == (*found, FaultResponse(BRAKING[trouble].value))
+    quiet = CommandCompleted("Stop"), ContactMade("apxs_1", 0.1), CommandAborted("Stop")
+    assert response_to(quiet) is response_to(()) is None
+    assert response_to((*quiet, trouble)) is BRAKING[trouble]
+    done = decision(*quiet, mode=mode)
+    assert (done.response, done.fault, done.evrs) == (None, None, quiet)
 
 
 def test_a_fault_that_only_stops_does_not_stand():

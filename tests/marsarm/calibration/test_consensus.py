@@ -24,27 +24,20 @@ def test_outputs_that_are_off_by_one_angle_lie_where_they_were_dragged_to():
     assert np.mean(find_consensus(on_one_side(off))) > 0.95
 
 
-def test_one_that_slipped_is_left_out():
-    off = np.append(np.full(8, 3e-4), [1e-4, 5e-4])
-    assert find_consensus(on_one_side(off)).tolist() == 8 * [True] + 2 * [False]
-
-
-def test_outputs_that_slipped_each_by_itself_do_not_make_a_narrower_gap():
-    """All agree with the uncertain width, but no two agree with each other."""
-    assert not find_consensus(on_one_side(np.linspace(-5e-4, 5e-4, 6))).any()
-
-
-def test_few_outputs_tell_nothing_of_a_gap_whose_width_is_not_known():
-    assert not find_consensus(on_one_side(np.zeros(4))).any()
-
-
-def test_where_others_have_told_the_width_one_output_is_enough():
-    assert find_consensus(on_one_side([2e-5], width_rad=1e-5)).all()
-    assert not find_consensus(on_one_side([2e-4], width_rad=1e-5)).any()
-
-
-def test_an_angle_that_no_built_arm_has_is_not_agreed_upon():
-    assert not find_consensus(on_one_side(np.full(8, 1e-3))).any()
+@pytest.mark.parametrize(
+    ("off_rad", "width_rad", "agree"),
+    [
+        ([*np.full(8, 3e-4), 1e-4, 5e-4], WIDTH_RAD, 8 * [True] + 2 * [False]),
+        (np.linspace(-5e-4, 5e-4, 6), WIDTH_RAD, 6 * [False]),
+        (np.zeros(4), WIDTH_RAD, 4 * [False]),
+        ([2e-5], 1e-5, [True]),
+        ([2e-4], 1e-5, [False]),
+        (np.full(8, 1e-3), WIDTH_RAD, 8 * [False]),
+    ],
+    ids=["two slipped", "no two agree", "too few", "width known", "width known, off", "no built arm"],
+)
+def test_outputs_agree_with_the_model_and_with_most_others_of_their_side(off_rad, width_rad, agree):
+    assert find_consensus(on_one_side(off_rad, width_rad)).tolist() == agree
 
 
 def test_outliers_are_found_named_and_left_out():

@@ -187,12 +187,6 @@ def test_a_file_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
     assert len(read_log(path)["/joint"]) == 1
 
 
-def test_a_reserved_file_that_was_not_written_is_gone(tmp_path: Path) -> None:
-    with pytest.raises(KeyError), reserve(tmp_path / "run.mcap", "log"):
-        raise KeyError
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_file_that_another_run_deletes_before_it_is_locked_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,7 +1,6 @@
 """Options of verbs and of their requests are the same, and checks follow their declaration."""
 
 import inspect
-import json
 import subprocess
 import sys
 from dataclasses import MISSING, dataclass
@@ -10,7 +9,6 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 import pytest
-import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.arms.request import ArmRequest
@@ -23,7 +21,7 @@ from marsarm.view.request import ViewRequest
 from simgap.command import app
 from simgap.command import request as simgap_request
 from simgap.command.request import CheckRequest
-from simgap.common.errors import BadRequest, RobotError
+from simgap.common.errors import BadRequest
 from simgap.common.options import Option, check_options, option_fields
 from simgap.common.verb import VerbResult, give_address, verb
 from tests.marsarm.command import ROOT
@@ -135,19 +133,6 @@ def test_a_request_is_built_from_the_options(capsys):
     work(**given | {"table": ["x"], "size": 2.0, "no_out": True, "as_json": True})
     assert requests == [Request(), Request(("x",), 2.0, files=Files(None))]
     assert capsys.readouterr().out == 'a table\n{\n  "size": 2.0\n}\n'
-
-
-def test_an_error_of_the_diagnosis_of_a_robot_is_reported_in_one_sentence(capsys):
-    @verb
-    def work() -> VerbResult:
-        raise RobotError("time: column 'time' is missing")
-
-    with pytest.raises(typer.Exit) as ended:
-        work(as_json=True)
-    assert ended.value.exit_code == 2
-    out, err = capsys.readouterr()
-    assert json.loads(out) == {"error": "time: column 'time' is missing"}
-    assert err == "time: column 'time' is missing\n"
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,6 @@ def test_the_version_is_that_of_the_package(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, f"marsarm {version('marsarm')}\n", "")
 
 
-def test_a_verb_is_still_needed(tmp_path):
-    assert marsarm(tmp_path).returncode == 2
-
-
 def test_the_shell_completes_verbs_and_options():
     for words, expected in (
         ("marsarm re", {"reach", "replay"}),

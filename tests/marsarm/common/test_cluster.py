@@ -17,7 +17,7 @@ from fsw.config import digest
 from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import cluster
-from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, run_here
+from marsarm.common.pool import Runner, WorkersDied, in_order, run_here, select_runner
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
 from sim.params import nominal_params
@@ -26,7 +26,7 @@ from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 from validation.campaigns import Context
-from validation.joints import hardstops
+from validation.hardstops import campaign as hardstops
 
 pytestmark = [
     pytest.mark.slow,
@@ -91,7 +91,7 @@ def nodes() -> Iterator[LoopbackCluster]:
 
 @pytest.fixture
 def run(nodes) -> Runner:
-    return cluster_runner(nodes.address)
+    return select_runner(None, nodes.address)
 
 
 @pytest.fixture(scope="module")
@@ -226,5 +226,5 @@ def test_a_node_that_is_killed_half_way_changes_nothing(nodes, one_process):
                 two.kill_node()
             after.append(done)
 
-        assert measure_arms(cluster_runner(two.address), list_arms(200, 7), kill_half_way) == one_process
+        assert measure_arms(select_runner(None, two.address), list_arms(200, 7), kill_half_way) == one_process
         assert len(after) == 200

@@ -9,7 +9,7 @@ from multiprocessing import active_children
 
 import pytest
 
-from marsarm.common.pool import WorkersDied, cluster_runner, in_order, local_runner
+from marsarm.common.pool import WorkersDied, in_order, local_runner, select_runner
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
@@ -36,11 +36,7 @@ def test_an_error_of_the_work_is_not_swallowed_and_the_next_call_works():
 def test_without_ray_a_cluster_is_refused_with_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(BadRequest, match=r"ray is not installed; pip install 'marsarm\[cluster\]'"):
-        cluster_runner()
-
-
-def test_short_jobs_go_in_larger_tasks_and_each_is_done_once():
-    assert sorted(local_runner(2)(square, range(20_000))) == [x * x for x in range(20_000)]
+        select_runner(None, "auto")
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -1,5 +1,6 @@
 """Every class is in the dictionary, and every entry has its unit and its text."""
 
+from operator import attrgetter
 from typing import get_args
 
 import numpy as np
@@ -35,18 +36,14 @@ def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None
         assert (one.unit is not None) == one.type.startswith(("float", "int")), name
 
 
-def test_every_entry_has_a_text(whole: Dictionary) -> None:
+def test_every_entry_and_every_field_has_a_text(whole: Dictionary) -> None:
     for entry in (*whole.commands, *whole.evrs, *whole.packets):
         assert entry.text, entry.name
-
-
-def test_every_channel_parameter_and_argument_has_its_own_text(whole: Dictionary) -> None:
-    fields = [one for entry in (*whole.commands, *whole.packets) for one in entry.fields]
-    for one in (*fields, *whole.parameters):
+    for one in (
+        *(one for entry in (*whole.commands, *whole.packets) for one in entry.fields),
+        *whole.parameters,
+    ):
         assert one.text, one.name
-
-
-def test_every_field_of_an_evr_has_a_text_or_is_in_its_message(whole: Dictionary) -> None:
     for evr in whole.evrs:
         for one in evr.fields:
             assert one.text or f"{{e.{one.name}" in evr.message, f"{evr.name}.{one.name}"
@@ -57,7 +54,7 @@ def test_every_command_evr_topic_and_fault_is_there(whole: Dictionary) -> None:
     kinds = {kind.__name__ for kind in all_kinds if kind.__module__.startswith("fsw.")}
     assert {entry.name for entry in whole.commands} == {kind.__name__ for kind in get_args(Command)}
     assert {entry.name for entry in whole.evrs} == kinds - {"Fault"}
-    assert [entry.name for entry in whole.packets] == [topic.name for topic, _ in PACKET_TOPICS]
+    assert [entry.name for entry in whole.packets] == [topic.name for topic in PACKET_TOPICS.values()]
     assert {e.name: e.response for e in whole.evrs if e.response} == {
         kind.__name__: response.value for kind, response in RESPONSE_TO.items()
     }
@@ -80,8 +77,8 @@ def test_the_shapes_are_those_of_a_run() -> None:
     loop = ClosedLoop(Setup(arm, World("mars"), arm.params.poses.ready_rad), with_truth=True)
     cycles = [loop.cycle((Stop(),) if k == 0 else ()) for k in range(64)]
     seen = set()
-    for topic, packet_of in PACKET_TOPICS:
-        packet = next(p for p in map(packet_of, cycles) if p is not None)
+    for topic in PACKET_TOPICS.values():
+        packet = next(p for p in map(attrgetter(topic.path), cycles) if p is not None)
         for name in topic.field_names:
             value = getattr(packet, name)
             if isinstance(value, np.ndarray):
@@ -89,7 +86,7 @@ def test_the_shapes_are_those_of_a_run() -> None:
                     f"{topic.name}.{name}"
                 )
                 seen.add(topic.name)
-    assert seen == {topic.name for topic, _ in PACKET_TOPICS}
+    assert seen == {topic.name for topic in PACKET_TOPICS.values()}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Reach map of the primary workspace, and its picture."""
 
-import json
 import sys
 
 import numpy as np
@@ -92,12 +91,4 @@ def test_without_matplotlib_there_is_a_message_and_no_picture(tmp_path, monkeypa
     document = to_json(reach_document(report))
     assert document["picture"] is None
     assert "pip install matplotlib" in document["picture_problem"]
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_with_json_there_is_one_document(tmp_path):
-    done = marsarm(tmp_path, "reach", "--samples", "50", "--no-picture", "--json", "--gravity", "earth")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["gravity"] == "earth"
-    assert json.loads(done.stdout)["picture"] is None
     assert list(tmp_path.iterdir()) == []

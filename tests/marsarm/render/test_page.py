@@ -127,8 +127,8 @@ def test_numbers_stay_on_a_line_and_text_wraps():
         ("budget", BudgetRequest(), ""),
         (
             "budget",
-            BudgetRequest(case="mars", reproduce=True, report=Path("a.html")),
-            "--case mars --reproduce",
+            BudgetRequest(case="mars", mismatch=True, report=Path("a.html")),
+            "--case mars --mismatch",
         ),
         (
             "monte-carlo",

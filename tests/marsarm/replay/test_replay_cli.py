@@ -31,14 +31,6 @@ def log_of_today(tmp_path_factory) -> str:
     return str(make(fault, tmp_path_factory.mktemp("today")))
 
 
-def test_a_difference_is_status_3_and_events_come_first(folder, log_of_today):
-    done = marsarm(folder, "replay", log_of_today, "--params", "other.toml", "--channel", "/drive.*")
-    assert done.returncode == 3
-    labels = [line.split()[0] for line in done.stdout.splitlines()]
-    assert labels.index("parameter") < labels.index("event") < labels.index("channel")
-    assert "/drive.setpoint_rate_rad_s[4]: from tick" in done.stdout
-
-
 def test_a_difference_as_a_document(folder, log_of_today):
     done = marsarm_process(folder, "replay", log_of_today, "--params", "other.toml", "--json")
     assert done.returncode == 3

@@ -11,10 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from marsarm.telemetry.export import export, index_suffixes
-from marsarm.telemetry.inspection import NoSuchChannel, range_of, select_channels, summarize_log
+from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.tables import channels_document, info_document
 from sim.record import CycleRecord
-from simgap.common.errors import BadOutput
+from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import no_progress
 
 HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
@@ -98,7 +99,7 @@ def test_where_nothing_can_be_written_nothing_is(
 ) -> None:
     (tmp_path / "file.txt").write_text("mine")
     if why == "no such":
-        with pytest.raises(NoSuchChannel, match="has no topic /jiont; it has /command, /drive"):
+        with pytest.raises(BadRequest, match="has no topic /jiont; it has /command, /drive"):
             export(log, tmp_path / out, ["/jiont"], no_progress)
     else:
         with pytest.raises(BadOutput, match=why):
@@ -107,27 +108,27 @@ def test_where_nothing_can_be_written_nothing_is(
 
 
 def test_a_log_in_numbers(log: Log) -> None:
-    info = summarize_log(log)
-    assert (info.cycles, info.first_s, info.duration_s) == (41, 0.0, 41 / 64)
-    assert [one.name for one in info.topics if one.is_truth] == ["/truth"]
-    assert info.evrs == {"ACTIVITY_HI": 82}
-    assert next(one for one in info.topics if one.name == "/joint").rate_hz == 64.0
+    info = info_document(log)
+    assert (info["cycles"], info["first_s"], info["duration_s"]) == (41, 0.0, 41 / 64)
+    assert [one["topic"] for one in info["topics"] if one["truth"]] == ["/truth"]
+    assert info["evrs"] == {"ACTIVITY_HI": 82}
+    assert next(one for one in info["topics"] if one["topic"] == "/joint")["rate_hz"] == 64.0
 
 
 def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
-    rad, flags = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
-    assert (rad.name, rad.type_name, rad.unit) == ("/joint.motor_rad", "float64[5]", "rad")
+    chosen = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
+    rad, flags = channels_document(log, chosen)["channels"]
+    assert (rad["channel"], rad["type"], rad["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
     finite = log["/joint"]["motor_rad"][np.isfinite(log["/joint"]["motor_rad"])]
-    assert (range_of(rad).low, range_of(rad).high) == (finite.min(), finite.max())
-    assert range_of(rad).not_finite >= 5
-    assert (range_of(flags).low, range_of(flags).high) == (0, 1)
-    assert len(select_channels(log)) == sum(
-        len(packets.dtype.names or ()) for packets in log.packets.values()
-    )
+    assert (rad["min"], rad["max"]) == (finite.min(), finite.max())
+    assert rad["not_finite"] >= 5
+    assert (flags["min"], flags["max"]) == (0, 1)
+    every = sum(len(packets.dtype.names or ()) for packets in log.packets.values())
+    assert len(select_channels(log)) == every
 
 
 def test_a_pattern_that_matches_nothing_is_refused(log: Log) -> None:
     with pytest.raises(
-        NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log info"
+        BadRequest, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log info"
     ):
         select_channels(log, ["/joint/mode", "/joint/moter"])

@@ -7,8 +7,8 @@ from functools import cache
 import pytest
 
 from fsw.dictionary.commands import MoveJoint, Stop
-from fsw.dictionary.enums import Joint, Mode
-from marsarm.telemetry.header import commands_header, flight_header, model_digest, run_header, start_header
+from fsw.dictionary.enums import Joint
+from marsarm.telemetry.header import commands_header, flight_header, model_digest, run_header
 from sim.arms import arm_named
 from sim.effects.gears import CoulombFriction
 from sim.effects.geometry import Warming
@@ -57,13 +57,6 @@ def test_the_flight_header_has_nothing_of_the_plant():
     assert KEYS - flown.keys() == {"arm", "seed", "request", "effects", "mjcf_sha256"}
 
 
-def test_two_headers_of_one_run_are_the_same():
-    command = (MoveJoint(Joint.WRIST, 1.0),)
-    assert run_header(nominal(), "nominal", 3, {}, command) == run_header(
-        loop_of(), "nominal", 3, {}, command
-    )
-
-
 def test_the_plants_digest_knows_the_world_and_the_arm():
     loops = (nominal(), loop_of(world=World(tilt_roll_rad=1e-9)), loop_of("as-built:1"))
     assert len({model_digest(loop.plant.model) for loop in loops}) == 3
@@ -74,11 +67,6 @@ def test_a_digest_is_that_of_the_commands_as_written():
     written = [{"type": "MoveJoint", "fields": {"joint": "WRIST", "angle_rad": 0.1, "backlash": "on"}}]
     assert json.loads(header["commands"]) == written
     assert header["commands_sha256"] == hashlib.sha256(header["commands"].encode()).hexdigest()
-
-
-def test_the_reference_may_be_absent():
-    header = start_header(arm_named("nominal").params, Mode.DEPLOYED, None)
-    assert json.loads(header["boot"]) == {"mode": "DEPLOYED", "reference": None}
 
 
 def test_a_run_under_way_has_no_header_any_more():

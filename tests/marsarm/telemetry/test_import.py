@@ -10,18 +10,19 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pyarrow import csv, parquet
+from pyarrow import parquet
 from typer.testing import CliRunner
 
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.format import TICK_NS
-from marsarm.telemetry.import_mapping import MAX_TICK, known_targets
-from marsarm.telemetry.import_table import ImportedLog, ImportRequest, convert_table, import_table
+from marsarm.telemetry.import_mapping import known_targets
+from marsarm.telemetry.import_table import ImportedLog, convert_table, import_table
 from marsarm.telemetry.read import Log, read_log
 from simgap.common.errors import BadRequest, RobotError
-from validation.fuzz_inputs import BETWEEN, MAPPING, import_once, import_seeds, mutate_import, random_case
+from simgap.common.progress import no_progress
+from validation.fuzz_inputs import import_once, random_case
 
 DOC = Path(__file__).parents[3] / "docs" / "logs.md"
 GRID_S = np.arange(4) / 64
@@ -71,55 +72,45 @@ def exported(log: Log) -> tuple[dict[str, Any], str]:
     mapping = '[time]\ncolumn = "t"\n'
     for name, target in known_targets().items():
         numbers = log[target.topic][target.field.name].reshape(N_CYCLES, -1)
-        if target.field.kind == "<i8" and target.members is None:
+        if target.field.kind == "<i8" and target.field.members is None:
             numbers = numbers % 1000
         names = [f"{name}.{k}" for k in range(target.size)]
         columns |= dict(zip(names, numbers.T, strict=True))
-        unit = "" if target.members is not None else f'unit = "{target.unit}"'
+        unit = "" if target.field.members is not None else f'unit = "{target.unit}"'
         mapping += channel(name, f"columns = {json.dumps(names)}\n{unit}")
     return columns, mapping
+
+
+def imported(folder: Path) -> Log:
+    """Import the table of a folder by its mapping."""
+    import_table(folder / "t.parquet", folder / "m.toml", folder / "o.mcap", no_progress)
+    return read_log(folder / "o.mcap")
 
 
 def test_a_table_of_a_run_is_that_run(run: Log, tmp_path: Path) -> None:
     columns, mapping = exported(run)
     parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'arm = "theirs"\n{mapping}')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
-    log = read_log(tmp_path / "o.mcap")
+    log = imported(tmp_path)
     assert log.packets.keys() == run.packets.keys()
     assert log.truth == run.truth
     for name, target in known_targets().items():
-        if target.field.kind != "<i8" or target.members is not None:
+        if target.field.kind != "<i8" or target.field.members is not None:
             here, there = (one[target.topic][target.field.name] for one in (log, run))
             assert here.tobytes() == there.tobytes(), name
     assert json.loads(log.header["request"])["import"]["table"].endswith("t.parquet")
     assert (log.header["arm"], log.header["mjcf_sha256"], log.end) == ("theirs", "unknown", "closed")
 
 
-@pytest.mark.parametrize("kind", ["csv", "npz", "mcap"])
-def test_other_formats_hold_the_same(run: Log, tmp_path: Path, kind: str) -> None:
-    target = known_targets()["/sensors.current_A"]
-    names = [f"a{k}" for k in range(target.size)]
-    numbers = np.nan_to_num(run["/sensors"]["current_A"], posinf=0, neginf=0)
-    columns = {"t": np.arange(N_CYCLES) / 64} | dict(zip(names, numbers.T, strict=True))
-    path, time = tmp_path / f"t.{kind}", 'column = "t"'
-    match kind:
-        case "csv":
-            csv.write_csv(pa.table(columns), path)
-        case "npz":
-            np.savez(path, **columns)
-        case "mcap":
-            path = run.path
-            time, numbers = 'grid = "nearest"', run["/sensors"]["current_A"]
-            names = [f"/sensors.current_a[{k}]" for k in range(target.size)]
+def test_the_channel_of_a_log_is_imported_again(run: Log, tmp_path: Path) -> None:
+    names = [f"/sensors.current_a[{k}]" for k in range(5)]
     (tmp_path / "m.toml").write_text(
-        f"[time]\n{time}\n" + channel("/sensors.current_A", f'columns = {json.dumps(names)}\nunit = "A"')
+        '[time]\ngrid = "nearest"\n'
+        + channel("/sensors.current_A", f'columns = {json.dumps(names)}\nunit = "A"')
     )
-    (series,) = convert_table(path, tmp_path / "m.toml").series
+    (series,) = convert_table(run.path, tmp_path / "m.toml").series
     assert series.spec.topic == "/imported/sensors"
-    assert series.data["current_A"].tobytes() == np.ascontiguousarray(numbers).tobytes()
+    assert series.data["current_A"].tobytes() == run["/sensors"]["current_A"].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -127,12 +118,8 @@ def test_other_formats_hold_the_same(run: Log, tmp_path: Path, kind: str) -> Non
     [
         ("arm.x_rad", "deg", 180.0, np.pi),
         ("arm.x_rad_s", "rpm", 60.0, 2 * np.pi),
-        ("arm.x_A", "mA", 1500.0, 1.5),
         ("arm.x_C", "K", 273.15, 0.0),
         ("arm.x_K", "degC", 0.0, 273.15),
-        ("arm.x_Nm", "mN m", 2500.0, 2.5),
-        ("arm.x_m_s2", "g0", 1.0, 9.80665),
-        ("arm.x_share", "%", 50.0, 0.5),
     ],
 )
 def test_units_are_converted_to_those_of_a_log(
@@ -140,12 +127,6 @@ def test_units_are_converted_to_those_of_a_log(
 ) -> None:
     made = mapped(channel(f"/imported/{name}", f'columns = "a"\nunit = "{unit}"'), a=[given_value] * 4)
     assert values(made) == pytest.approx(np.full(4, kept), rel=1e-15, abs=1e-15)
-
-
-def test_a_factor_and_an_offset_come_before_the_unit(mapped: Any) -> None:
-    rest = 'columns = ["a", "b", "c", "d", "e"]\nunit = "deg"\nfactor = [1, -1, 1, 1, 2]\noffset = 90'
-    made = mapped(channel("/joint.motor_rad", rest), **{name: [45.0] * 4 for name in "abcde"})
-    assert values(made)[0] == pytest.approx(np.radians([135, 45, 135, 135, 180]), rel=1e-15)
 
 
 @given(st.lists(st.floats(width=64), min_size=4, max_size=4))
@@ -239,10 +220,6 @@ def test_a_channel_of_a_lower_rate_has_messages_where_it_has_values(mapped: Any)
     }
 
 
-def test_the_last_tick_of_the_last_table_fits_a_log() -> None:
-    assert (2 * MAX_TICK) * TICK_NS < 2**64
-
-
 def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> None:
     columns, mapping = exported(run)
     for name in ("gravity_R_m_s2", "winding_C", "structure_C"):
@@ -250,9 +227,7 @@ def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> 
     columns["/sensors.gravity_R_m_s2.2"] = np.full(N_CYCLES, 3.721)
     parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'{mapping}[session]\nname = "cold-again"\nblock = "cold"\n')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
+    imported(tmp_path)
     with pytest.raises(NotForDiagnosis, match=r"import it with a \[reference\]"):
         load_recording(tmp_path / "o.mcap")
     (tmp_path / "arm.toml").write_text("[monitors]\ntilt_rad = 0.02\n")
@@ -260,9 +235,7 @@ def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> 
         file.write("[reference]\nzero_rad = [0.1, -0.2, 0.3, 0.0, 1.5]\n")
     text = (tmp_path / "m.toml").read_text()
     (tmp_path / "m.toml").write_text(f'params = "arm.toml"\n{text}')
-    import_table(
-        ImportRequest(tmp_path / "t.parquet", tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None
-    )
+    imported(tmp_path)
     here = load_recording(tmp_path / "o.mcap")
     assert (here.name, here.block, here.params.monitors.tilt_rad) == ("cold-again", "cold", 0.02)
     assert here.start.zero_rad.tolist() == [0.1, -0.2, 0.3, 0.0, 1.5]
@@ -367,7 +340,7 @@ def test_the_tracker_s_table_of_the_page_becomes_a_log(real_data: Path, tmp_path
     examples = re.findall(r"```toml\n(.*?)```", DOC.read_text(), re.DOTALL)
     (tmp_path / "m.toml").write_text(next(text for text in examples if "UR10" in text))
     table = real_data / "ur10-tracker" / "series_a_grid.csv"
-    made = import_table(ImportRequest(table, tmp_path / "m.toml", tmp_path / "o.mcap"), lambda *_: None)
+    made = import_table(table, tmp_path / "m.toml", tmp_path / "o.mcap", no_progress)
     assert made.rows == 11_911
     assert made.rows_moved > 0
     log = read_log(tmp_path / "o.mcap")
@@ -385,18 +358,3 @@ def test_the_tracker_s_table_of_the_page_becomes_a_log(real_data: Path, tmp_path
 def test_odd_tables_are_imported_or_refused_and_nothing_else_happens() -> None:
     outcomes = [import_once(random_case(np.random.default_rng(seed))) for seed in range(TRIES)]
     assert 0.02 * TRIES < sum(outcomes) < TRIES
-
-
-def test_what_is_changed_is_imported_or_refused_and_nothing_else_happens() -> None:
-    rng = np.random.default_rng(6)
-    seeds = import_seeds()
-    assert all(import_once(seed) for seed in seeds)
-    outcomes = [import_once(mutate_import(rng, seeds[k % len(seeds)])) for k in range(TRIES // 4)]
-    assert 0 < sum(outcomes) < TRIES // 4
-
-
-@pytest.mark.parametrize(
-    "data", [b"", BETWEEN, b"\0" * 100, b"[" * 5000 + BETWEEN, MAPPING, MAPPING + BETWEEN]
-)
-def test_what_is_hardly_a_file_is_refused(data: bytes) -> None:
-    assert not import_once(data)

@@ -34,29 +34,11 @@ def run_json(folder, *words):
     return json.loads(ran.stdout)
 
 
-def test_info_says_what_the_log_holds(folder):
-    found = run_json(folder, "info", "run.mcap")
-    assert (found["closed"], found["cycles"], found["duration_s"]) == (True, CYCLES, CYCLES / 64)
-    topics = {one["topic"]: one for one in found["topics"]}
-    assert (topics["/joint"]["messages"], topics["/joint"]["rate_hz"]) == (CYCLES, 64.0)
-    assert [name for name, one in topics.items() if one["truth"]] == ["/truth"]
-    assert found["header"]["arm"] == "nominal"
-    assert sum(found["evrs"].values()) == topics["/evr"]["messages"]
-    assert found["lost"] == []
-
-
 def test_a_log_cut_short_is_said_to_be(folder):
     found = run_json(folder, "info", "cut.mcap")
     assert not found["closed"]
     assert 0 < found["cycles"] < CYCLES
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
-
-
-def test_channels_lists_types_units_and_ranges(folder):
-    (found,) = run_json(folder, "info", "run.mcap", "/joint/motor_rad*")["channels"]
-    values = read_log(folder / "run.mcap")["/joint"]["motor_rad"]
-    assert (found["channel"], found["type"], found["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
-    assert (found["messages"], found["min"], found["max"]) == (CYCLES, values.min(), values.max())
 
 
 def test_channels_of_a_part(folder):
@@ -80,23 +62,12 @@ def test_plot_draws_a_picture(folder):
     assert (folder / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_export_writes_a_file_a_topic(folder):
-    found = run_json(folder, "export", "run.mcap", "tables", "--topic", "/joint", "--topic", "/evr")
-    assert {one["topic"]: one["file"] for one in found["files"]} == {
-        "/joint": "tables/joint.parquet",
-        "/evr": "tables/evr.parquet",
-    }
-    assert found["files"][0]["rows"] == CYCLES
-    assert {path.name for path in (folder / "tables").iterdir()} == {"joint.parquet", "evr.parquet"}
-
-
 def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
     found = run_json(folder, "recover", "broken.mcap", "good.mcap")
-    lost = {one["topic"]: one for one in found["lost"]}
-    assert (lost["/joint"]["messages"], found["saved"]["/joint"]) == (1, CYCLES - 1)
-    assert lost["/joint"]["after_s"] < lost["/joint"]["before_s"]
+    assert found["saved"]["/joint"] == CYCLES - 1
     assert run_json(folder, "info", "good.mcap")["lost"] == found["lost"]
     assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
+    assert "recovered" not in marsarm(folder, "log", "info", "run.mcap").stdout
 
 
 def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
@@ -115,15 +86,6 @@ def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
         ran = marsarm(folder, "log", verb[0], name, *verb[1:], name)
         assert ran.returncode == 2
         assert (folder / name).read_bytes() == written
-
-
-def test_one_channel_is_one(folder):
-    ran = marsarm_process(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
-    assert ran.stdout == "1 channel in p.png\n"
-
-
-def test_the_group_of_verbs_has_an_example(folder):
-    assert "Example: marsarm log info run.mcap" in marsarm(folder, "log", "--help").stdout
 
 
 @pytest.mark.parametrize("verb", ["info", "plot", "export", "recover"])

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from io import FileIO
@@ -13,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import IndexType, Writer
 
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
@@ -33,11 +33,11 @@ ROOT = Path(__file__).parents[3]
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("missing/run.mcap", "directory .*missing does not exist; make it"),
-        ("", "is a directory; give the path of a file"),
+        ("missing/run.mcap", "there is no folder .*missing"),
+        ("", "this is a folder; name a file in it"),
         ("nul\0.mcap", "cannot be written"),
         ("x" * 300, "cannot be written"),
-        ("file/run.mcap", "does not exist"),
+        ("file/run.mcap", "there is no folder"),
         ("pipe", "is not a regular file"),
     ],
     ids=["no directory", "a directory", "zero byte", "too long", "below a file", "a pipe"],
@@ -57,7 +57,7 @@ def test_a_path_that_cannot_be_written_is_refused_and_left_as_it_was(
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_directory_without_permission_is_refused(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(LogNotWritable, match="Permission denied"):
+    with pytest.raises(LogNotWritable, match="no right to write there"):
         Recorder(tmp_path / "run.mcap", {})
 
 
@@ -83,12 +83,6 @@ def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
     assert "File too large" in ran.stdout
     assert ran.stderr == ""
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
-
-
-def test_a_log_replaces_the_one_before_it(make: Any, tmp_path: Path) -> None:
-    path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(50)))
-    make.record(path, [make.cycle_at(0)])
-    assert len(read_log(path)["/sensors"]) == 1
 
 
 def test_a_log_is_written_where_a_link_points_to(make: Any, tmp_path: Path) -> None:
@@ -255,36 +249,20 @@ def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, clo
     assert (len(log["/joint"]), log.truncated) == (40, False)
 
 
-def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) -> None:
+def test_the_summary_is_that_of_the_messages(make: Any, tmp_path: Path) -> None:
     path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(30)), chunk_cycles=1)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary, messages = reader.get_summary(), list(reader.iter_messages(log_time_order=False))
     assert summary is not None
-    stock = tmp_path / "stock.mcap"
-    writer = Writer(str(stock), enable_data_crcs=True, index_types=IndexType.ALL)
-    writer.start()
-    for schema in summary.schemas.values():
-        writer.register_schema(schema.name, schema.encoding, schema.data)
-    for channel in summary.channels.values():
-        writer.register_channel(channel.topic, channel.message_encoding, channel.schema_id, channel.metadata)
-    for _, _, message in messages:
-        writer.add_message(
-            message.channel_id, message.log_time, message.data, message.publish_time, message.sequence
-        )
-    writer.finish()
-    with stock.open("rb") as file:
-        expected = make_reader(file).get_summary()
-    assert expected is not None
-    assert summary.schemas == expected.schemas
-    assert summary.channels == expected.channels
-    ours, theirs = summary.statistics, expected.statistics
-    assert ours is not None
-    assert theirs is not None
-    for name in ("message_count", "channel_message_counts", "message_start_time", "message_end_time",
-                 "schema_count", "channel_count"):  # fmt: skip
-        assert getattr(ours, name) == getattr(theirs, name), name
-    assert (ours.chunk_count, ours.metadata_count, len(summary.metadata_indexes)) == (31, 2, 2)
+    told = summary.statistics
+    assert told is not None
+    assert told.channel_message_counts == Counter(message.channel_id for _, _, message in messages)
+    assert told.message_count == len(messages)
+    times_ns = [message.log_time for _, _, message in messages]
+    assert (told.message_start_time, told.message_end_time) == (min(times_ns), max(times_ns))
+    assert (told.schema_count, told.channel_count) == (len(summary.schemas), len(summary.channels))
+    assert (told.chunk_count, told.metadata_count, len(summary.metadata_indexes)) == (31, 2, 2)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from marsarm.telemetry.errors import LogDamaged, LogNotReadable, LostMessages
+from marsarm.telemetry.errors import LogDamaged, LostMessages
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
@@ -66,6 +66,7 @@ def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: P
 def test_losses_at_the_end_are_of_an_unknown_number(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
     assert recovered.lost == (LostMessages(None, None, (N_CYCLES - 2) * TICK_NS, None),)
+    assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.156250 s"
 
 
 def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(make: Any, tmp_path: Path) -> None:
@@ -80,12 +81,6 @@ def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(make: Any,
 def test_losses_at_the_beginning_are_reported(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
     assert LostMessages("/joint", 1, None, TICK_NS) in recovered.lost
-
-
-def test_the_losses_at_the_end_of_a_truncated_log_are_unknown(tmp_path: Path, data: bytes) -> None:
-    recovered = saved(tmp_path, data[: chunk_of(data, 8) + 100])
-    assert recovered.lost == (LostMessages(None, None, 7 * TICK_NS, None),)
-    assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.109375 s"
 
 
 def test_an_undamaged_log_loses_nothing(tmp_path: Path, data: bytes) -> None:
@@ -137,24 +132,6 @@ def test_recovering_twice_gives_the_same_values_and_losses(tmp_path: Path, data:
     twice = read_log(tmp_path / "good.mcap")
     assert second.lost == first.lost
     assert all(packets.tobytes() == twice[topic].tobytes() for topic, packets in once.packets.items())
-
-
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [(b"", "nothing can be saved"), (b"tick,angle_rad\n0,0.5\n", "nothing can be saved")],
-    ids=["empty", "foreign"],
-)
-def test_what_is_no_log_cannot_be_recovered(tmp_path: Path, content: bytes, why: str) -> None:
-    with pytest.raises(LogNotReadable, match=why):
-        saved(tmp_path, content)
-    assert not (tmp_path / "good.mcap").exists()
-
-
-def test_a_later_format_cannot_be_recovered(tmp_path: Path, data: bytes) -> None:
-    later = bytearray(data)
-    later[data.index(b"version") + len(b"version") + 4] = ord("9")
-    with pytest.raises(LogNotReadable, match="log format 9"):
-        saved(tmp_path, bytes(later))
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from functools import reduce
-from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree
 
@@ -12,7 +11,7 @@ import pytest
 
 from fsw.config import configure
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
-from marsarm.telemetry.robot_description import draw_scene, roll_pitch_yaw, visuals_of
+from marsarm.telemetry.robot_description import draw_scene, visuals_of
 from marsarm.telemetry.ros_messages import RosEncoder
 from sim.arm_model.load import arm_names
 from sim.arms import arm_named
@@ -173,10 +172,3 @@ def test_a_shape_that_urdf_lacks_is_drawn_as_the_box_around_it() -> None:
     (visual,) = visuals_of(spec.compile(), 0, Pose(np.eye(3), np.array([1.0, 2.0, 3.0])))
     assert (visual.shape, visual.size_m) == ("box", pytest.approx((0.2, 0.4, 0.6)))
     np.testing.assert_allclose(visual.X.p, (1, 2, 3))
-
-
-@pytest.mark.parametrize("pitch_rad", [-np.pi / 2, -np.pi / 2 + 1e-6, -0.3, 0.0, 1.2, np.pi / 2])
-@pytest.mark.parametrize(("roll_rad", "yaw_rad"), list(pairwise([0.0, 3.0, -1.4, np.pi, -2.2])))
-def test_roll_pitch_and_yaw_are_the_rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
-    R = turned(roll_rad, pitch_rad, yaw_rad)
-    np.testing.assert_allclose(turned(*roll_pitch_yaw(R)), R, atol=1e-9)

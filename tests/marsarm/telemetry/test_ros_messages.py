@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
@@ -18,7 +19,7 @@ from marsarm.telemetry.robot_description import draw_scene
 from sim.arms import arm_named
 from sim.record import CycleRecord
 from sim.world import Surface, World
-from tests.marsarm.telemetry.ros2 import Decoder
+from simgap.files.ros_message import BadMessage, RosReader
 from tests.tools import TOOLS
 
 ROOT = Path(__file__).parents[3]
@@ -41,7 +42,10 @@ def decoded(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert schema is not None
-            content = Decoder(schema.data.decode(), message.data).message()
+            reader = RosReader(schema.name, schema.data.decode())
+            content = reader.read(message.data)
+            with pytest.raises(BadMessage):  # the definition reaches to the last byte
+                reader.read(message.data[:-1])
             found.setdefault(channel.topic, []).append((message.log_time, content))
     return found
 
@@ -58,16 +62,11 @@ def messages(path: Path) -> Any:
 
 
 def pose_of(transform: dict[str, Any]) -> Pose:
-    x, y, z, w = (transform["rotation"][name] for name in "xyzw")
-    assert np.hypot(np.hypot(x, y), np.hypot(z, w)) == pytest.approx(1.0, abs=1e-12)
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+    q = [transform["rotation"][name] for name in "xyzw"]
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+    return Pose(
+        Rotation.from_quat(q).as_matrix(), np.array([transform["translation"][name] for name in "xyz"])
     )
-    return Pose(R, np.array([transform["translation"][name] for name in "xyz"]))
 
 
 def pose_in_rover(frames: dict[str, tuple[str, Pose]], child: str) -> Pose:
@@ -126,8 +125,8 @@ def test_joint_states_are_the_believed_outputs_at_8_hz(path: Path, messages: Any
     for row, (time_ns, state) in enumerate(states):
         stamp = state["header"]["stamp"]
         assert stamp["sec"] * 10**9 + stamp["nanosec"] == time_ns
-        assert state["name"] == ["azimuth", "elevation", "elbow", "wrist", "turret"]
-        assert state["position"] == log["/joint"]["output_rad"][8 * row].tolist()
+        assert list(state["name"]) == ["azimuth", "elevation", "elbow", "wrist", "turret"]
+        assert list(state["position"]) == log["/joint"]["output_rad"][8 * row].tolist()
         np.testing.assert_array_equal(state["velocity"], log["/joint"]["motor_rate_rad_s"][8 * row])
         torque_Nm = CONFIG.torque_constant_Nm_A * log["/sensors"]["current_A"][8 * row]
         np.testing.assert_array_equal(state["effort"], torque_Nm)

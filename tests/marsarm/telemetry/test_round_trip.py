@@ -65,19 +65,6 @@ def test_times_are_the_ticks_exactly(make: Any, tmp_path: Path) -> None:
     assert log.time_ns["/drive"].tolist() == [tick * 10**9 // 64 for tick in ticks]
 
 
-def test_events_come_back_with_their_fields(make: Any, tmp_path: Path) -> None:
-    log = read_log(make.record(tmp_path / "run.mcap", [make.cycle_at(5)]))
-    booted, contact = log.evrs
-    assert (booted.tick, booted.name, booted.fields) == (5, "Booted", {"params_sha256": "ééé"})
-    assert booted.message == "flight software up, parameters ééé"
-    assert (contact.severity, contact.fields) == (2, {"switch": "apxs_1", "travel_m": 0.1})
-    stop, guarded = log.commands
-    assert (stop.name, stop.fields) == ("Stop", {})
-    assert guarded.fields["tool"] == "apxs"
-    assert guarded.fields["end_p_RoTo_R_m"] == [1.0, 0.25, -0.5]
-    assert np.isnan(guarded.fields["approach_R"][2])
-
-
 def test_a_packet_that_is_not_there_every_cycle_keeps_its_times(make: Any, tmp_path: Path) -> None:
     cycles = [make.cycle_at(tick) for tick in range(6)]
     cycles[1:3] = [replace(c, truth=None, outputs=replace(c.outputs, tool=None)) for c in cycles[1:3]]

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -25,7 +24,7 @@ NAMES = arm_names()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_plant_has_the_tools_switches_and_gears_of_the_flight_parameters(name: str) -> None:
+def test_the_plant_has_the_tools_switches_and_gears_of_the_flight_parameters(name):
     arm = load_arm(name)
     plant = Plant(build(World(), arm).compile())
     assert plant.tools == arm.params.tool_names
@@ -36,19 +35,19 @@ def test_the_plant_has_the_tools_switches_and_gears_of_the_flight_parameters(nam
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_arm_opens_by_itself_in_mujoco(name: str) -> None:
+def test_an_arm_opens_by_itself_in_mujoco(name):
     model = mujoco.MjModel.from_xml_path(str(ARMS / name / "arm.xml"))
     assert model.njnt == 6 * 5 + 2 * len(Joint)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_written_flight_parameters_read_back_exactly(name: str) -> None:
+def test_the_written_flight_parameters_read_back_exactly(name):
     drawing = load_arm(name).params
     assert params_over(drawing, ARMS / name / "flight.toml") == drawing
     assert read_params_toml(ARMS / name / "flight.toml")["model"]["name"] == name
 
 
-def test_an_arm_without_looks_shows_its_shapes(tmp_path: Path) -> None:
+def test_an_arm_without_looks_shows_its_shapes(tmp_path):
     (tmp_path / "arm.toml").write_text((ARMS / default_arm().name / "arm.toml").read_text())
     arm = load_arm(str(tmp_path))
     shown = build(World(), arm, for_pictures=True).compile()
@@ -56,7 +55,7 @@ def test_an_arm_without_looks_shows_its_shapes(tmp_path: Path) -> None:
     assert arm.params == default_arm().params
 
 
-def test_the_same_description_makes_the_same_plant_and_another_one_does_not(tmp_path: Path) -> None:
+def test_the_same_description_makes_the_same_plant_and_another_one_does_not(tmp_path):
     text = (ARMS / default_arm().name / "arm.toml").read_text()
     (tmp_path / "arm.toml").write_text(text.replace("a_m = 0.827", "a_m = 0.9"))
     longer = load_arm(str(tmp_path))
@@ -156,11 +155,7 @@ WRONG = {
         "tools.link2: is the name of another part",
     ),
     "a tool in capitals": ("[tools.portion]", "[tools.Portion]", "tools.Portion: is no name"),
-    "a switch called as a tool": (
-        "drt_1 = {",
-        "drt = {",
-        "switches.drt: is the name of a tool",
-    ),
+    "a switch called as a tool": ("drt_1 = {", "drt = {", "switches.drt: is the name of a tool"),
     "a switch called as a frame": ("drt_1 = {", "arm6 = {", "switches.arm6: is the name of another part"),
     "a capsule that turns": (
         "radius_m = 0.056 }",
@@ -184,7 +179,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("old", "new", "text"), WRONG.values(), ids=WRONG)
-def test_what_is_wrong_in_a_description_is_named(tmp_path: Path, old: str, new: str, text: str) -> None:
+def test_what_is_wrong_in_a_description_is_named(tmp_path, old, new, text):
     right = (ARMS / default_arm().name / "arm.toml").read_text()
     assert old in right
     (tmp_path / "arm.toml").write_text(right.replace(old, new))
@@ -211,20 +206,20 @@ WRONG_LOOKS = {
 
 
 @pytest.mark.parametrize(("looks", "text"), WRONG_LOOKS.values(), ids=WRONG_LOOKS)
-def test_what_is_wrong_in_the_looks_is_named(tmp_path: Path, looks: str, text: str) -> None:
+def test_what_is_wrong_in_the_looks_is_named(tmp_path, looks, text):
     (tmp_path / "arm.toml").write_text((ARMS / default_arm().name / "arm.toml").read_text())
     (tmp_path / "visual.xml").write_text(looks)
     with pytest.raises(UnknownArm, match=re.escape(text)):
         arm_named(str(tmp_path))
 
 
-def test_flight_parameters_of_an_arm_replace_those_of_all_arms(tmp_path: Path) -> None:
+def test_flight_parameters_of_an_arm_replace_those_of_all_arms(tmp_path):
     text = (ARMS / default_arm().name / "arm.toml").read_text()
     (tmp_path / "arm.toml").write_text(f"{text}\n[flight.motion]\ntool_speed_m_s = 0.04\n")
     assert load_arm(str(tmp_path)).params.motion.tool_speed_m_s == 0.04
 
 
-def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
+def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path):
     with pytest.raises(BadArm, match=f"there are {', '.join(NAMES)}"):
         load_arm(str(tmp_path))
 
@@ -232,7 +227,7 @@ def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -
 @pytest.mark.parametrize("seed", range(1, 21))
 @pytest.mark.parametrize("kind", ["as-built", "calibrated"])
 @pytest.mark.parametrize("name", NAMES)
-def test_the_parameters_of_a_built_arm_fit_its_drawing(name: str, kind: str, seed: int) -> None:
+def test_the_parameters_of_a_built_arm_fit_its_drawing(name, kind, seed):
     arm = arm_named(f"{name}/{kind}:{seed}")
     assert not list(find_mismatches(arm.params, arm.model))
     assert not list(find_mismatches(params_with_effects(arm.effects, arm.model.params), arm.model))
@@ -245,14 +240,14 @@ def _with_link(params: Params, a_m: float) -> Params:
     )
 
 
-def test_a_link_beyond_five_sigma_is_a_mismatch_and_one_within_is_none() -> None:
+def test_a_link_beyond_five_sigma_is_a_mismatch_and_one_within_is_none():
     params, sigma_m = nominal_params(), default_arm().description.tolerances.built.frame_m
     assert not list(find_mismatches(_with_link(params, 0.827 + 4.9 * sigma_m), default_arm()))
     (found,) = find_mismatches(_with_link(params, 0.827 + 5.1 * sigma_m), default_arm())
     assert found.startswith("links.arm3.transform: differs from that of the arm by 0.00765 m")
 
 
-def test_parameters_of_another_arm_are_a_mismatch_whatever_their_values() -> None:
+def test_parameters_of_another_arm_are_a_mismatch_whatever_their_values():
     params = nominal_params()
     foreign = replace(params, model=replace(params.model, name="other"))
     assert list(find_mismatches(foreign, default_arm())) == ["model: these are of the arm other, not of msl"]
@@ -270,13 +265,13 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("what", FOREIGN)
-def test_parameters_of_the_mechanism_beyond_its_tolerances_are_a_mismatch(tmp_path: Path, what: str) -> None:
+def test_parameters_of_the_mechanism_beyond_its_tolerances_are_a_mismatch(tmp_path, what):
     (tmp_path / "own.toml").write_text(FOREIGN[what])
     (found,) = find_mismatches(params_over(nominal_params(), tmp_path / "own.toml"), default_arm())
     assert what in found
 
 
-def test_a_link_whose_springs_are_coupled_is_a_mismatch() -> None:
+def test_a_link_whose_springs_are_coupled_is_a_mismatch():
     params = nominal_params()
     rows = [list(row) for row in params.links.arm3.compliance]
     rows[1][5] = rows[5][1] = 0.5 * (rows[1][1] * rows[5][5]) ** 0.5
@@ -296,15 +291,13 @@ def test_a_link_whose_springs_are_coupled_is_a_mismatch() -> None:
         (["m2020/calibrated:3", "m2020/calibrated:003"], "m2020/calibrated:3"),
     ],
 )
-def test_all_names_of_an_arm_are_one_arm(names: list[str], own: str) -> None:
+def test_all_names_of_an_arm_are_one_arm(names, own):
     arms = [arm_named(name) for name in names]
     assert {arm.name for arm in arms} == {own_name(name) for name in names} == {own}
     assert all(arm == arms[0] for arm in arms)
 
 
-def test_an_arm_in_a_folder_keeps_the_name_that_leads_there_but_its_parameters_do_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_in_a_folder_keeps_the_name_that_leads_there_but_its_parameters_do_not(tmp_path, monkeypatch):
     text = (ARMS / default_arm().name / "arm.toml").read_text()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "arm.toml").write_text(text.replace('name = "msl"', 'name = "third"'))

@@ -53,9 +53,7 @@ def added_torque_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds:
 
 @TIMES
 @JOINTS
-def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_constant(
-    joint: Joint, times: float
-) -> None:
+def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_constant(joint, times):
     assert added_torque_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(
         20.0 * times, rel=1e-3
     )
@@ -64,8 +62,8 @@ def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_const
 @TIMES
 @pytest.mark.parametrize(("direction", "speed"), [("positive", 1.0), ("negative", -1.0)])
 def test_asymmetric_friction_costs_its_torque_in_its_direction_and_nothing_in_the_other(
-    direction: str, speed: float, times: float
-) -> None:
+    direction, speed, times
+):
     joint = Joint.AZIMUTH
     effect = AsymmetricFriction(joint, direction, 20.0 * times)
     assert added_torque_Nm(joint, effect, speed=speed) * speed == pytest.approx(20.0 * times, rel=1e-3)
@@ -74,7 +72,7 @@ def test_asymmetric_friction_costs_its_torque_in_its_direction_and_nothing_in_th
 
 @TIMES
 @JOINTS
-def test_friction_of_an_output_is_paid_by_the_motor(joint: Joint, times: float) -> None:
+def test_friction_of_an_output_is_paid_by_the_motor(joint, times):
     # the outer arm swings for a while on the springs of the links
     costs_Nm = added_torque_Nm(joint, OutputFriction(joint, 5.0 * times), seconds=5.0)
     assert costs_Nm == pytest.approx(5.0 * times, rel=5e-3)
@@ -82,7 +80,7 @@ def test_friction_of_an_output_is_paid_by_the_motor(joint: Joint, times: float) 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 @TIMES
-def test_viscous_friction_costs_its_damping_times_the_speed(speed: float, times: float) -> None:
+def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
     joint = Joint.AZIMUTH
     expected = 300.0 * times * speed * bench.SPEED_RAD_S[joint]
     assert added_torque_Nm(joint, ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(
@@ -92,7 +90,7 @@ def test_viscous_friction_costs_its_damping_times_the_speed(speed: float, times:
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 1.0])
 @TIMES
-def test_stribeck_friction_falls_with_the_speed(speed: float, times: float) -> None:
+def test_stribeck_friction_falls_with_the_speed(speed, times):
     joint, knee = Joint.AZIMUTH, 0.01
     expected = 20.0 * times * np.exp(-((speed * bench.SPEED_RAD_S[joint] / knee) ** 2))
     assert added_torque_Nm(joint, StribeckFriction(joint, 20.0 * times, knee), speed=speed) == pytest.approx(
@@ -114,7 +112,7 @@ def gear_load_Nm(joint: Joint, way: float) -> float:
 
 @TIMES
 @pytest.mark.parametrize("speed", [1.0, -1.0])
-def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed: float, times: float) -> None:
+def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed, times):
     joint = Joint.ELEVATION
     assert abs(gravity_Nm(joint)) > 100.0
     found = added_torque_Nm(joint, LoadFriction(joint, 0.1 * times), speed=speed) * speed
@@ -122,7 +120,7 @@ def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed: floa
 
 
 @pytest.mark.parametrize("factor", slow_but([0.95, 0.9, 0.8], 0.8))
-def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor: float) -> None:
+def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor):
     joint = Joint.ELEVATION
     helps = np.sign(gravity_Nm(joint))
     against = added_torque_Nm(joint, GearEfficiency(joint, factor), speed=-helps) * -helps
@@ -132,7 +130,7 @@ def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(fact
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
-def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor: float) -> None:
+def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor):
     """Added friction loads the motor."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
     rubs = CoulombFriction(joint, 20.0)
@@ -141,7 +139,7 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
-def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor: float) -> None:
+def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor):
     joint = Joint.AZIMUTH
     effect = ColdFriction(joint, factor)
     assert added_torque_Nm(joint, effect) == 0.0
@@ -152,7 +150,7 @@ def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor: f
 
 
 @pytest.mark.parametrize("delay_s", slow_but([0.01, 0.03, 0.06], 0.03))
-def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s: float) -> None:
+def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s):
     joint = Joint.AZIMUTH
     behind = (
         turn_nominal(joint).motor_rad[-64:]
@@ -162,7 +160,7 @@ def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_del
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor: float) -> None:
+def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor):
     answers = []
     for effects in ((), (ServoGain(Joint.ELBOW, factor),)):
         plant, _ = bench.build_arm(*effects)
@@ -172,7 +170,7 @@ def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor: float
     np.testing.assert_allclose(answers[1] / answers[0], [1, 1, factor, 1, 1], rtol=1e-9)
 
 
-def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it() -> None:
+def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it():
     effect = BusSag(2.0)
     plant, hardware = bench.build_arm(effect)
     drawn = plant.model.actuator_gainprm[plant.at.actuators, GAINS].copy()
@@ -183,9 +181,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
 
 
 @pytest.mark.parametrize("resistance_Ohm", [0.0, 1.0, 4.0, 5.5])
-def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_bus_can_drive(
-    resistance_Ohm: float,
-) -> None:
+def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_bus_can_drive(resistance_Ohm):
     effect, total_A = BusSag(resistance_Ohm), 5.0
     plant, hardware = bench.build_arm(effect)
     plant.data.actuator_force[:] = [total_A * 228.6, 0.0, 0.0, 0.0, 0.0]
@@ -200,7 +196,7 @@ def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_b
 
 
 @TIMES
-def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float) -> None:
+def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times):
     """Turn in both directions: the drag changes sign, the spring torque does not."""
     joint, laid = Joint.TURRET, -0.5
     effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, transition_rad=0.01)
@@ -214,7 +210,7 @@ def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float)
 
 
 @TIMES
-def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(times: float) -> None:
+def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(times):
     effect = TransmissionError(Joint.ELBOW, 3e-4 * times, -2e-4 * times, turns=5)
     for angle in (0.3, 1.4):
         pose = lab.LEFT_RAD.copy()
@@ -231,7 +227,7 @@ def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(t
 
 
 @TIMES
-def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffness(times: float) -> None:
+def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffness(times):
     """Load with 150 N m and release slowly, without gravity: friction of gear and output holds the rest."""
     joint, twist = Joint.ELBOW, []
     stiff = [GearStiffness(other, 1.0) for other in Joint]
@@ -247,7 +243,7 @@ def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffn
 
 
 @TIMES
-def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times: float) -> None:
+def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times):
     joint, effect = Joint.AZIMUTH, Counterbalance(Joint.AZIMUTH, 10.0 * times, -20.0 * times)
     # the outer arm swings for a while on the springs of the links
     angle = turn_nominal(joint, seconds=5.0).output_rad[-64:]
@@ -256,7 +252,7 @@ def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times: float) ->
 
 
 @TIMES
-def test_a_coupled_output_turns_with_the_motor_of_the_joint_before(times: float) -> None:
+def test_a_coupled_output_turns_with_the_motor_of_the_joint_before(times):
     moved, other = Joint.ELEVATION, Joint.ELBOW
     plant, hardware = bench.build_arm(JointCoupling(other, 2e-3 * times))
     bench.set_angles(plant, lab.READY_RAD)

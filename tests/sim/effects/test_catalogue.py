@@ -17,7 +17,7 @@ from sim.effects.catalogue import (
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.structure import LinkBending
-from sim.scenario.effects import effect_text, parameter_key, parse_effect_text
+from sim.scenario.effects import effect_text, parse_effect_text
 from tests.tools import TOOLS
 
 KINDS = pytest.mark.parametrize("kind", catalogue().values(), ids=catalogue())
@@ -47,10 +47,11 @@ def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
 
 
 @KINDS
-def test_an_effect_says_in_a_sentence_what_it_is(kind: type[Effect]) -> None:
+def test_an_effect_is_a_frozen_value_and_says_in_a_sentence_what_it_is(kind: type[Effect]) -> None:
     sentence = effect_summary(kind)
     assert sentence.endswith(".")
     assert 15 < len(sentence) < 120
+    assert kind.__dataclass_params__.frozen
 
 
 @KINDS
@@ -136,13 +137,3 @@ def test_places_that_a_class_refuses_are_none() -> None:
     of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
     assert of_tools == list(TOOLS)
     assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": "mahli"}) == "tool.mahli"
-
-
-def test_parameters_are_written_in_units_of_the_house() -> None:
-    assert parameter_key(catalogue()["ambient"], "temperature_C") == "temperature_degC"
-    assert parameter_key(catalogue()["link-bending"], "compliance_rad_Nm") == "compliance_rad_Nm"
-
-
-@KINDS
-def test_an_effect_is_a_frozen_value(kind: type[Effect]) -> None:
-    assert kind.__dataclass_params__.frozen

@@ -62,9 +62,7 @@ NOISE = np.array([1e-4, 0.02])
 
 
 @pytest.mark.parametrize("effect", slow_but(EFFECTS, *EFFECTS[:3]), ids=lambda effect: type(effect).__name__)
-def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(
-    effect: EachCycle,
-) -> None:
+def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(effect):
     """The remaining difference is small beside the effect, or below the noise of a sensor."""
     drawn, there = reversal(None, WHOLE), reversal(effect, 1)
     size = np.sqrt([np.mean((getattr(there, what) - getattr(drawn, what)) ** 2) for what in SEEN])
@@ -72,11 +70,11 @@ def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_s
 
 
 @pytest.mark.parametrize("effect", slow_but(EFFECTS, *EFFECTS[:3]), ids=lambda effect: type(effect).__name__)
-def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
+def test_looked_at_twice_as_often_it_is_nearer(effect):
     assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_but_for_four() -> None:
+def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() -> None:
     """Delay and voltage are defined per cycle, and grease keeps its temperature.
 
     The joint that would turn another one stands still here.
@@ -108,12 +106,8 @@ def readings(loop: ClosedLoop) -> list[bytes]:
     return found
 
 
-def test_a_fork_goes_on_bit_by_bit_as_the_run_does_with_all_of_them_on() -> None:
+def test_a_fork_goes_on_bit_by_bit_as_the_run_does_with_all_of_them_on_and_so_does_the_same_run():
     loop = running()
     assert abs(loop.state.joints.motor_rate_rad_s[JOINT]) > 1e-3
     first, second = loop.fork(), loop.fork()
-    assert readings(first) == readings(loop) == readings(second)
-
-
-def test_the_same_run_is_the_same_again() -> None:
-    assert readings(running()) == readings(running())
+    assert readings(first) == readings(loop) == readings(second) == readings(running())

@@ -6,16 +6,14 @@ import pytest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import vector3
 from helpers.marks import slow_but
-from sim.effects.catalogue import hypotheses
 from sim.effects.effect import Effect
 from sim.effects.environment import ContactStiffness, Numerics, SurfacePosition
 from sim.frames import P_NR_M
 from sim.plant import Plant
-from sim.scenario.effects import effect_text, parse_effect_text
 from sim.world import Surface, World
 from tests.sim import lab
 from tests.sim.effects import bench
-from tests.tools import TOOLS, tool_index
+from tests.tools import tool_index
 
 DEEP_M = 2e-4
 
@@ -62,15 +60,6 @@ def test_where_there_is_no_rock_there_is_nothing_to_shift() -> None:
 
 
 FINER = 6
-
-
-def test_it_is_no_hypothesis() -> None:
-    assert Numerics not in {one.kind for one in hypotheses()}
-
-
-def test_it_comes_back_from_what_is_written_of_it() -> None:
-    for one in (Numerics("implicit", 2), Numerics("explicit", 6)):
-        assert parse_effect_text(effect_text(one), TOOLS) == one
 
 
 @pytest.mark.parametrize("scheme", slow_but(["implicit", "explicit"], "implicit"))

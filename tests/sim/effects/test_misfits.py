@@ -43,15 +43,11 @@ def test_what_the_arm_lacks_is_refused_in_one_sentence(effect: Effect, problem: 
         assert str(refused.value) == f"effect {type(effect).__name__}: {problem}"
 
 
-def test_an_arm_without_switches_has_no_fault_of_one() -> None:
-    bare = replace(ARM.params, switches=())
-    with pytest.raises(EffectMisfit, match="index: this arm has no contact switch"):
-        check_effects((replace(DEAD, index=0),), bare)
-
-
 def test_what_the_arm_has_is_allowed() -> None:
     check_effects((replace(DEAD, index=LAST), replace(DEAD, index=None)), ARM.params)
     check_effects((ToolOffset(tool, "x", 1e-3) for tool in TOOLS), ARM.params)
+    with pytest.raises(EffectMisfit, match="index: this arm has no contact switch"):
+        check_effects((replace(DEAD, index=0),), replace(ARM.params, switches=()))
 
 
 def test_a_request_is_refused_before_anything_moves() -> None:

@@ -31,12 +31,11 @@ def compile_plant(*effects: Effect) -> bytes:
     return content.tobytes()
 
 
-def test_the_model_is_the_same() -> None:
+def test_model_and_flight_parameters_are_the_same() -> None:
     assert compile_plant(*NEUTRAL) == compile_plant()
-
-
-def test_flight_parameters_are_the_same() -> None:
     assert params_with_effects(NEUTRAL, NOMINAL.params) == NOMINAL.params
+    hardware = nominal_hardware()
+    assert Ambient(20.0).on_hardware(hardware).ambient_C.tolist() == hardware.ambient_C.tolist()
 
 
 @cache
@@ -54,20 +53,10 @@ def run_move(*effects: Effect) -> list[object]:
     return seen
 
 
-def test_a_run_is_the_same() -> None:
+def test_a_run_is_the_same_and_effects_that_are_not_neutral_do_show() -> None:
     nothing = run_move()
     assert len(set(nothing)) > CYCLES
     assert run_move(*NEUTRAL) == nothing
-
-
-def test_effects_that_are_not_neutral_do_show() -> None:
-    """Each of these alone changes the run, so that the test above compares something."""
-    nothing = run_move()
     for name in ("coulomb-friction:elbow", "command-delay:elbow"):
         (one,) = (hypothesis for hypothesis in hypotheses() if str(hypothesis) == name)
         assert run_move(one.typical()) != nothing
-
-
-def test_an_ambient_of_the_drawing_is_that_of_the_drawing() -> None:
-    hardware = nominal_hardware()
-    assert Ambient(20.0).on_hardware(hardware).ambient_C.tolist() == hardware.ambient_C.tolist()

@@ -158,12 +158,10 @@ def test_of_twice_the_size_a_wrong_current_is_twice_as_wrong(name: str) -> None:
     np.testing.assert_allclose(twice[:100], 2.0 * once[:100], atol=1e-12)
 
 
-def test_a_current_drifts_with_time() -> None:
-    drifted_A = change("DriftingCurrent", "current_A", 1.0)[:, 2]
+def test_a_current_drifts_with_time_and_a_heater_is_on_or_off() -> None:
+    drifted_A, heater_A = (
+        change(name, "current_A", 1.0)[:, 2] for name in ("DriftingCurrent", "HeaterOnLine")
+    )
     np.testing.assert_allclose(drifted_A, 6e-3 * np.arange(1, len(drifted_A) + 1) / CYCLE_HZ, atol=1e-12)
-
-
-def test_a_heater_is_on_or_off() -> None:
-    heater_A = change("HeaterOnLine", "current_A", 1.0)[:, 2]
     on = np.arange(1, len(heater_A) + 1) >= 2.5 * CYCLE_HZ
     np.testing.assert_allclose(heater_A, 0.05 * on, atol=1e-12)

@@ -39,18 +39,15 @@ def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -
     assert more[-64:].mean() == pytest.approx(expected[-64:].mean(), rel=0.05)
 
 
-def test_it_is_not_in_the_catalogue_and_comes_back_from_what_is_written_of_it(dent: Path) -> None:
-    effect = parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS)
+def test_it_comes_back_from_what_is_written_of_it_and_is_read_anew_when_its_file_is_written_anew(dent):
+    written = f"{dent}:Dent:elbow:torque_Nm=15"
+    effect = parse_effect_text(written, TOOLS)
     assert "dent" not in catalogue()
-    assert effect_text(effect).startswith(f"{dent}:Dent:elbow:torque_Nm=15.0")
+    assert effect_text(effect).startswith(f"{written}.0")
     assert parse_effect_text(effect_text(effect), TOOLS) == effect
-
-
-def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
-    text = dent.read_text()
-    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS).width_rad == 0.02
-    dent.write_text(text.replace("= 0.02", "= 0.03"))
-    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS).width_rad == 0.03
+    assert effect.width_rad == 0.02
+    dent.write_text(dent.read_text().replace("= 0.02", "= 0.03"))
+    assert parse_effect_text(written, TOOLS).width_rad == 0.03
 
 
 @pytest.mark.parametrize(
@@ -78,15 +75,12 @@ def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, expected: str) -> 
             "from sim.effects.effect import Effect\nclass Dent(Effect):\n    pass",
             r"is no dataclass; write @dataclass\(frozen=True, slots=True\)",
         ),
+        (None, r"dent\.py: cannot be read \(No such file or directory\)"),
     ],
 )
-def test_a_file_that_is_no_effect_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+def test_a_file_that_is_no_effect_is_refused(tmp_path, text, expected):
     file = tmp_path / "dent.py"
-    file.write_text(text)
+    if text is not None:
+        file.write_text(text)
     with pytest.raises(BadEffect, match=expected):
         parse_effect_text(f"{file}:Dent:elbow", TOOLS)
-
-
-def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
-    with pytest.raises(BadEffect, match=r"none\.py: cannot be read \(No such file or directory\)"):
-        parse_effect_text(f"{tmp_path / 'none.py'}:Dent:elbow", TOOLS)

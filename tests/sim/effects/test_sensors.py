@@ -40,9 +40,7 @@ def read(
 
 @TIMES
 @JOINTS
-def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
-    joint: Joint, times: float
-) -> None:
+def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(joint, times):
     effect = ResolverEccentricity(joint, 1e-3 * times, -2e-3 * times)
     angles = np.linspace(-0.3, 5.5, 9) if joint is not Joint.AZIMUTH else np.linspace(-3.0, 1.5, 9)
     for angle in angles:
@@ -58,24 +56,21 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
 
 
 @JOINTS
-def test_biases_of_a_resolver_add_up(joint: Joint) -> None:
+def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint):
+    here = np.arange(5) == joint
+    gain, bias = (
+        read(effect, current_A=1.5) for effect in (CurrentGain(joint, 1.3), CurrentBias(joint, -0.2))
+    )
+    np.testing.assert_allclose(gain.current_A, 1.5 * np.where(here, 1.3, 1.0))
+    np.testing.assert_allclose(bias.current_A - 1.5, -0.2 * here, atol=1e-12)
     more = read(ResolverBias(joint, 2e-3), ResolverBias(joint, 1e-3)).resolver_rad - read().resolver_rad
-    np.testing.assert_allclose(more, 3e-3 * (np.arange(5) == joint), atol=RESOLVER_LSB_RAD)
+    np.testing.assert_allclose(more, 3e-3 * here, atol=RESOLVER_LSB_RAD)
+    # a lost count is not there yet when joints look for their hardstops
+    assert ResolverBias.built_in
+    assert not EncoderZero.built_in
 
 
-@JOINTS
-def test_a_current_sensor_of_another_gain_reads_that_many_times_the_current(joint: Joint) -> None:
-    sensors = read(CurrentGain(joint, 1.3), current_A=1.5)
-    np.testing.assert_allclose(sensors.current_A, 1.5 * np.where(np.arange(5) == joint, 1.3, 1.0))
-
-
-@JOINTS
-def test_a_current_sensor_with_a_bias_reads_that_much_more(joint: Joint) -> None:
-    more = read(CurrentBias(joint, -0.2), current_A=1.5).current_A - 1.5
-    np.testing.assert_allclose(more, np.where(np.arange(5) == joint, -0.2, 0.0), atol=1e-12)
-
-
-def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before() -> None:
+def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before():
     currents_A = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
     more = read(CurrentCrosstalk(Joint.WRIST, 0.1), current_A=currents_A).current_A - currents_A
     np.testing.assert_allclose(more, [0.0, 0.0, 0.0, -0.3, 0.0], atol=1e-12)
@@ -85,9 +80,7 @@ def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joi
 
 @TIMES
 @JOINTS
-def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(
-    joint: Joint, times: float
-) -> None:
+def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(joint, times):
     error = 3e-3 * times
     more = read(ResolverScale(joint, error)).resolver_rad - read().resolver_rad
     expected = error * np.where(np.arange(5) == joint, lab.LEFT_RAD, 0.0)
@@ -98,7 +91,7 @@ def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angl
     np.testing.assert_allclose(counts, expected, atol=1.0)
 
 
-def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle() -> None:
+def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle():
     effect = EncoderScale(Joint.ELBOW, 2e-3)
     known = configure(effect.on_params(nominal_params())).rad_per_count
     np.testing.assert_allclose(known, effect.on_hardware(nominal_hardware()).rad_per_count, rtol=1e-12)
@@ -106,9 +99,7 @@ def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle(
 
 @TIMES
 @JOINTS
-def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
-    joint: Joint, times: float
-) -> None:
+def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(joint, times):
     offset = 3e-3 * times
     plant, hardware = bench.build_arm(EncoderZero(joint, offset))
     drawn, lost = (
@@ -123,7 +114,7 @@ def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
 
 @pytest.mark.parametrize(("axis", "sign"), [("x", -1.0), ("y", 1.0)])
 @TIMES
-def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times: float) -> None:
+def test_an_imu_mounted_askew_sees_gravity_turned(axis, sign, times):
     """Down is z: a rotation about x tilts it to -y, one about y to +x."""
     angle = 5e-3 * times
     g = read(GravityDirection(axis, angle)).gravity_R_m_s2
@@ -132,8 +123,3 @@ def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times:
     expected = np.zeros(3)
     expected[2], expected[leaning] = size * np.cos(angle), sign * size * np.sin(angle)
     np.testing.assert_allclose(g, expected, atol=1e-12)
-
-
-def test_a_lost_count_is_not_there_when_joints_look_for_their_hardstops() -> None:
-    assert not EncoderZero.built_in
-    assert ResolverBias.built_in

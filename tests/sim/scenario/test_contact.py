@@ -41,25 +41,18 @@ def contact(request):
     return plant, tool, np.array(normal) / np.linalg.norm(normal)
 
 
-def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
+def test_a_pressed_tool_is_pushed_out_of_the_rock_with_what_sensors_and_mujoco_say_and_no_other_is(contact):
     plant, tool, normal = contact
     forces = tool_forces(plant)
-    assert forces[tool_index(tool)] @ normal > 10.0
+    force_N = forces[tool_index(tool)]
+    assert force_N @ normal > 10.0
     assert not np.delete(forces, tool_index(tool), axis=0).any()
-
-
-def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
-    plant, tool, normal = contact
     sensors = [plant.model.sensor(switch).id for switch in TOOL_SWITCHES[tool]]
     measured_N = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
-    assert tool_forces(plant)[tool_index(tool)] @ normal == pytest.approx(measured_N, rel=1e-6)
-
-
-def test_the_whole_force_is_what_mujoco_adds_up_on_the_body_of_the_tool(contact):
-    plant, tool, _ = contact
+    assert force_N @ normal == pytest.approx(measured_N, rel=1e-6)
     mujoco.mj_rnePostConstraint(plant.model, plant.data)
     external = plant.data.cfrc_ext[plant.model.body(tool).id, 3:]
-    assert tool_forces(plant)[tool_index(tool)] == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
+    assert force_N == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
 
 
 def test_what_touches_nothing_feels_nothing():

@@ -7,17 +7,13 @@ from sim.scenario.effects import BadEffect, effect_file_text, read_effect_file
 from tests.tools import TOOLS
 
 
-def test_every_effect_comes_back_exactly(tmp_path):
-    effects = tuple(hypothesis.typical(1.0 / 3.0) for hypothesis in hypotheses())
+@pytest.mark.parametrize(
+    "effects", [(), tuple(one.typical(1.0 / 3.0) for one in hypotheses())], ids=["none", "all"]
+)
+def test_effects_come_back_exactly(tmp_path, effects):
     path = tmp_path / "found.toml"
     path.write_text(effect_file_text(effects, ["comment"]))
     assert read_effect_file(path, TOOLS) == effects
-
-
-def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
-    path = tmp_path / "found.toml"
-    path.write_text(effect_file_text((), ["comment"]))
-    assert read_effect_file(path, TOOLS) == ()
 
 
 @pytest.mark.parametrize(
@@ -28,16 +24,13 @@ def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
         ('arm = "nominal"\n', "found.toml: arm: does not belong in a file of effects; there is only"),
         ("[[effect]\n", "found.toml: is not TOML"),
         ("effect = 3\n", "found.toml: effect: is no list of tables"),
+        (None, "cannot be read"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_key(tmp_path, text, expected):
     path = tmp_path / "found.toml"
-    path.write_text(text)
+    if text is not None:
+        path.write_text(text)
     with pytest.raises(BadEffect) as refused:
         read_effect_file(path, TOOLS)
     assert expected in str(refused.value)
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(BadEffect, match="cannot be read"):
-        read_effect_file(tmp_path / "none.toml", TOOLS)

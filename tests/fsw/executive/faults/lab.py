@@ -74,6 +74,12 @@ def resolver_off(rig, joint, off_rad):
     return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}
 
 
+def skip(rig, cycles=BOUNDS.missed_cycles + 1):
+    """Run a cycle after so many that flight software missed."""
+    rig.cycles += cycles
+    return rig.cycle()
+
+
 def misplanned(rig, setpoint_rad):
     """The state with a path that asks for this: an error of planning."""
     wrong = SimpleNamespace(duration_s=10.0, at=lambda _: Setpoint(setpoint_rad, np.zeros(5)))

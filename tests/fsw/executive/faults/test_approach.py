@@ -1,13 +1,10 @@
 """A guarded tool that touches something although no switch says so."""
 
-import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, PreloadOutside, UnexpectedContact
-from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import settle_output
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -18,28 +15,17 @@ from tests.fsw.executive.faults.lab import (
     in_guarded_motion,
     moving,
 )
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, levers_m
 from tests.tools import TOOL_SWITCHES, TOOLS
 
 PRESSING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 LATEST = 40
 
 
-def wind_up_rad_N(rig, tool):
-    """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    output, axis = rig.state.joints.output_rad, rig.tool_pose(tool).R[:, 0]
-
-    def along_m(step):
-        X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, output + step, MARS_R_m_s2).frames, tool)
-        return X_RT.p @ axis
-
-    torque = np.array([along_m(-step) - along_m(step) for step in 1e-5 * np.eye(5)]) / 2e-5
-    return torque / CONFIG.arm.gear_stiffness_Nm_rad
-
-
 def pushed(rig, tool, force_N, cycles, **readings):
     """Resolvers that show a force, and encoders that do not."""
-    wound = force_N * wind_up_rad_N(rig, tool)
+    levers = levers_m(CONFIG.arm, tool, rig.state.joints.output_rad, MARS_R_m_s2)
+    wound = force_N * levers / CONFIG.arm.gear_stiffness_Nm_rad
     for _ in range(cycles):
         rig.cycle(resolver_rad=rig.resolver_rad() + wound, **readings)
         if found(rig, Fault):
@@ -58,10 +44,14 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
     assert braked(rig)
 
 
-@pytest.mark.parametrize("force_N", [0.8 * BOUNDS.guarded_force_N, -3.0 * BOUNDS.guarded_force_N])
-def test_a_small_force_or_one_that_pulls_does_not(force_N):
+@pytest.mark.parametrize(
+    ("share", "switches"),
+    [(0.8, ()), (-3.0, ()), (2.0, TOOL_SWITCHES["apxs"][:1])],
+    ids=["small", "pull", "touch"],
+)
+def test_a_force_that_is_small_or_pulls_or_that_a_switch_shows_does_not(share, switches):
     rig = in_guarded_motion()
-    pushed(rig, "apxs", force_N, LATEST)
+    pushed(rig, "apxs", share * BOUNDS.guarded_force_N, LATEST, **closed(*switches))
     assert not found(rig, Fault)
 
 
@@ -69,13 +59,6 @@ def test_a_large_force_is_felt_within_three_cycles():
     rig = in_guarded_motion()
     pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
     assert found(rig, PreloadOutside)
-
-
-def test_with_a_switch_closed_a_force_is_as_it_should_be():
-    rig = in_guarded_motion()
-    contact = closed(TOOL_SWITCHES["apxs"][0])
-    pushed(rig, "apxs", 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
-    assert not found(rig, Fault)
 
 
 def test_in_free_space_a_force_is_an_unexpected_contact():

@@ -5,11 +5,7 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.faults import (
-    Fault,
-    MotorStalled,
-    NotSettled,
-)
+from fsw.dictionary.faults import Fault, MotorStalled, NotSettled
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -75,13 +71,6 @@ def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
     for _ in range(100):
         rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
     assert not found(rig, Fault)
-
-
-def test_joints_that_are_not_calibrated_rest_beyond_any_soft_limit_without_a_fault():
-    rig = Rig(CONFIG, start_rad=START, calibrated=False)
-    for _ in range(5):
-        rig.cycle(encoder_count=np.full(5, 10**9))
-    assert rig.state.mode is Mode.DEPLOYED
 
 
 def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():

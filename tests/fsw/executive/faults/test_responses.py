@@ -1,14 +1,13 @@
 """What is done about each fault, by the table, in the documents, and in time."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsw.config import ticks
 from fsw.dictionary import faults
-from fsw.dictionary.commands import ClearFault, MoveJoints, Stop, Unstow
+from fsw.dictionary.commands import ClearFault, MoveJoints, Stop
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted
 from fsw.dictionary.faults import (
@@ -49,14 +48,12 @@ from tests.fsw.executive.faults.lab import (
     moving,
     off_set_point,
     resolver_off,
+    skip,
     windings,
 )
+from tests.fsw.protect.lab import persistence_of
 from tests.fsw.rig import Rig, alive, floats
 
-PAGE = Path(__file__).parents[4] / "docs" / "faults.md"
-FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
-    Fault
-}
 RESPONDED = {
     Response.BRAKE_AND_REFUSE: REFUSED,
     Response.POWER_OFF: UNPOWERED,
@@ -80,31 +77,25 @@ def seized(rig):
 
 
 HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
-PERSISTENT = {
-    SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
-    GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
-    StructureTemperatureImplausible: (1, lambda rig: {"structure_C": 90.0}),
-    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.zeros(5)}),
-    CyclesMissed: (1, lambda rig: MISSED),
-    CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
-    TiltChanged: (
-        BOUNDS.tilt_persistence,
-        lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
-    ),
-    SetpointUnsafe: (1, tamper),
-    SoftLimitPassed: (1, lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3)),
-    MotorStalled: (BOUNDS.stall_persistence, seized),
-    FollowingErrorHigh: (BOUNDS.following_persistence, lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025)),
-    OverCurrent: (
-        BOUNDS.over_current_persistence,
-        lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
-    ),
-    OverTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, 150.0)),
-    UnderTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, -100.0)),
-    ResolverDisagrees: (BOUNDS.resolver_persistence, lambda rig: resolver_off(rig, Joint.ELBOW, 1.0)),
-    ContactInFreeSpace: (1, lambda rig: closed("drt_1")),
+BEYOND = {
+    SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
+    GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
+    StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
+    SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
+    CyclesMissed: lambda rig: MISSED,
+    CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
+    TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    SetpointUnsafe: tamper,
+    SoftLimitPassed: lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
+    MotorStalled: seized,
+    FollowingErrorHigh: lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025),
+    OverCurrent: lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
+    OverTemperature: lambda rig: windings(Joint.WRIST, 150.0),
+    UnderTemperature: lambda rig: windings(Joint.WRIST, -100.0),
+    ResolverDisagrees: lambda rig: resolver_off(rig, Joint.ELBOW, 1.0),
+    ContactInFreeSpace: lambda rig: closed("drt_1"),
 }
-"""How long, and which readings of a moving arm, passing the bound with the first of them."""
+"""Readings of a moving arm that pass the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
 """Tested in tests/fsw/protect and in test_touch.py, test_approach.py and test_resistance.py."""
 BY_THE_MOVE = {
@@ -122,7 +113,7 @@ BY_THE_MOVE = {
 
 
 def test_every_monitor_is_timed_here_but_those_of_moves_about_themselves():
-    assert set(PERSISTENT) | BY_A_CALL | BY_THE_MOVE == FAULTS
+    assert set(BEYOND) | BY_A_CALL | BY_THE_MOVE == set(RESPONSE_TO)
 
 
 def until_the_drive_differs(rig, twin, trouble):
@@ -141,9 +132,9 @@ def until_the_drive_differs(rig, twin, trouble):
     raise AssertionError("the drive never changed")
 
 
-@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", BEYOND, ids=lambda kind: kind.__name__)
 def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles(kind):
-    persistence, trouble = PERSISTENT[kind]
+    persistence, trouble = persistence_of(kind), BEYOND[kind]
     command = MoveJoints(floats(START + 0.3))
     rig, twin = moving(command), moving(command)
     for _ in range(60):
@@ -154,11 +145,6 @@ def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles
     assert isinstance(found(rig, Fault)[0], kind)
     assert RESPONDED[RESPONSE_TO[kind]] in rig.evrs
     assert (rig.state.mode is Mode.FAULTED) is (RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE)
-
-
-def skip(rig, cycles=BOUNDS.missed_cycles + 1, **readings):
-    rig.cycles += cycles
-    return rig.cycle(**readings)
 
 
 def test_stop_and_brake_ends_as_a_commanded_stop_does():
@@ -188,30 +174,16 @@ def test_stop_and_brake_of_a_move_that_is_not_on_its_way_brakes_at_once(phase):
     assert rig.state.mode is Mode.DEPLOYED
 
 
-def test_stop_and_brake_of_a_move_that_is_being_stopped_changes_nothing_but_says_so():
+def test_while_the_arm_is_being_stopped_another_stop_is_only_told_and_a_severer_fault_is_answered():
     rig = moving(MoveJoints(floats(START + 0.3)))
     rig.cycle(Stop())
     stopping = rig.state.move
     skip(rig)
     assert rig.state.move.plan.paths == stopping.plan.paths
     assert rig.evrs[-2:] == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
-
-
-def test_a_severer_fault_while_the_arm_is_being_stopped_is_answered():
-    rig = moving(MoveJoints(floats(START + 0.3)))
-    skip(rig)
     rig.cycle(**closed("drill_1"))
     assert rig.state.mode is Mode.FAULTED
     assert braked(rig)
-
-
-def test_stop_and_brake_keeps_an_arm_that_has_not_left_the_stowed_pose_stowed():
-    stowed = np.array(CONFIG.params.poses.stowed_rad)
-    rig = Rig(CONFIG, Mode.STOWED, stowed)
-    rig.cycle(Unstow())
-    skip(rig)
-    rig.run()
-    assert rig.state.mode is Mode.STOWED
 
 
 SEQUENCE = Sequence("CalibrateAll", (MoveJoints(floats(START)), MoveJoints(floats(START + 0.1))))
@@ -275,19 +247,6 @@ def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
     back = pose.copy()
     back[joint] = limit - outward * 0.05
     assert CommandCompleted("MoveJoints") in rig.run(MoveJoints(floats(back)))
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("off_rad", [-0.3, -0.0025, 0.0015, 0.0025, 5.0])
-def test_a_fault_holds_what_is_read_but_no_farther_from_the_set_point_than_a_motor_may_follow(joint, off_rad):
-    rig = moving()
-    last = rig.state.move.setpoint.motor_rad
-    rig.cycle(**off_set_point(rig, joint, off_rad), switch_closed=closed("drt_1")["switch_closed"])
-    assert rig.state.mode is Mode.FAULTED
-    held = rig.state.move.setpoint.motor_rad - last
-    bound = BOUNDS.following_error_rad
-    assert held[joint] == pytest.approx(np.clip(off_rad, -bound, bound), abs=2e-5)
-    assert braked(rig)
 
 
 @pytest.mark.parametrize("joint", Joint)

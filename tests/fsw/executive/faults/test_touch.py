@@ -19,7 +19,7 @@ from tests.fsw.executive.faults.lab import (
     in_guarded_motion,
     moving,
 )
-from tests.fsw.rig import Rig
+from tests.fsw.rig import Rig, made_once
 from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
 
 
@@ -62,6 +62,14 @@ def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
     assert CommandAborted("GuardedMove") in rig.evrs
 
 
+@made_once
+def touched():
+    """A tool that has touched and pressed."""
+    rig = in_guarded_motion("apxs")
+    rig.run(**closed("apxs_1"))
+    return rig
+
+
 def test_a_stop_while_a_contact_is_made_firm_keeps_what_it_presses_with():
     rig = in_guarded_motion("apxs")
     for _ in range(150):
@@ -71,13 +79,14 @@ def test_a_stop_while_a_contact_is_made_firm_keeps_what_it_presses_with():
     assert CONFIG.params.motion.switch_force_N <= rig.state.preload.force_N < holding_force_N(CONFIG)
 
 
-def test_a_guarded_move_that_touches_before_it_moves_presses_no_further():
-    rig = in_guarded_motion("apxs")
-    rig.run(**closed("apxs_1"))
+def test_a_guarded_move_that_touches_before_it_moves_presses_no_further_and_can_be_released():
+    rig = touched()
     pressing, motor_rad = rig.state.preload, rig.state.joints.motor_rad
     rig.run(rig.touch("apxs", 0.05), **closed("apxs_1"))
     assert rig.state.preload is pressing
     assert rig.state.joints.motor_rad == pytest.approx(motor_rad, abs=CONFIG.params.motion.settle_error_rad)
+    assert CommandCompleted("Preload") in rig.run(Preload("apxs", 0.0), **closed("apxs_1"))
+    assert rig.state.preload.force_N == 0.0
 
 
 def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
@@ -89,18 +98,8 @@ def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
     assert rig.state.preload is None
 
 
-def test_a_touch_can_be_released_before_it_is_pressed():
-    rig = in_guarded_motion("apxs")
-    rig.run(**closed("apxs_1"))
-    rig.run(Preload("apxs", 0.0), **closed("apxs_1"))
-    assert CommandCompleted("Preload") in rig.evrs
-    assert rig.state.preload.force_N == 0.0
-
-
 def test_a_fault_by_the_contact_of_another_tool_ends_what_the_first_pressed_with():
-    rig = in_guarded_motion("apxs")
-    rig.run(**closed("apxs_1"))
-    rig.cycle(**closed("drt_1"))
+    rig = touched()
     rig.run(**closed("drt_1"))
     rig.run(ClearFault(), **closed("drt_1"))
     assert rig.state.tool == "drt"

@@ -63,10 +63,9 @@ def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
         (outside, said(finding("rub", "knee", "unlocated"))),
         (outside, said(verdict="unknown")),
     )
-    wrong = found.outside
-    assert [wrong.wrong_place.hits, wrong.wrong_family.hits, wrong.wrong_effect.hits] == [2, 1, 1]
-    assert (wrong.reported.hits, wrong.wrong_place.of) == (5, 5)
-    assert found.found.reported.of == 0
+    assert [found.wrong[level].hits for level in ("place", "family", "effect")] == [2, 1, 1]
+    assert (found.outside_reported.hits, found.wrong["place"].of) == (5, 5)
+    assert found.reported.of == 0
 
 
 def test_every_effect_outside_has_a_family_and_a_location() -> None:
@@ -76,7 +75,7 @@ def test_every_effect_outside_has_a_family_and_a_location() -> None:
 
 def test_one_of_the_same_class_is_right() -> None:
     found = scored((true("single", ("rub", "knee")), said(finding("drag", "knee"))))
-    assert [found.found.effect.hits, found.found.place.hits, found.found.covered.hits] == [1, 1, 1]
+    assert [found.effect.hits, found.place.hits, found.covered.hits] == [1, 1, 1]
     assert found.interval.of == 0
 
 
@@ -87,8 +86,8 @@ def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> N
         (true("single", hip), said(verdict="unknown")),
         (true("single", hip, times=1.4), said(finding("bend", "shin.x"))),
     )
-    assert (found.found.reported.hits, found.found.reported.of) == (1, 2)
-    assert (found.found.effect.hits, found.found.effect.of) == (1, 1)
+    assert (found.reported.hits, found.reported.of) == (1, 2)
+    assert (found.effect.hits, found.effect.of) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -103,20 +102,20 @@ def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> N
 )
 def test_the_set_of_the_level_that_is_reported_holds_the_truth(one: Any, is_covered: bool) -> None:
     found = scored((true("single", ("bend", "shin.x")), said(one)))
-    assert (found.found.covered.hits, found.found.covered.of) == (int(is_covered), 1)
+    assert (found.covered.hits, found.covered.of) == (int(is_covered), 1)
 
 
 def test_a_cause_that_is_not_located_claims_no_set() -> None:
     found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "unlocated"))))
-    assert (found.found.reported.hits, found.found.covered.of) == (1, 0)
+    assert (found.reported.hits, found.covered.of) == (1, 0)
 
 
 def test_each_of_a_pair_has_its_own_finding() -> None:
     pair = true("pair", ("rub", "hip"), ("bend", "shin.x"))
     alone = scored((pair, said(finding("rub", "hip"))))
-    assert (alone.found.reported.hits, alone.found.effect.hits, alone.found.effect.of) == (1, 1, 1)
+    assert (alone.reported.hits, alone.effect.hits, alone.effect.of) == (1, 1, 1)
     both = scored((pair, said(finding("rub", "knee"), finding("rub", "hip"))))
-    assert (both.found.reported.hits, both.found.effect.hits, both.spurious.hits) == (2, 1, 1)
+    assert (both.reported.hits, both.effect.hits, both.spurious.hits) == (2, 1, 1)
 
 
 def test_intervals_are_of_the_very_effect_that_was_named() -> None:
