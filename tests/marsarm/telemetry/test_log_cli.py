@@ -6,7 +6,7 @@ import pytest
 
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 from validation.speed import record_log
 
 CYCLES = 130
@@ -104,7 +104,7 @@ def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     found = run_json(folder, "info", "two.mcap")
     assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("info", "two.mcap", "*")):
-        assert "after the end of the log" in marsarm_process(folder, "log", *words).stderr
+        assert "after the end of the log" in marsarm(folder, "log", *words).stderr
     assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
 
 
@@ -118,7 +118,7 @@ def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
 
 
 def test_one_channel_is_one(folder):
-    ran = marsarm_process(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
+    ran = marsarm(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
     assert ran.stdout == "1 channel in p.png\n"
 
 
