@@ -102,6 +102,10 @@ class RobotJoint:
         """Distance that is worth as much as 1 rad."""
         return SLIDE_m_rad if self.is_slide else 1.0
 
+    def show(self, position_rad: float, digits: str = ".4g") -> str:
+        """Return a position as text: rad, of a slide mm."""
+        return f"{1e3 * position_rad:{digits}} mm" if self.is_slide else f"{position_rad:{digits}} rad"
+
     @property
     def knows_gains(self) -> bool:
         """False if the loop has no gain: its torques can be compared, but not its positions."""

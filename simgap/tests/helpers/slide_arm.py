@@ -94,7 +94,7 @@ def command_of(seed: int, time_s: Array) -> Array:
 def record(
     seed: int, noise_seed: int, delay_s: float, friction_N: float, duration_s: float = 5.0
 ) -> dict[str, Array]:
-    """Return the columns of a motion of the real lift, whose commands arrive late and whose slide is stiffer."""
+    """Return the columns of a motion of the real lift: its commands arrive late, its slide has more friction."""
     model = mujoco.MjModel.from_xml_string(model_text())
     model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
     model.dof_solref[:] = (2 * STEP_S, 1.0)

@@ -175,18 +175,18 @@ def _beyond_range(
     robot: Robot, joint: str, motions: tuple[str, ...], samples: Sequence[Samples]
 ) -> list[Remark]:
     """Remark positions far beyond the range of the model that would lie within it in another unit."""
-    model, number = robot.model, robot.joint(joint).dof_index
-    index = int(model.dof_jntid[number])
+    model, own = robot.model, robot.joint(joint)
+    index = int(model.dof_jntid[own.dof_index])
     if not samples:
         return []
     if not model.jnt_limited[index]:
-        return _many_turns(joint, motions, samples)
+        return [] if own.is_slide else _many_turns(joint, motions, samples)
     allowed = float(np.abs(model.jnt_range[index]).max())
     largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
     for factor, unit in FACTORS.items():
         if allowed * 3.0 < largest <= factor * allowed * CLOSE:
             text = (
-                f"the position reaches {largest:.4g} rad, the model ends at {allowed:.4g} rad: "
+                f"the position reaches {own.show(largest)}, the model ends at {own.show(allowed)}: "
                 f"is the log in {unit}?"
             )
             return [Remark(RemarkKind.UNIT, joint, motions, text, largest / allowed)]
@@ -247,8 +247,13 @@ class NominalModel:
         return NominalMotion(motion.name, predicted, error)
 
     def _path(self, motion: Motion, tick_s: Array) -> Array:
-        """Step through the control periods; return the positions at them, (n, n_joints) [rad]."""
+        """Step through the control periods; return the positions at them, (n, n_joints) [rad].
+
+        They are NaN if a loop has no gain, or if the simulation blew up.
+        """
         joints, model, data = self.robot.joints, self.model, mujoco.MjData(self.model)
+        if not all(one.knows_gains for one in joints):
+            return np.full((tick_s.size, len(joints)), np.nan)
         command = np.stack([_commands(motion.joints[one.name], tick_s) for one in joints], axis=1)
         is_on = np.stack([_enabled(motion.joints[one.name], tick_s) for one in joints], axis=1)
         for one in joints:
