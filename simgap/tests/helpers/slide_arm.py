@@ -13,7 +13,7 @@ MODEL = """<mujoco model="lift">
   <option timestep="0.002" integrator="implicitfast"/>
   <worldbody>
     <body name="carriage" pos="0 0 0.5">
-      <joint name="lift" type="slide" axis="0 0 1" damping="20" frictionloss="4" range="-0.3 0.3"/>
+      <joint name="lift" type="slide" axis="0 0 1" damping="20" frictionloss="4" armature="1" range="-0.3 0.3"/>
       <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
       <body name="arm" pos="0.05 0 0">
         <joint name="swing" axis="0 1 0" damping="0.1" frictionloss="0.05" armature="0.02" range="-2 2"/>
@@ -62,6 +62,8 @@ position = { column = "p_swing", unit = "rad" }
 STEP_S = 0.002
 EVERY = 5
 """Steps of a sample of the logs."""
+PARTS = 4
+"""Parts of a step: the true arm has none."""
 NOISE = (5e-5, 5e-4)
 """Of the encoders [m, rad]."""
 
@@ -97,20 +99,21 @@ def record(
     """Return the columns of a motion of the real lift: its commands arrive late, its slide has more friction."""
     model = mujoco.MjModel.from_xml_string(model_text())
     model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-    model.dof_solref[:] = (2 * STEP_S, 1.0)
+    model.opt.timestep = STEP_S / PARTS
+    model.dof_solref[:] = (2 * model.opt.timestep, 1.0)
     model.dof_frictionloss[0] += friction_N
     data = mujoco.MjData(model)
     before_s = 1.0  # in which it sags
     late = round(delay_s / STEP_S)
     n = round(duration_s / STEP_S)
     time_s = STEP_S * np.arange(n)
-    sent = command_of(seed, time_s)
+    sent = np.repeat(command_of(seed, time_s[::EVERY]), EVERY, axis=0)  # held, as the log has it
     shown = np.zeros((n, 2))
     for k in range(-round(before_s / STEP_S), n):
         if k >= 0:
             shown[k] = data.qpos
         data.ctrl[:] = sent[max(k - late, 0), 0], sent[max(k, 0), 1]
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, PARTS)
     shown += np.random.default_rng(noise_seed).standard_normal(shown.shape) * NOISE
     kept = slice(None, None, EVERY)
     return {
