@@ -18,11 +18,13 @@ from helpers.planar_arm import (
     with_joint,
 )
 from helpers.real_robots import load_real
-from simgap.checks.audit import NominalModel, audit
+from simgap.checks.audit import audit
+from simgap.checks.commands import count_foreign_commands
+from simgap.checks.nominal import NominalModel
 from simgap.checks.records import RemarkKind
 from simgap.checks.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
-from simgap.diagnosis import check_motions, count_foreign_commands, diagnose
+from simgap.diagnosis import check_motions, diagnose
 from simgap.logs import Logs, Signal
 from simgap.result import Refusal
 

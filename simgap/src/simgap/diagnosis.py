@@ -1,6 +1,5 @@
 """Diagnose a robot: from its model and its logs to where, which effect, how far."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,11 @@ import numpy as np
 
 from simgap.assemble import assemble
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.checks.records import COARSE_RAD, Audit, Remark, RemarkKind, joint_samples
+from simgap.checks.commands import count_foreign_commands
+from simgap.checks.records import COARSE_RAD, REFUSED, Audit, Remark, joint_samples
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
-from simgap.logs import Logs, Motion, Signal
+from simgap.logs import Logs, Motion
 from simgap.residuals.encoder_residuals import why_refused
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Diagnosis, Rejected
@@ -53,16 +53,15 @@ def diagnose(
             from them. They are deleted at the end. None: nothing is kept.
 
     Raises:
-        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands; a
-            unit looks wrong to the audit, a position never changes, or it refuses all samples; or two effects
-            have one name.
+        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands;
+            the audit has a remark that refuses logs, or refuses all samples; or two effects have one name.
     """
-    check_motions(robot, motions, held_out)
     usable = None
     if audit is not None:
         check_audit(audit, motions)
         names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
+    check_motions(robot, motions, held_out)
     kinds = list_kinds(robot, motions, usable)
     logs = Logs(tuple(motions))
     known = [*catalogue(robot, logs), *effects]
@@ -157,16 +156,16 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
 
 
 def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
-    """Refuse logs with a wrong unit or a position that never changes, and logs without a usable sample.
+    """Refuse logs that say something else than happened, and logs without a usable sample.
 
-    Effects would explain a wrong unit, or a position that never changes.
+    Effects would explain a wrong unit, exchanged joints, lost turns, or a position that never changes.
 
     Raises:
-        RobotError: A unit looks wrong, a position never changes, or no sample can be used.
+        RobotError: A remark is of such a kind, or no sample can be used.
     """
     for one in audit.remarks:
-        if one.kind in (RemarkKind.UNIT, RemarkKind.CONSTANT):
-            raise RobotError(f"joint {one.joint}: {one.kind}; {one.text}")
+        if one.kind in REFUSED:
+            raise RobotError(f"{f'joint {one.joint}' if one.joint else 'logs'}: {one.kind}; {one.text}")
     if not any(audit.is_usable(motion.name, joint).any() for motion in motions for joint in motion.joints):
         reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
         raise RobotError(
@@ -201,37 +200,3 @@ def is_copy(one: Motion, other: Motion) -> bool:
         return False
     pairs = [(log.position.value, other.joints[name].position.value) for name, log in one.joints.items()]
     return all(np.array_equal(*pair) for pair in pairs) and any(np.ptp(first) > 0.0 for first, _ in pairs)
-
-
-def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
-    """Count motions whose position follows the command of another motion better than their own.
-
-    Two distances count: that from the command itself, and that beside the best offset and gain.
-    The second is needed because a weak servo hangs below its command.
-
-    Returns:
-        Number of motions with one of these distances to another command below half of that to their own.
-    """
-    if not pairs:
-        return 0
-    errors = np.array([[_follow_errors(position, other) for _, other in pairs] for position, _ in pairs])
-    own = np.diagonal(errors).T  # (n_motions, 2)
-    return int(np.sum((errors.min(axis=1) < 0.5 * own).any(axis=1)))
-
-
-def _follow_errors(position: Signal, command: Signal) -> tuple[float, float]:
-    """Return the RMS of a position beside a command, and beside its best offset and positive gain.
-
-    Both are infinite if the command covers less than half of the position.
-    """
-    time_s = position.time_s - position.time_s[0] + command.time_s[0]
-    sent = np.interp(time_s, command.time_s, command.value)
-    use = (time_s <= command.time_s[-1]) & np.isfinite(position.value) & np.isfinite(sent)
-    if np.mean(use) <= 0.5:
-        return math.inf, math.inf
-    shown, sent = position.value[use], sent[use]
-    distance = float(np.sqrt(np.mean((shown - sent) ** 2)))
-    shown, sent = shown - shown.mean(), sent - sent.mean()
-    norm = float(sent @ sent)
-    gain = max(float(shown @ sent), 0.0) / norm if norm > 0.0 else 0.0
-    return distance, float(np.sqrt(np.mean((shown - gain * sent) ** 2)))

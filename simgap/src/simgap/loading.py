@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
@@ -16,6 +17,7 @@ from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
+from simgap.units import Quantity
 
 
 class SplitTable(Record):
@@ -205,18 +207,44 @@ def _load_file(file: RobotFile, path: Path) -> list[Motion]:
     texts = dict.fromkeys(filter(None, (*file.motion.columns, *labels)))
     rows = MotionRows(open_log(path, list(numbers), list(texts), file.csv), file)
     found = {place: rows.signals(*one) for place, one in signals.items()}
+    parts = ({place: one[k] for place, one in found.items()} for k in range(len(rows.names)))
+    unwrapped = [_unwrap_counters(file, part) for part in parts]
     gain = {joint: rows.gains(column) for joint, column in gains.items()}
     repeats, conditions = (rows.labels(column) for column in labels)
     return [
         Motion(
             name,
-            _joint_logs({place: one[k] for place, one in found.items()}),
+            _joint_logs(unwrapped[k][0]),
             {joint: gain[joint][k] if joint in gain else 1.0 for joint in file.joints},
             repeats[k],
             conditions[k],
+            unwrapped[k][1],
         )
         for k, name in enumerate(rows.names)
     ]
+
+
+def _unwrap_counters(
+    file: RobotFile, signals: dict[tuple[str, str], Signal]
+) -> tuple[dict[tuple[str, str], Signal], dict[str, int]]:
+    """Add turns where a counter of one turn begins anew: a change of more than half a turn between two rows.
+
+    Returns:
+        The signals, and how often counters of each joint began anew.
+    """
+    found, count = dict(signals), dict[str, int]()
+    for (joint, key), signal in signals.items():
+        column, quantity = file.joints[joint].columns()[key]
+        turn_rad = 2.0 * math.pi * abs(column.factor)
+        turn_rad /= file.joints[joint].gear_ratio if column.side == "motor" else 1.0
+        is_angle = column.unit == "count" and quantity is Quantity.ANGLE
+        if is_angle and np.ptp(signal.value) < turn_rad:  # a counter of many turns exceeds one
+            value = np.unwrap(signal.value, period=turn_rad)
+            wraps = int(np.sum(np.abs(np.diff(value - signal.value)) > turn_rad / 2.0))
+            if wraps:
+                found[joint, key] = Signal(signal.time_s, value)
+                count[joint] = count.get(joint, 0) + wraps
+    return found, count
 
 
 def _joint_logs(signals: dict[tuple[str, str], Signal]) -> dict[str, JointLog]:

@@ -1,7 +1,7 @@
 """Logs: signals at their own rate, grouped by joint and by motion."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from simgap.arrays import Array, Flags
 
@@ -55,6 +55,8 @@ class Motion:
     """Motions with the same text repeat one another; empty: never repeated."""
     condition: str = ""
     """Setting, such as a gain, that a split may hold out."""
+    unwrapped: Mapping[str, int] = field(default_factory=dict)
+    """Joint -> how often its counter began anew, so that turns were added when it was read."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,10 @@ class RobotJoint:
         """Return a position as text: rad, of a slide mm."""
         return f"{1e3 * position_rad:{digits}} mm" if self.is_slide else f"{position_rad:{digits}} rad"
 
+    def show_small(self, difference_rad: float, digits: str = ".3g") -> str:
+        """Return a small difference of positions as text: mrad, of a slide mm."""
+        return f"{1e3 * difference_rad:{digits}} m{self.unit}"
+
     @property
     def knows_gains(self) -> bool:
         """False if the loop has no gain: its torques can be compared, but not its positions."""

@@ -19,7 +19,7 @@ from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
 from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs
-from simgap.checks.audit import NominalModel
+from simgap.checks.nominal import NominalModel
 
 POSITION = 'column = "position_elbow", unit = "rad"'
 ROBOTS = {
@@ -143,10 +143,10 @@ BOTH = {
     "robot.toml one_row.parquet": "motion 'motion 0' has 1 position; a motion needs several",
     "robot.toml": "Missing argument 'LOG...'",
     # time
-    "robot.toml gap.parquet": "or is there a gap",
-    "robot.toml time_1000.parquet": "a position every 20 s on average",
-    "robot.toml time_1_1000.parquet": "has 5e+04 positions a second",
-    "milliseconds.toml log.parquet": "are the times in ms?",
+    "robot.toml gap.parquet": "end the motion where the gap is",
+    "robot.toml time_1000.parquet": "the times look 1000 times too long; write time.unit = 'ms'",
+    "robot.toml time_1_1000.parquet": "the times look 1000 times too short",
+    "milliseconds.toml log.parquet": "the times look 1000 times too short; write time.unit = 's'",
     # files
     "robot.toml pipe.parquet": "is no regular file; name a log",
     "robot.toml cut.npz": "is no NumPy .npz file",

@@ -6,7 +6,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from simgap.checks.audit import NominalModel
+from simgap.checks.nominal import NominalModel
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 

@@ -18,15 +18,25 @@ class RemarkKind(StrEnum):
     """Kinds of remarks, the worst first."""
 
     UNIT = "unit looks wrong"
+    WRAP = "lost turns"
+    ORDER = "joints look exchanged"
     CONSTANT = "position is constant"
+    STILL = "no excitation"
+    SPIKE = "spikes"
+    START = "standstill at the start"
     CONTACT = "contact with a plane"
     CUT_OFF = "command is cut off"
     SATURATION = "saturation"
     COLLISION = "collision in the model"
     TURNS = "many turns"
+    COUNTER = "counter wraps"
     STALE = "stale samples"
     MISSING = "missing samples"
     JITTER = "uneven rate"
+
+
+REFUSED: Final = frozenset({RemarkKind.UNIT, RemarkKind.WRAP, RemarkKind.ORDER, RemarkKind.CONSTANT})
+"""Remarks on logs that say something else than happened: a diagnosis refuses them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +70,8 @@ class SignalRate:
     """Half the distance of the quantiles 5 % and 95 % of the period."""
     n_missing: int
     """Rows that are missing in gaps between samples."""
+    longest_s: float
+    """Longest time between two samples; NaN for fewer than two."""
     n_invalid: int
     """Samples that are not finite."""
     n_stale: int
@@ -76,6 +88,8 @@ class Audit:
     refused: tuple[Refusal, ...]
     usable: Mapping[tuple[str, str], Flags]
     """(motion, joint) -> flags over its position samples."""
+    untested: tuple[str, ...] = ()
+    """What these logs cannot show, each with the reason."""
 
     def is_usable(self, motion: str, joint: str) -> Flags:
         """Return which position samples of a joint a diagnosis may use, (n,)."""
@@ -126,6 +140,8 @@ def robust_sigma(values: Array) -> float:
 
 GAP: Final = 2.5
 """A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
+GAP_S: Final = 0.3
+"""A gap of this length, or a step of the clock, is worth a remark: a joint settles in it unseen."""
 JITTER_SHARE: Final = 0.25
 """Jitter of this share of the period is worth a remark: linear interpolation is then wrong by as much."""
 REMARK_SHARE: Final = 0.01
@@ -216,7 +232,7 @@ def _rate(motion: str, joint: str, log: JointLog, step_rad: float) -> SignalRate
     n_invalid = n - samples.index.size + _invalid_commands(log)
     if period.size == 0:
         nan = math.nan
-        return SignalRate(motion, joint, n, 0.0, nan, nan, 0, n_invalid, 0)
+        return SignalRate(motion, joint, n, 0.0, nan, nan, 0, nan, n_invalid, 0)
     median = float(np.median(period))
     low, high = np.quantile(period, [0.05, 0.95])
     gaps = period[period > GAP * median]
@@ -228,6 +244,7 @@ def _rate(motion: str, joint: str, log: JointLog, step_rad: float) -> SignalRate
         rate_Hz=1.0 / median if median > 0.0 else math.nan,
         jitter_s=float(high - low) / 2.0,
         n_missing=int(np.sum(np.round(gaps / median) - 1.0)) if median > 0.0 else 0,
+        longest_s=float(period.max()),
         n_invalid=n_invalid,
         n_stale=int(np.sum(stale_flags(samples, step_rad))),
     )
@@ -248,10 +265,11 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
             count = sum(rate.n_stale for rate in stale)
             text = f"{count} positions repeat an old value while the joint moves"
             found.append(Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples))
-        gaps = [rate for rate in own if rate.n_missing > REMARK_SHARE * rate.n_samples or rate.n_invalid]
+        gaps = [rate for rate in own if _has_gaps(rate) or rate.n_invalid]
         if gaps:
             missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
-            parts = [f"{missing} rows are missing"] * bool(missing)
+            longest_s = max(r.longest_s for r in gaps)
+            parts = [f"{missing} rows are missing, {longest_s:.3g} s at once at most"] * bool(missing)
             parts += [f"{invalid} values are no numbers"] * bool(invalid)
             found.append(
                 Remark(
@@ -268,6 +286,10 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
             text = f"the period varies by +-{worst.jitter_s * 1e3:.1f} ms at {worst.rate_Hz:.0f} Hz"
             found.append(Remark(RemarkKind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s"))
     return found
+
+
+def _has_gaps(rate: SignalRate) -> bool:
+    return rate.n_missing > 0 and (rate.n_missing > REMARK_SHARE * rate.n_samples or rate.longest_s > GAP_S)
 
 
 def _names(rates: Sequence[SignalRate]) -> tuple[str, ...]:

@@ -10,7 +10,8 @@ import numpy as np
 from rich.table import Table
 
 from simgap.arrays import Array
-from simgap.checks.audit import NominalModel, NominalMotion, audit
+from simgap.checks.audit import audit
+from simgap.checks.nominal import NominalModel, NominalMotion
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
 from simgap.common.console import plain_console, pluralize
@@ -141,8 +142,8 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
 def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
     """Return the sentence with which a diagnosis refuses these logs; empty if it takes them."""
     try:
-        check_motions(robot, logs.fit, logs.judged)
         check_audit(found, logs.fit)
+        check_motions(robot, logs.fit, logs.judged)
     except RobotError as error:
         return str(error)
     return ""
@@ -160,6 +161,7 @@ def check_json(report: CheckReport) -> dict[str, Any]:
         "held_out": sorted(report.logs.held_out),
         "joints": [to_json(one) for one in summarize_joints(report)],
         "remarks": [to_json(one) for one in report.audit.remarks],
+        "untested": list(report.audit.untested),
         "refused": [to_json(one) for one in report.audit.refused],
         "rates": [to_json(one) for one in report.audit.rates],
         "nominal": [
@@ -174,7 +176,7 @@ def print_check(report: CheckReport) -> None:
     """Print one line for each joint, and the remarks with the worst first."""
     console = plain_console()
     console.print(_joint_table(report))
-    for line in remark_lines(report.audit.remarks)[:MAX_REMARKS]:
+    for line in remark_lines(report.audit)[:MAX_REMARKS]:
         console.print(line)
     more = len(report.audit.remarks) - MAX_REMARKS
     if more > 0:
@@ -182,11 +184,12 @@ def print_check(report: CheckReport) -> None:
     console.print(refusal_sentence(report))
 
 
-def remark_lines(remarks: tuple[Remark, ...]) -> list[str]:
-    """Return a line for each remark, or one that says that there is none."""
-    return [f"{one.kind}: {remark_text(one)}{_motion_words(one)}" for one in remarks] or [
-        "no remark: the logs look sound"
-    ]
+def remark_lines(audit: Audit) -> list[str]:
+    """Return a line for each remark, or one that says that there is none, and what was not tested."""
+    lines = [f"{one.kind}: {remark_text(one)}{_motion_words(one)}" for one in audit.remarks]
+    if not lines:
+        lines.append("no remark in what was tested" if audit.untested else "no remark: the logs look sound")
+    return [*lines, *(f"not tested: {one}" for one in audit.untested)]
 
 
 def remark_text(remark: Remark) -> str:
@@ -256,8 +259,8 @@ def save_check_page(report: CheckReport, path: Path) -> None:
     digests = {**report.digests, "result": json_sha256(check_json(report))}
     origin = Origin(command_text("simgap check", report.request), digests)
     count = len(report.audit.remarks)
-    said = f"{pluralize(count, 'remark')}. " if count else "No remark: the logs look sound. "
-    verdict = said + refusal_sentence(report)
+    said = pluralize(count, "remark") if count else remark_lines(report.audit)[0].capitalize()
+    verdict = f"{said}. {refusal_sentence(report)}"
     save_page(f"{report.robot.name}: check of the logs", verdict, (), origin, list(_page_parts(report)), path)
 
 
@@ -266,6 +269,9 @@ def _page_parts(report: CheckReport) -> Iterator[str]:
         yield heading("Remarks, the worst first")
         rows = [(str(one.kind), remark_text(one), ", ".join(one.motions)) for one in report.audit.remarks]
         yield table(("kind", "what the logs show", "motions"), rows)
+    if report.audit.untested:
+        yield heading("Not tested")
+        yield table(("fault that these logs cannot show",), [(one,) for one in report.audit.untested])
     yield heading("Joints")
     yield paragraph(
         "Rate and jitter of the positions, rows that are missing or stale, their range, and the share "

@@ -1,5 +1,6 @@
 """Rows of a log file by motion, as checked signals in SI units at the joint."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -16,9 +17,12 @@ MAX_VALUE: Final = 1e9
 """Largest value in SI units: no angle, torque, current or voltage of a robot is as large."""
 MAX_PERIOD_S: Final = 1.0
 """Longest mean period of positions: a controlled joint settles in less, so that nothing of it shows."""
-MAX_RATE: Final = 30.0
-"""Positions in a control period from which the times are wrong: units of time differ by 1000, and the root
-of 1000 is between a log at the rate of the controller and one that looks 1000 times as fast."""
+SLOWEST: Final = 0.01
+"""Least rate of positions in that of the controller. Logs have a hundredth of it to ten times as much: a
+range of 1000, so that no other unit of time fits as well."""
+FASTEST: Final = 10.0
+TIMES: Final = ("s", "ms", "us", "ns")
+"""Units that are mistaken for one another."""
 
 
 class MotionRows:
@@ -90,18 +94,19 @@ class MotionRows:
         """Refuse times in another unit than the robot file says, and gaps that no simulation should cross."""
         if time_s.size < 2:
             raise RobotError(f"{self._log.path}: motion {name!r} has 1 position; a motion needs several")
+        period_s = float(np.median(np.diff(time_s)))
+        share = 1.0 / (period_s * self._file.control_rate_Hz)
+        where = f"{self._log.path}: motion {name!r}"
+        if not SLOWEST <= share <= FASTEST:
+            raise RobotError(
+                f"{where} has a position every {period_s:.3g} s, control_rate_Hz is "
+                f"{self._file.control_rate_Hz:g}: {_other_unit(share, self._file.time.unit)}"
+            )
         mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
-        rate_Hz = 1.0 / float(np.median(np.diff(time_s)))
-        unit = self._file.time.unit
         if mean_s > MAX_PERIOD_S:
             raise RobotError(
-                f"{self._log.path}: motion {name!r} has a position every {mean_s:.3g} s on average, at least "
-                f"one a second is needed: are the times in {unit}, or is there a gap, where the motion ends?"
-            )
-        if rate_Hz > MAX_RATE * self._file.control_rate_Hz:
-            raise RobotError(
-                f"{self._log.path}: motion {name!r} has {rate_Hz:.3g} positions a second, the controller "
-                f"runs at {self._file.control_rate_Hz:g} Hz: are the times in {unit}?"
+                f"{where} has a position every {mean_s:.3g} s on average, at least one a second is needed; "
+                "end the motion where the gap is"
             )
 
     def labels(self, column: str) -> list[str]:
@@ -177,6 +182,21 @@ class MotionRows:
                     "sort the rows, or name the columns of a motion"
                 )
         return found
+
+
+def _other_unit(share: float, unit: str) -> str:
+    """Return which unit of time fits the rate of the controller, or by how much the times are wrong."""
+    for ratio in (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9):
+        if SLOWEST <= share * ratio <= FASTEST:
+            size = f"{ratio:.4g} times too long" if ratio > 1.0 else f"{1.0 / ratio:.4g} times too short"
+            factor = UNITS[unit].factor / ratio
+            others = [name for name in TIMES if math.isclose(UNITS[name].factor, factor)]
+            return f"the times look {size}; " + (
+                f"write time.unit = {others[0]!r}" if others else "convert them"
+            )
+    if share < 1.0:
+        return f"the times look {SLOWEST / share:.2g} to {FASTEST / share:.2g} times too long; convert them"
+    return f"the times look {share / FASTEST:.2g} to {share / SLOWEST:.2g} times too short; convert them"
 
 
 def _as_slice(rows: Any) -> Any:

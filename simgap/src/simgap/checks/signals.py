@@ -1,0 +1,206 @@
+"""Faults of single signals: turns that are lost, samples that jump away, joints that stand still."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, percentile_filter
+
+from simgap.arrays import Array, Flags
+from simgap.checks.records import (
+    COARSE_RAD,
+    STEPS,
+    Remark,
+    RemarkKind,
+    Samples,
+    encoder_step_rad,
+    joint_samples,
+    robust_sigma,
+)
+from simgap.logs import Motion, Signal
+from simgap.robot import ControlMode, Robot
+
+WINDOW: Final = 21
+"""Steps around one that say what is usual there: a spike makes two of them, and five may be larger."""
+SURE: Final = 5.0
+"""Ratio to what is usual near by: steps of a sine wave have 1.3 at most, of normal noise 3.5 in a million."""
+SIGMAS: Final = 8.0
+"""Standard deviations of noise that a spike exceeds: normal noise does so once in 1e15 samples."""
+
+
+def _usual_steps(value: Array) -> Array:
+    """Return the upper quartile of the sizes of the steps around each step, (n - 1,)."""
+    return np.asarray(percentile_filter(np.abs(np.diff(value)), 75, WINDOW, mode="nearest"))
+
+
+TURN_RAD: Final = 2.0 * np.pi
+ROUND: Final = 0.1
+"""Share of a turn, or of a range, by which whole turns may be missed: a joint moves by less in a row."""
+
+
+def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find positions and commands that jump by whole turns between two rows, and counters that did."""
+    found = [*_unwrapped(motions)]
+    for joint in (one for one in robot.joints if not one.is_slide):
+        for name in ("position", "command", "secondary"):
+            if name == "command" and joint.mode is not ControlMode.POSITION:
+                continue
+            count = {one.name: _count_turns(one, joint.name, name) for one in motions}
+            names = tuple(motion for motion, number in count.items() if number)
+            if names:
+                number = sum(count.values())
+                text = (
+                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {number} times: it wraps. "
+                    "Unwrap it, or give the unit count with counts_per_turn, which is unwrapped"
+                )
+                found.append(Remark(RemarkKind.WRAP, joint.name, names, text, float(number)))
+    return found
+
+
+def _unwrapped(motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Yield a remark for each joint whose counter began anew: turns were added when it was read."""
+    for joint in dict.fromkeys(name for motion in motions for name in motion.unwrapped):
+        count = {one.name: one.unwrapped[joint] for one in motions if joint in one.unwrapped}
+        number = sum(count.values())
+        text = f"the counter wraps {number} times; it is unwrapped"
+        yield Remark(RemarkKind.COUNTER, joint, tuple(count), text, float(number))
+
+
+def _count_turns(motion: Motion, joint: str, name: str) -> int:
+    signal: Signal | None = getattr(motion.joints[joint], name) if joint in motion.joints else None
+    if signal is None:
+        return 0
+    value = signal.value[np.isfinite(signal.value)]
+    if value.size < 2:
+        return 0
+    step, usual = np.abs(np.diff(value)), SURE * _usual_steps(value)
+    whole = np.round(step / TURN_RAD)
+    rest = np.abs(step - whole * TURN_RAD)
+    is_turn = (whole >= 1.0) & (step > usual) & (rest <= np.minimum(usual, ROUND * TURN_RAD) + 1e-9)
+    return int(np.sum(is_turn))
+
+
+def spike_flags(samples: Samples, step_rad: float) -> Flags:
+    """Flag one or two samples that jump away from those before and after, (n,).
+
+    Their distance from the mean of these neighbours is compared with the steps that are usual near by, with
+    noise and the step of the encoder, and with the range of the command near by. So neither fast motion nor
+    oscillation counts, nor the answer to a pulse.
+    """
+    value, flags = samples.position, np.zeros(samples.position.size, np.bool_)
+    if value.size < WINDOW:
+        return flags
+    sent = np.nan_to_num(samples.command)
+    commanded = maximum_filter1d(sent, WINDOW) - minimum_filter1d(sent, WINDOW)
+    least = SURE * _usual_steps(value) + SIGMAS * _noise_rad(value) + STEPS * step_rad
+    least = np.maximum(least, commanded[:-1])
+    for width in (1, 2):
+        before, after = value[: -width - 1], value[width + 1 :]
+        inside = np.stack([value[1 + k : value.size - width + k] for k in range(width)])
+        away = np.abs(inside - (before + after) / 2.0).min(axis=0)
+        is_away = away > np.maximum(least[: away.size], np.abs(after - before))
+        for k in range(width):
+            flags[1 + k : value.size - width + k] |= is_away
+    return flags
+
+
+def find_spikes(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find positions that jump away for a sample or two."""
+    found: list[Remark] = []
+    for joint in robot.joints:
+        step_rad = encoder_step_rad(motions, joint.name)
+        count: dict[str, int] = {}
+        furthest = 0.0
+        for motion in motions:
+            if joint.name in motion.joints:
+                samples = joint_samples(motion.joints[joint.name])
+                flags = spike_flags(samples, step_rad)
+                count[motion.name] = int(flags.sum())
+                away = np.abs(samples.position - np.median(samples.position))[flags]
+                furthest = max(furthest, float(away.max(initial=0.0)))
+        names = tuple(name for name, number in count.items() if number)
+        if names:
+            text = (
+                f"{sum(count.values())} positions jump away for a sample or two, to {joint.show(furthest, '.3g')} from "
+                "the median: were they read wrongly?"
+            )
+            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
+    return found
+
+
+SPREAD: Final = 10.0
+"""Range of a position in standard deviations of its noise from which the joint moves: noise alone has 4.7."""
+
+
+def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find joints that hardly move in any motion."""
+    found: list[Remark] = []
+    for joint in robot.joints:
+        own = [motion for motion in motions if joint.name in motion.joints]
+        step_rad = encoder_step_rad(motions, joint.name)
+        positions = [joint_samples(motion.joints[joint.name]).position for motion in own]
+        noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / np.sqrt(12.0)])
+        spread_rad = max([_range_rad(one) for one in positions], default=0.0)
+        if not own or spread_rad > SPREAD * noise_rad or spread_rad == 0.0:
+            continue
+        text = (
+            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise is "
+            f"{joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
+        )
+        names = tuple(motion.name for motion in own)
+        found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit=joint.unit))
+    return found
+
+
+def _noise_rad(position: Array) -> float:
+    """Return the standard deviation of white noise, whose second differences have six times its variance."""
+    return robust_sigma(np.diff(position, 2)) / math.sqrt(6.0)
+
+
+def _range_rad(position: Array) -> float:
+    """Return the range of a position without the hundredth at each end."""
+    return float(np.ptp(np.quantile(position, [0.01, 0.99]))) if position.size else 0.0
+
+
+BEGINS: Final = 3.0
+"""Ratio of the error before a joint starts to the largest later one from which it was not on yet."""
+
+
+def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find joints that stand still at the start of a motion while their commands move."""
+    found: list[Remark] = []
+    for joint in robot.joints:
+        late_s: dict[str, float] = {}
+        for motion in motions:
+            if joint.mode is ControlMode.POSITION and joint.name in motion.joints:
+                late = _late_start_s(joint_samples(motion.joints[joint.name]), COARSE_RAD * joint.per_rad)
+                if late:
+                    late_s[motion.name] = late
+        if late_s:
+            longest = max(late_s.values())
+            text = (
+                f"the joint stands still for the first {longest:.2g} s while its command moves, and follows "
+                "it later: was the motor off? Begin the motion later, or name the signal enabled"
+            )
+            found.append(Remark(RemarkKind.START, joint.name, tuple(late_s), text, longest, unit="s"))
+    return found
+
+
+def _late_start_s(samples: Samples, least_rad: float) -> float:
+    """Return how long a joint stands still at the start although its command moves; 0 if it does not.
+
+    Args:
+        least_rad: Distance by which a joint moves clearly.
+    """
+    use = np.isfinite(samples.command)
+    time_s, position, command = samples.time_s[use], samples.position[use], samples.command[use]
+    if time_s.size < WINDOW:
+        return 0.0
+    error = np.abs((command - command[0]) - (position - position[0]))
+    starts = np.flatnonzero(np.abs(position - position[0]) > least_rad / STEPS)
+    if not starts.size or not 0 < starts[0] < time_s.size // 2:
+        return 0.0
+    before, later = error[: starts[0]], error[2 * starts[0] :]
+    is_late = before.max() > least_rad and before.max() > BEGINS * float(later.max(initial=0.0))
+    return float(time_s[starts[0]] - time_s[0]) if is_late else 0.0

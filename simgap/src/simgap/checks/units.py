@@ -1,0 +1,170 @@
+"""Units that look wrong: ratios between signals of one joint, and positions beyond the range of the model."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.checks.records import Remark, RemarkKind, Samples, hold, joint_samples
+from simgap.checks.signals import ROUND, TURN_RAD
+from simgap.logs import Motion
+from simgap.robot import ControlMode, Robot
+
+FACTORS: Final = {180.0 / math.pi: "degrees", 1000.0: "thousandths"}
+"""Factors of units that are mistaken for each other, and the name of the smaller unit."""
+CLOSE: Final = 1.5
+"""A ratio is near a factor within this factor: a servo follows its command to better than that."""
+TURNS: Final = 2.0
+"""Usual turns of a joint without limits: those of most such arms go from -360 to 360 degrees."""
+FOLLOWS: Final = 0.8
+"""Correlation from which two signals count as the same quantity."""
+
+
+def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Return remarks about units that look wrong, those of the times among them."""
+    found: list[Remark] = []
+    speeds: dict[str, float] = {}
+    for joint in robot.joints:
+        own = [motion for motion in motions if joint.name in motion.joints]
+        samples = [joint_samples(motion.joints[joint.name]) for motion in own]
+        names = tuple(motion.name for motion in own)
+        if joint.mode is ControlMode.POSITION:
+            ratio = _ratio((one.command, one.position) for one in samples)
+            found += _remark(ratio, joint.name, names, "the position", "its command")
+        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
+        found += _beyond_range(robot, joint.name, names, samples)
+    return found + _audit_velocities(speeds, tuple(motion.name for motion in motions))
+
+
+def _audit_velocities(ratios: Mapping[str, float], motions: tuple[str, ...]) -> list[Remark]:
+    """Remark velocities that are not the change of the position; if all joints agree, the times are wrong."""
+    known = {name: one for name, one in ratios.items() if math.isfinite(one)}
+    wrong = {name: one for name, one in known.items() if one < 0.0 or abs(math.log(one)) > math.log(CLOSE)}
+    found: list[Remark] = []
+    for name, ratio in wrong.items():
+        found += _remark(ratio, name, motions, "the velocity", "the change of the position")
+    middle = float(np.median(list(known.values()))) if known else math.nan
+    if found or not wrong:
+        return found
+    if len(wrong) == len(known) > 1 and all(
+        abs(math.log(one / middle)) < math.log(CLOSE) for one in wrong.values()
+    ):
+        text = (
+            f"the velocities of all joints are {middle:.3g} times the change of the positions: are the times "
+            f"too {'long' if middle > 1.0 else 'short'} by {max(middle, 1.0 / middle):.3g}?"
+        )
+        return [Remark(RemarkKind.UNIT, "", motions, text, middle)]
+    what = "times the change of the position: is a unit or a factor wrong?"
+    return [
+        Remark(RemarkKind.UNIT, name, motions, f"the velocity is {ratio:.3g} {what}", ratio)
+        for name, ratio in wrong.items()
+    ]
+
+
+def _ratio(pairs: Iterator[tuple[Array, Array]]) -> float:
+    """Return the ratio of the second signals to the first; NaN if they do not vary alike.
+
+    It is below 0 if they run against each other in all motions: in a fast one a servo may lag by half a wave.
+    """
+    ratios: list[float] = []
+    for first, second in pairs:
+        use = np.isfinite(first) & np.isfinite(second)
+        if use.sum() < 3:
+            continue
+        spread = float(np.std(first[use])), float(np.std(second[use]))
+        if min(spread) == 0.0:
+            continue
+        correlation = float(np.corrcoef(first[use], second[use])[0, 1])
+        if abs(correlation) > FOLLOWS:
+            ratios.append(math.copysign(spread[1] / spread[0], correlation))
+    ratios = [one for one in ratios if one > 0.0] or ratios
+    return float(np.median(ratios)) if ratios else math.nan
+
+
+def _velocities(
+    motions: Sequence[Motion], samples: Sequence[Samples], joint: str
+) -> Iterator[tuple[Array, Array]]:
+    """Yield differences of position and logged velocities, each averaged over a tenth of a second."""
+    for motion, one in zip(motions, samples, strict=True):
+        velocity = motion.joints[joint].velocity
+        if velocity is None or one.time_s.size < 3:
+            continue
+        width = max(1, round(0.1 / float(np.median(np.diff(one.time_s)))))
+        cut = one.time_s.size // width * width
+        if cut < 3 * width:
+            continue
+        mean_v = hold(velocity, one.time_s)[:cut].reshape(-1, width).mean(axis=1)
+        mean_t = one.time_s[:cut].reshape(-1, width).mean(axis=1)
+        mean_p = one.position[:cut].reshape(-1, width).mean(axis=1)
+        yield np.gradient(mean_p, mean_t), mean_v
+
+
+def _remark(ratio: float, joint: str, motions: tuple[str, ...], what: str, other: str) -> list[Remark]:
+    if ratio < 0.0:
+        text = f"{what} runs against {other}: is factor = -1 missing at one of them?"
+        return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
+    for factor, unit in FACTORS.items():
+        for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
+            if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):
+                text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
+                text += f"of {right} in the robot file wrong?"
+                return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
+    return []
+
+
+def _beyond_range(
+    robot: Robot, joint: str, motions: tuple[str, ...], samples: Sequence[Samples]
+) -> list[Remark]:
+    """Remark positions far beyond the range of the model that would lie within it in another unit."""
+    model, own = robot.model, robot.joint(joint)
+    index = int(model.dof_jntid[own.dof_index])
+    if not samples:
+        return []
+    if not model.jnt_limited[index]:
+        return [] if own.is_slide else _many_turns(joint, motions, samples)
+    allowed = float(np.abs(model.jnt_range[index]).max())
+    largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
+    turns = 0 if own.is_slide else _turns_off(model.jnt_range[index], samples)
+    if turns:
+        text = (
+            f"the position lies {abs(turns)} turns {'above' if turns > 0 else 'below'} the range of the "
+            f"model: add zero_rad = {-turns * TURN_RAD:.6g} to position and command"
+        )
+        return [Remark(RemarkKind.UNIT, joint, motions, text.replace(" 1 turns", " a turn"), float(turns))]
+    for factor, unit in FACTORS.items():
+        if own.is_slide and unit == "degrees":
+            continue
+        if allowed * 3.0 < largest <= factor * allowed * CLOSE:
+            text = (
+                f"the position reaches {own.show(largest)}, the model ends at {own.show(allowed)}: "
+                f"is the log in {unit}? That is a factor of {factor:.4g}"
+            )
+            return [Remark(RemarkKind.UNIT, joint, motions, text, largest / allowed)]
+    return []
+
+
+def _turns_off(range_rad: Array, samples: Sequence[Samples]) -> int:
+    """Return by how many whole turns all positions lie beyond the range of the model; 0 if by none."""
+    positions = np.concatenate([one.position for one in samples])
+    if not positions.size:
+        return 0
+    low, high = np.quantile(positions, [0.01, 0.99])
+    turns = round(((low + high) / 2.0 - float(range_rad.mean())) / TURN_RAD)
+    slack = ROUND * float(np.ptp(range_rad))
+    is_inside = (
+        low - turns * TURN_RAD > range_rad[0] - slack and high - turns * TURN_RAD < range_rad[1] + slack
+    )
+    is_outside = low > range_rad[1] + slack or high < range_rad[0] - slack
+    return turns if is_inside and is_outside else 0
+
+
+def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
+    """Remark positions of a joint without limits that go over many turns, as degrees would."""
+    positions = np.concatenate([one.position for one in samples])
+    if np.ptp(positions) <= 2.0 * math.pi * TURNS:
+        return []
+    low, high = float(positions.min()), float(positions.max())
+    text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
+    return [Remark(RemarkKind.TURNS, joint, motions, text, high - low, unit="rad")]

@@ -1,0 +1,190 @@
+"""The audit names faults that people's logs have, and is silent about motions that only look like them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record, slow_logs, with_joint
+from simgap.checks.audit import audit
+from simgap.checks.records import RemarkKind, Samples
+from simgap.checks.signals import spike_flags
+from simgap.files.robot_file import RobotFile, SignalColumn
+from simgap.loading import _unwrap_counters
+from simgap.logs import Logs, Signal
+
+
+@pytest.fixture(scope="module")
+def clean() -> Logs:
+    return slow_logs(planar_arm())
+
+
+def remarks(logs: Logs, kind: RemarkKind):
+    return [one for one in audit(planar_arm(), logs).remarks if one.kind is kind]
+
+
+def change_position(change):
+    """Return a change of the log of a joint that puts other values in the place of its positions."""
+    return lambda log: replace(log, position=replace(log.position, value=change(log.position.value.copy())))
+
+
+def samples(position, command=None):
+    time_s = np.arange(position.size) / RATE_HZ
+    sent = np.full(position.size, np.nan) if command is None else command
+    return Samples(np.arange(position.size), time_s, position, sent)
+
+
+@pytest.mark.parametrize("width", [1, 2])
+@pytest.mark.parametrize("size_rad", [-3.14, 0.1])
+def test_samples_that_jump_away_are_named_and_left_out(clean, width, size_rad):
+    def jump(value):
+        for first in (50, 61, 300):
+            value[first : first + width] += size_rad
+        return value
+
+    logs = with_joint(clean, "elbow", change_position(jump))
+    (found,) = remarks(logs, RemarkKind.SPIKE)
+    assert (found.joint, len(found.motions)) == ("elbow", 4)
+    usable = audit(planar_arm(), logs).is_usable("motion 2", "elbow")
+    assert np.flatnonzero(~usable).tolist() == [
+        k for first in (50, 61, 300) for k in range(first, first + width)
+    ]
+
+
+@pytest.mark.parametrize("frequency_Hz", [0.5, 4.0, 8.0, 12.5, 16.0, 25.0])
+@pytest.mark.parametrize("noise_rad", [0.0, 1e-4, 1e-2])
+def test_oscillation_and_noise_are_no_spikes(frequency_Hz, noise_rad):
+    random = np.random.default_rng(int(frequency_Hz))
+    time_s = np.arange(5000) / RATE_HZ
+    wave = np.sin(2 * np.pi * frequency_Hz * time_s + 0.3) * np.minimum(time_s, 1.0)
+    position = wave + noise_rad * random.standard_normal(time_s.size)
+    position = np.round(position / COUNT_RAD) * COUNT_RAD
+    assert not spike_flags(samples(position), COUNT_RAD).any()
+
+
+def test_the_answer_to_a_pulse_is_no_spike():
+    command, position = np.zeros(200), np.zeros(200)
+    command[100], position[101] = 1.0, 0.4
+    assert not spike_flags(samples(position, command), COUNT_RAD).any()
+
+
+@pytest.mark.parametrize("zero_rad", [0.0, 3.0, -3.0])
+def test_angles_that_wrap_are_refused(clean, zero_rad):
+    logs = with_joint(clean, "shoulder", change_position(lambda value: value + zero_rad))
+    wrapped = with_joint(logs, "shoulder", change_position(lambda value: np.angle(np.exp(1j * value))))
+    jumps = any(np.ptp(np.diff(one.joints["shoulder"].position.value)) > 6.0 for one in wrapped.motions)
+    assert bool(remarks(wrapped, RemarkKind.WRAP)) is jumps is (zero_rad != 0.0)
+
+
+@pytest.mark.parametrize(("side", "gear"), [("joint", 1.0), ("motor", 10.0)])
+def test_a_counter_of_one_turn_is_unwrapped_and_one_of_many_is_as_it_was(side, gear):
+    column = {"column": "q", "unit": "count", "counts_per_turn": 4096, "side": side}
+    joint = {"mode": "position", "position": column, "gear_ratio": gear}
+    file = RobotFile.model_validate(
+        {
+            "name": "one joint",
+            "model": "model.xml",
+            "time_step_s": 0.002,
+            "control_rate_Hz": 50.0,
+            "time": {"column": "t"},
+            "joints": {"elbow": joint},
+        }
+    )
+    assert isinstance(file.joints["elbow"].position, SignalColumn)
+    turns = 0.4 * np.sin(np.linspace(0.0, 9.0, 100)) + 0.1
+    time_s, many = np.arange(100.0), np.arange(100.0)
+    for shown, wraps in ((turns % 1.0, True), (many, False)):
+        given = Signal(time_s, shown * 2 * np.pi / gear)
+        found, count = _unwrap_counters(file, {("elbow", "position"): given})
+        assert bool(count) is wraps
+        expected = turns if wraps else many
+        np.testing.assert_allclose(found["elbow", "position"].value * gear, 2 * np.pi * expected, atol=1e-12)
+
+
+def test_positions_a_turn_beyond_the_model_are_refused_with_their_zero(clean):
+    logs = with_joint(clean, "elbow", change_position(lambda value: value + 2 * np.pi))
+    (found,) = remarks(logs, RemarkKind.UNIT)
+    assert "a turn above the range of the model: add zero_rad = -6.28319" in found.text
+
+
+def test_exchanged_joints_are_named_each_with_the_other(clean):
+    def exchange(motion):
+        shoulder, elbow = motion.joints["shoulder"], motion.joints["elbow"]
+        joints = {
+            "shoulder": replace(shoulder, position=elbow.position),
+            "elbow": replace(elbow, position=shoulder.position),
+        }
+        return replace(motion, joints=joints)
+
+    logs = replace(clean, motions=tuple(map(exchange, clean.motions)))
+    found = remarks(logs, RemarkKind.ORDER)
+    assert [(one.joint, one.text.split()[6]) for one in found] == [
+        ("shoulder", "elbow"),
+        ("elbow", "shoulder"),
+    ]
+
+
+def test_joints_with_like_commands_are_not_exchanged():
+    sent = [commands(k, -0.6, 0.4) for k in range(3)]
+    same = [one | {"elbow": one["shoulder"]} for one in sent]
+    logs = Logs(tuple(record(planar_arm(), k, one) for k, one in enumerate(same)))
+    assert not remarks(logs, RemarkKind.ORDER)
+
+
+@pytest.mark.parametrize("step_rad", [0.0, COUNT_RAD])
+def test_a_joint_that_only_shows_noise_cannot_be_identified(clean, step_rad):
+    random = np.random.default_rng(3)
+
+    def hold(value):
+        value = 0.3 + 0.001 * random.standard_normal(value.size)
+        return np.round(value / step_rad) * step_rad if step_rad else value
+
+    def keep(log):
+        held = change_position(hold)(log)
+        return replace(held, command=Signal(log.command.time_s, np.full(log.command.time_s.size, 0.3)))
+
+    (found,) = remarks(with_joint(clean, "elbow", keep), RemarkKind.STILL)
+    assert found.joint == "elbow"
+
+
+def test_a_motor_that_is_switched_on_late_is_named(clean):
+    def wait(value):
+        value[:100] = value[0]
+        return value
+
+    (found,) = remarks(with_joint(clean, "shoulder", change_position(wait)), RemarkKind.START)
+    assert found.joint == "shoulder"
+    assert found.value == pytest.approx(100 / RATE_HZ)
+
+
+@pytest.mark.parametrize("factor", [0.1, 3.0, 10.0, 25.0])
+def test_times_in_another_unit_are_told_with_their_factor_by_the_velocities(clean, factor):
+    def slow(log):
+        speed = np.gradient(log.position.value, log.position.time_s)
+        time_s = factor * log.position.time_s
+        signals = {name: Signal(time_s, getattr(log, name).value) for name in ("position", "command")}
+        return replace(log, velocity=Signal(time_s, speed), **signals)
+
+    logs = with_joint(with_joint(clean, "shoulder", slow), "elbow", slow)
+    (found,) = remarks(logs, RemarkKind.UNIT)
+    assert found.joint == ""
+    assert found.value == pytest.approx(factor, rel=0.1)
+    assert ("too long" if factor > 1.0 else "too short") in found.text
+
+
+def test_a_clock_that_steps_forward_is_told_with_the_step(clean):
+    def step(log):
+        time_s = log.position.time_s + np.where(np.arange(log.position.time_s.size) > 300, 0.5, 0.0)
+        return replace(log, position=replace(log.position, time_s=time_s))
+
+    (found,) = remarks(with_joint(clean, "elbow", step), RemarkKind.MISSING)
+    assert "0.52 s at once" in found.text
+
+
+def test_what_the_logs_cannot_show_is_told(clean):
+    assert audit(planar_arm(), clean).untested == (
+        "times that are wrong by less than a factor of 100, as no velocity is logged",
+    )
+    blind = with_joint(clean, "elbow", lambda log: replace(log, command=None))
+    blind = with_joint(blind, "shoulder", lambda log: replace(log, command=None))
+    assert "exchanged and reversed joints" in audit(planar_arm(), blind).untested[0]
