@@ -106,7 +106,7 @@ def test_a_motor_with_more_than_a_diagnosis_has_is_refused_in_words(attributes, 
 
 
 def test_the_mode_voltage_needs_a_motor(tmp_path):
-    with pytest.raises(RobotError, match="joints.swing.mode: is voltage, and the model has no <dcmotor>"):
+    with pytest.raises(RobotError, match=r"joints.swing.mode: is voltage, and the model has no <dcmotor>"):
         read(tmp_path, 'gear="2"', "voltage", actuator="motor")
     with pytest.raises(RobotError, match="kp_Nm_rad: has no meaning in the mode voltage; remove it"):
         read(tmp_path, MOTOR, "voltage", "kp_Nm_rad = 3.0")

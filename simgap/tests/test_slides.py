@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from helpers.slide_arm import command_of, model_text, write_folder, write_logs
+from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
 from simgap.common.errors import RobotError
@@ -230,3 +231,16 @@ def test_a_free_base_is_refused_or_held(tmp_path, joint):
     assert robot.model.nv == 2
     assert np.ptp(by_engine(robot)[0]) > 0.05
     assert mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml).nv == 8
+
+
+@pytest.mark.slow
+def test_the_delay_and_the_friction_of_a_slide_are_found(tmp_path):
+    robot = Robot.from_toml(write_folder(tmp_path))
+    logs = load(robot, write_logs(tmp_path), held_out=["m3", "m5"])
+    result = diagnose(robot, logs.fit, held_out=logs.judged)
+    (found,) = result.findings
+    assert (found.place, found.effect) == ("lift", "command delay")
+    assert found.size[0] == pytest.approx(0.03, abs=2e-3)
+    base = {one.name: one.value for one in result.base if one.place == "lift"}
+    assert base["coulomb_N"] == pytest.approx(10.0, abs=0.5)
+    assert " mm" in verdict_lines(result)[2]

@@ -13,7 +13,8 @@ MODEL = """<mujoco model="lift">
   <option timestep="0.002" integrator="implicitfast"/>
   <worldbody>
     <body name="carriage" pos="0 0 0.5">
-      <joint name="lift" type="slide" axis="0 0 1" damping="20" frictionloss="4" armature="1" range="-0.3 0.3"/>
+      <joint name="lift" type="slide" axis="0 0 1" damping="20" frictionloss="4" armature="1"
+             range="-0.3 0.3"/>
       <inertial pos="0 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
       <body name="arm" pos="0.05 0 0">
         <joint name="swing" axis="0 1 0" damping="0.1" frictionloss="0.05" armature="0.02" range="-2 2"/>
@@ -64,7 +65,7 @@ EVERY = 5
 """Steps of a sample of the logs."""
 PARTS = 4
 """Parts of a step: the true arm has none."""
-NOISE = (5e-5, 5e-4)
+NOISE = (2e-4, 1e-3)
 """Of the encoders [m, rad]."""
 
 
@@ -96,7 +97,7 @@ def command_of(seed: int, time_s: Array) -> Array:
 def record(
     seed: int, noise_seed: int, delay_s: float, friction_N: float, duration_s: float = 5.0
 ) -> dict[str, Array]:
-    """Return the columns of a motion of the real lift: its commands arrive late, its slide has more friction."""
+    """Return the columns of a motion of the real lift: late commands, and a slide with more friction."""
     model = mujoco.MjModel.from_xml_string(model_text())
     model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
     model.opt.timestep = STEP_S / PARTS

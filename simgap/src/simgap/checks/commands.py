@@ -44,8 +44,8 @@ def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         if best != k and errors[k, best] < BETTER * min(errors[k, k], _spread(own, name)):
             joint = robot.joint(name)
             text = (
-                f"the position follows the command of {names[best]} within {joint.show_small(errors[k, best])}, "
-                f"its own only within {errors[k, k] * 1e3:.3g}: are the columns of two joints exchanged?"
+                f"the position follows the command of {names[best]} within "
+                f"{joint.show_small(errors[k, best])}, its own only within {errors[k, k] * 1e3:.3g}: are the columns of two joints exchanged?"
             )
             motion_names = tuple(motion.name for motion in own)
             found.append(Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit=joint.unit))

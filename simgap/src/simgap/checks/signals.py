@@ -122,8 +122,8 @@ def find_spikes(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         names = tuple(name for name, number in count.items() if number)
         if names:
             text = (
-                f"{sum(count.values())} positions jump away for a sample or two, to {joint.show(furthest, '.3g')} from "
-                "the median: were they read wrongly?"
+                f"{sum(count.values())} positions jump away for a sample or two, to "
+                f"{joint.show(furthest, '.3g')} from the median: were they read wrongly?"
             )
             found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
     return found
@@ -145,8 +145,8 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         if not own or spread_rad > SPREAD * noise_rad or spread_rad == 0.0:
             continue
         text = (
-            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise is "
-            f"{joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
+            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise "
+            f"is {joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
         )
         names = tuple(motion.name for motion in own)
         found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit=joint.unit))
