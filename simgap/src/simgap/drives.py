@@ -13,7 +13,7 @@ from simgap.files.robot_file import JointTable
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What a model says of the drive of a joint, in the units of the joint."""
+    """Drive of a joint as a model has it, in the units of the joint."""
 
     actuator: int = -1
     """-1 if the model has none."""

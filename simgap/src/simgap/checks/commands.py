@@ -45,7 +45,8 @@ def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
             joint = robot.joint(name)
             text = (
                 f"the position follows the command of {names[best]} within "
-                f"{joint.show_small(errors[k, best])}, its own only within {errors[k, k] * 1e3:.3g}: are the columns of two joints exchanged?"
+                f"{joint.show_small(errors[k, best])}, its own only within {errors[k, k] * 1e3:.3g}: are the "
+                "columns of two joints exchanged?"
             )
             motion_names = tuple(motion.name for motion in own)
             found.append(Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit=joint.unit))
