@@ -112,7 +112,7 @@ def test_the_true_scale_leaves_the_noise_and_scales_no_noise():
     effects = [one for one in base_effects(robot, Logs(tuple(motions))) if isinstance(one, CurrentScale)]
     plain, right = model.residuals(effects, np.array([[0.0, 0.0], [0.8, 0.8]]))
     for j in range(2):
-        assert rms(right[model.joint_of == j]) < 0.5 * rms(plain[model.joint_of == j])
+        assert rms(right[model.joint_of == j]) < 0.6 * rms(plain[model.joint_of == j])
 
 
 @pytest.mark.slow

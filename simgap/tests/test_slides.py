@@ -238,9 +238,12 @@ def test_the_delay_and_the_friction_of_a_slide_are_found(tmp_path):
     robot = Robot.from_toml(write_folder(tmp_path))
     logs = load(robot, write_logs(tmp_path), held_out=["m3", "m5"])
     result = diagnose(robot, logs.fit, held_out=logs.judged)
-    (found,) = result.findings
-    assert (found.place, found.effect) == ("lift", "command delay")
+    found = next(one for one in result.findings if "lift: command delay" in one.effects)
+    assert found.places == ("lift",)
     assert found.size[0] == pytest.approx(0.03, abs=2e-3)
     base = {one.name: one.value for one in result.base if one.place == "lift"}
     assert base["coulomb_N"] == pytest.approx(10.0, abs=0.5)
+    lift = result.errors[0]
+    assert lift.unit == "m"
+    assert lift.explained < 0.1 * lift.nominal
     assert " mm" in verdict_lines(result)[2]
