@@ -15,6 +15,9 @@ PIP = $$(test -x $(BIN)/pip && echo $(BIN)/python -m pip || echo $(PYTHON) -m pi
 INSTALL = $(PIP) --disable-pip-version-check --quiet install
 WORKERS ?= 2
 
+# What Python compiled stays: each of the many processes of a test would compile it anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 say = echo "marsarm: $(1)" >&2
 
 .PHONY: setup demo test test-all bench campaign lint lock package clean

@@ -16,6 +16,8 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("fsw", "sim", "simgap", "marsarm")
 FILES = ", ".join(f"{name}.__file__" for name in PACKAGES)
@@ -139,7 +141,6 @@ def installed(built, tmp_path_factory) -> Installed:
     return made
 
 
-@pytest.mark.slow
 def test_simgap_alone_passes_its_tests_in_a_fresh_environment(built, tmp_path):
     made = environment(tmp_path)
     problem = made.add(f"simgap[test] @ {wheel_of(built, 'simgap').as_uri()}")
@@ -155,7 +156,6 @@ def test_simgap_alone_passes_its_tests_in_a_fresh_environment(built, tmp_path):
     assert made.run("python", "-c", "import marsarm").returncode == 1
 
 
-@pytest.mark.slow
 def test_an_environment_with_mujoco_takes_both_wheels(built, tmp_path):
     made = environment(tmp_path)
     wheels = [f"{name} @ {wheel_of(built, name).as_uri()}" for name in ("simgap", "marsarm")]
@@ -170,7 +170,6 @@ def test_an_environment_with_mujoco_takes_both_wheels(built, tmp_path):
         assert made.run(program, "--version").stdout == f"{program} {version(program)}\n"
 
 
-@pytest.mark.slow
 def test_the_installed_packages_are_those_of_the_wheel_and_of_the_lock_file(installed):
     homes = installed.run("python", "-c", f"import {', '.join(PACKAGES)}; print({FILES})").stdout.split()
     assert all(Path(home).is_relative_to(installed.bin.parent) for home in homes)
@@ -181,7 +180,6 @@ def test_the_installed_packages_are_those_of_the_wheel_and_of_the_lock_file(inst
     assert installed.run("python", "-c", ask).stdout.split() == [locked[name] for name in names]
 
 
-@pytest.mark.slow
 def test_the_command_and_the_module_print_the_version(installed):
     for program in ("marsarm", "simgap"):
         for words in ((program,), ("python", "-m", program)):
@@ -194,7 +192,6 @@ def placed(installed) -> dict:
     return installed.run_json("place", "--log", "run.mcap")
 
 
-@pytest.mark.slow
 def test_the_installed_command_places_an_instrument(installed, placed):
     assert placed["outcome"] == "done"
     assert placed["error_mm"]["total"] < 1.0
@@ -202,36 +199,23 @@ def test_the_installed_command_places_an_instrument(installed, placed):
     assert installed.run_json("replay", "run.mcap")["identical"] is True
 
 
-@pytest.mark.slow
 def test_the_installed_command_runs_a_scenario(installed):
     document = installed.run_json("run", "sampling")
     assert document["checks"]
     assert document["passed"] is True
 
 
-@pytest.mark.slow
 def test_the_installed_command_solves_inverse_kinematics(installed):
     document = installed.run_json("ik", "--position", "2.1", "0", "-0.3", "--approach", "0.5", "0", "0.85")
     assert document["valid"] == sum(branch["verdict"] == "valid" for branch in document["branches"]) > 0
 
 
-@pytest.mark.slow
-def test_the_installed_command_calibrates_an_arm(installed):
-    document = installed.run_json("calibrate", "--arm", "as-built:7", "--poses", "60", "--out", "arm7.toml")
-    errors_m = document["position_error_m"]
-    assert document["poses"] == 60
-    assert errors_m["held_out"]["rms"] < errors_m["before"]["rms"] / 5
-    assert "as-built:7" in (installed.work / "arm7.toml").read_text()
-
-
-@pytest.mark.slow
 def test_the_installed_names_start_a_run(installed):
     ask = "from marsarm import start_loop; print(start_loop('as-built:7').cycle().outputs.joint.mode.name)"
     assert installed.run("python", "-c", ask).stdout == "STOWED\n"
 
 
 # Last: viser needs an older rich than that of the lock file.
-@pytest.mark.slow
 @pytest.mark.usefixtures("placed")
 def test_the_wheel_with_its_extra_for_views_makes_a_page_of_a_run(built, installed):
     problem = installed.add(f"marsarm[view] @ {wheel_of(built, 'marsarm').as_uri()}")

@@ -241,7 +241,7 @@ class FeatureResiduals:
     """Whitened features of a case less the change by effects; see `ResidualModel`."""
 
     kind = "features"
-    unit = "noise floors"
+    units: tuple[str, ...] = ("noise floors",)
     method = "Features are compared with those of the simulator, in units of their noise."
     joints: tuple[str, ...] = ("arm",)
     step_s = 0.0

@@ -146,3 +146,11 @@ def test_json_of_another_form_is_refused(robot, tmp_path):
     path = write_mcap(tmp_path / "log.mcap", [("/joint_states", START_NS, json.loads("[1, 2]"))])
     with pytest.raises(RobotError):
         load(robot, path)
+
+
+def test_a_topic_gives_a_slide_in_its_own_units(robot, tmp_path):
+    (tmp_path / "model.xml").write_text(
+        MODEL.replace('name="shoulder" axis', 'name="shoulder" type="slide" axis')
+    )
+    robot.write_text(BY_TOPIC)
+    check(load(robot, write_mcap(tmp_path / "log.mcap", rows())))

@@ -145,7 +145,7 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
             'mode = "force"',
             "joints.elbow.mode: should be 'position', 'velocity', 'torque'",
         ),
-        ('mode = "torque"', 'mode = "current"', "joints.elbow: torque_constant_Nm_A: is missing"),
+        ('mode = "torque"', 'mode = "current"', "joints.elbow.torque_constant_Nm_A: is missing"),
         ("gear_ratio = 50.0", "gear_ratio = -50.0", "joints.elbow.gear_ratio: should be greater than 0"),
         (
             "gear_ratio = 50.0",
@@ -165,7 +165,7 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
         (
             'unit = "mN m"',
             'unit = "mNm"',
-            "joints.elbow: torque.unit: 'mNm' is no unit of torque; did you mean 'm",
+            "joints.elbow: torque.unit: 'mNm' is no unit of torque or force; did you mean 'm",
         ),
         ('"c1", unit = "deg"', '"c1", unit = "fraction"', "command: at_0_rad and at_1_rad are needed"),
         (
@@ -212,7 +212,16 @@ def test_an_error_is_one_sentence_with_the_path_of_its_key(tmp_path, old, new, s
         (MODEL.replace("</body>", "", 1), "is not XML: "),
         ("<robot/>", "its root is <robot>; name an MJCF file"),
         (MODEL.replace('mass="1"', 'mass="-1"'), "MuJoCo cannot compile it: "),
-        (MODEL.replace('joint name="elbow"', 'joint name="elbow" type="slide"'), "'elbow' is no hinge"),
+        (
+            MODEL.replace('joint name="shoulder"', 'joint name="shoulder" type="slide"'),
+            "joints.shoulder.command.unit: 'deg' is no unit of length; write one of m, cm, mm, um, as 's",
+        ),
+        (
+            MODEL.replace('joint name="elbow"', 'joint name="elbow" type="ball"').replace(
+                'axis="0 0 1" range="-2 2"', ""
+            ),
+            "'elbow' is no hinge and no slide",
+        ),
     ],
 )
 def test_a_model_that_is_wrong_is_refused(tmp_path, model, said):

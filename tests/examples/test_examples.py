@@ -62,6 +62,7 @@ def test_the_closed_loop_places_an_instrument(tmp_path):
     assert "contact on apxs" in printed
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_changes_the_motor_current(tmp_path):
     (change_A,) = numbers(r"by ([\d.]+) A", run_example("own_effect", tmp_path))
     assert change_A > 0.1 / 3  # 10 N m

@@ -81,6 +81,7 @@ def effective_damping(model: mujoco.MjModel) -> tuple[lab.Array, lab.Array]:
     return joints, model.tendon_damping + step_s * model.tendon_stiffness * on_flank
 
 
+@pytest.mark.slow
 def test_without_friction_and_damping_a_free_swing_keeps_its_energy():
     """The tolerance at the reference step is one per cent of the exchanged energy; no step gains any."""
     total, kinetic, _ = free_swing(lab.plant(time_step_s=REFERENCE_STEP_S, edit=remove_friction_and_damping))

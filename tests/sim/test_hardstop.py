@@ -56,7 +56,8 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
 AS_BUILT = [(arm, joint) for joint in Joint for arm in ("as-built:3", "as-built:4")]
 
 
-@pytest.mark.parametrize(("arm", "joint"), slow_but(AS_BUILT, ("as-built:3", Joint.ELEVATION)))
+@pytest.mark.slow
+@pytest.mark.parametrize(("arm", "joint"), AS_BUILT)
 def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
     result = run_to_end(prepare_homing(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
     assert abs(result.stops[0].zero_error_rad) < 0.3e-3

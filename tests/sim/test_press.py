@@ -85,6 +85,7 @@ def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
     assert not loop.state.drive.power_on.any()
 
 
+@pytest.mark.slow
 def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
     loop = half_pressed()
     biased = SensorFault(loop.plant.data.time, "resolver_rad", "biased", Joint.ELBOW, -0.004)

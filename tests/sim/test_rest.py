@@ -31,8 +31,9 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(w
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
 
 
-@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
-@pytest.mark.parametrize("pose", slow_but(["straight", "ready"], "ready"))
+@pytest.mark.slow
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("pose", ["straight", "ready"])
 def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
     coarse, fine = (
         lab.load(lab.plant(world, step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)

@@ -106,7 +106,8 @@ def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
     assert np.all(np.abs(np.diff(steady_A, axis=0)).max(axis=0) < 0.01 * np.abs(steady_A).max(axis=0))
 
 
-@JOINTS
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
 def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: Joint) -> None:
     """Compare the swing of the output about its mean motion, at a tenth of a degree per second."""
     swings = []

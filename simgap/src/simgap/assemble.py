@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Integers, orthonormal
-from simgap.effects.actuation import GainError
+from simgap.effects.actuation import CurrentScale, GainError
 from simgap.effects.effect import READING_HOOKS, Effect
 from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
@@ -177,7 +177,7 @@ def list_base(
     joint is fitted too and gravity gives it no scale.
     """
     found = []
-    with_gain = {one.place for one in context.base if isinstance(one, GainError)}
+    with_gain = {one.place for one in context.base if isinstance(one, GainError | CurrentScale)}
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
             low, high = find_interval(context, chosen, sets, int(column))
@@ -207,7 +207,7 @@ def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows
         nominal, base, chosen = np.mean(here, axis=1).tolist()
         noise = noise_residuals(raw, fitted, j)
         level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
-        found.append(JointError(name, held_out.unit, nominal, base, chosen, level, held_out.kind))
+        found.append(JointError(name, held_out.units[j], nominal, base, chosen, level, held_out.kind))
     return found
 
 
@@ -230,7 +230,7 @@ def list_remainders(
         above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
         if above or (not len(noise) and variable):
             regime = find_regime(held_out.explain("velocity")[rows], residuals[rows])
-            found.append(Remainder(name, regime, error, held_out.unit, variable, share))
+            found.append(Remainder(name, regime, error, held_out.units[j], variable, share))
     return found
 
 

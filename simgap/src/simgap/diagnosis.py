@@ -145,7 +145,7 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
         moving = [
             (log.position, log.command)
             for log in logs
-            if log.command is not None and np.ptp(joint_samples(log).position) > COARSE_RAD
+            if log.command is not None and np.ptp(joint_samples(log).position) > COARSE_RAD * joint.per_rad
         ]
         wrong = count_foreign_commands(moving)
         if wrong > max(1.0, FOREIGN_SHARE * len(moving)):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
@@ -154,7 +154,8 @@ def load(
         held_out: Motions, conditions or files to hold out, in place of a split.
 
     Returns:
-        Motions in the order of the files; each signal has its own times, from the start of its motion.
+        Motions in the order of the files; each signal has its own times, from the start of its motion. A
+        current with a torque constant is a torque too, where none is logged.
 
     Raises:
         RobotError: a file, a column, a value, a time or a name of the split is wrong.
@@ -168,7 +169,7 @@ def load(
     for path in [Path(paths)] if isinstance(paths, str | Path) else map(Path, paths):
         loaded, lost = _load_file(robot.file, path)
         losses += lost
-        for motion in loaded:
+        for motion in (take_currents_as_torques(robot, one) for one in loaded):
             other = next((one for one in members if one.motion == motion.name), None)
             if other is not None:
                 raise RobotError(
@@ -181,6 +182,19 @@ def load(
     file = read_split(robot.folder / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(file, members, split, held_out)
     return Logs(tuple(one for one in motions if one.name in fitted | judged), judged, tuple(losses))
+
+
+def take_currents_as_torques(robot: Robot, motion: Motion) -> Motion:
+    """Return a motion in which a current stands for a torque that is not logged, by the torque constant."""
+    joints = dict(motion.joints)
+    for joint in robot.joints:
+        log = joints.get(joint.name)
+        if log is None or log.torque is not None or log.current is None:
+            continue
+        if math.isfinite(joint.torque_constant_Nm_A):
+            torque = Signal(log.current.time_s, joint.torque_constant_Nm_A * log.current.value)
+            joints[joint.name] = replace(log, torque=torque)
+    return replace(motion, joints=joints)
 
 
 def _load_file(file: RobotFile, path: Path) -> tuple[list[Motion], list[str]]:

@@ -2,19 +2,19 @@
 
 import math
 from dataclasses import dataclass
-from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
-from xml.etree import ElementTree
-from xml.etree.ElementTree import TreeBuilder, XMLParser
 
 import mujoco
 import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.drives import Drive, describe_unknown, read_drive, read_torque_limit
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
+from simgap.mjcf import joint_name, read_model_text, take_out_joints, tied_joints
+from simgap.units import find_unit
 
 # MuJoCo would write its warnings to a file in the current directory; simulations look for bad states
 mujoco.set_mju_user_warning(lambda _: None)
@@ -31,11 +31,36 @@ class ControlMode(StrEnum):
     """Torque = command."""
     CURRENT = "current"
     """Torque = torque constant times command."""
+    VOLTAGE = "voltage"
+    """Torque = kp command - kd velocity, with kp for 1 V, and the damping of the back-EMF."""
+
+
+SLIDE_m_rad: Final = 0.1
+"""Distance of a slide that is worth as much as 1 rad of a hinge: the hinge moves a point 10 cm away as far.
+Typical sizes of effects, which are known for hinges, are converted with it."""
+SLIDE_UNITS: Final = (
+    ("Nms_rad", "Ns_m"),
+    ("Nm_rad", "N_m"),
+    ("rad_Nm", "m_N"),
+    ("Nm_K", "N_K"),
+    ("Nm_A", "N_A"),
+    ("kgm2", "kg"),
+    ("rad_s", "m_s"),
+    ("s_rad", "s_m"),
+    ("s2_rad", "s2_m"),
+    ("rad", "m"),
+    ("Nm", "N"),
+)
+"""Units in the names of numbers of a hinge, and those of a slide."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """A joint with one degree of freedom, and its motor."""
+    """A joint with one degree of freedom, and its motor.
+
+    Here and in all that follows, a name with the suffix rad, Nm or kgm2 means the unit of the joint: of a
+    slide m, N and kg. `unit` and `name_of` give what people read.
+    """
 
     name: str
     qpos_index: int
@@ -44,9 +69,10 @@ class RobotJoint:
     """-1 if the model has no actuator for it."""
     mode: ControlMode
     kp_Nm_rad: float
-    """Nominal stiffness of the position loop; per unit of the gain column, where the log has one."""
+    """Nominal stiffness of the position loop; per unit of the gain column, where the log has one. Torque for
+    1 V in the mode voltage. NaN if it is unknown, as it may be where torques are compared."""
     kd_Nms_rad: float
-    """Nominal damping of the position or velocity loop."""
+    """Nominal damping of the position or velocity loop; NaN if that of the latter is unknown."""
     torque_limit_Nm: float
     """Largest torque at the joint; infinite if unlimited."""
     gear_ratio: float
@@ -57,6 +83,45 @@ class RobotJoint:
     """True if friction, damping, armature and gain are measured numbers, so that none is a nuisance."""
     is_loaded_by_gravity: bool
     """False if gravity moves the joint by less than its friction: only ratios to the gain can be known."""
+    is_slide: bool = False
+    torque_constant_is_known: bool = True
+    """False if it is a base parameter."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the position."""
+        return "m" if self.is_slide else "rad"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of the torque, of a slide the force."""
+        return "N" if self.is_slide else "N m"
+
+    @property
+    def per_rad(self) -> float:
+        """Distance that is worth as much as 1 rad."""
+        return SLIDE_m_rad if self.is_slide else 1.0
+
+    def show(self, position_rad: float, digits: str = ".4g") -> str:
+        """Return a position as text: rad, of a slide mm."""
+        return f"{1e3 * position_rad:{digits}} mm" if self.is_slide else f"{position_rad:{digits}} rad"
+
+    def show_small(self, difference_rad: float, digits: str = ".3g") -> str:
+        """Return a small difference of positions as text: mrad, of a slide mm."""
+        return f"{1e3 * difference_rad:{digits}} m{self.unit}"
+
+    @property
+    def knows_gains(self) -> bool:
+        """False if the loop has no gain: its torques can be compared, but not its positions."""
+        gain = {ControlMode.POSITION: self.kp_Nm_rad, ControlMode.VELOCITY: self.kd_Nms_rad}
+        return math.isfinite(gain.get(self.mode, 0.0))
+
+    def name_of(self, name: str) -> str:
+        """Return the name of a number with the unit of this joint: coulomb_Nm of a slide is coulomb_N."""
+        for unit, of_slide in SLIDE_UNITS if self.is_slide else ():
+            if name.endswith(f"_{unit}"):
+                return name.removesuffix(unit) + of_slide
+        return name
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +142,8 @@ class Robot:
     """Content of the robot file, by which logs are read; None for a robot that was made in memory."""
     folder: Path = Path()
     """Folder of the robot file."""
+    left_out: tuple[str, ...] = ()
+    """Joints of the text that are not in the model, as `mjcf.joint_name` has them."""
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Robot":
@@ -96,197 +163,213 @@ N_POSES: Final = 256
 """Number of random poses for the gravity torques; the extremes over six joints are good to some percent."""
 ROUNDING: Final = 1e-3
 """Share of the largest gravity torque of the robot below which one is rounding of frames and of masses."""
-FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
-"""Elements of MJCF that name files, and the setting of the folder that they are relative to."""
 
 
 def _build_robot(path: Path) -> Robot:
     file = read_model_file(path)
     model_path = path.parent / file.model
     xml = read_model_text(model_path)
+    left_out = tuple(file.left_out)
     try:
         model = mujoco.MjModel.from_xml_string(xml)
+        if left_out:
+            _check_left_out(file, model, path)
+            spec = mujoco.MjSpec.from_string(xml)
+            take_out_joints(spec, left_out)
+            model = spec.compile()
     except ValueError as error:
         raise RobotError(f"{model_path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
     model.opt.timestep = file.time_step_s
+    _check_base(model, path)
+    numbers = {name: _find_joint(name, table, model, path) for name, table in file.joints.items()}
+    _check_joints(numbers, model, path)
+    drives = {
+        name: read_drive(table, model, numbers[name], f"{path}: joints.{name}")
+        for name, table in file.joints.items()
+    }
     gravity_Nm = gravity_amplitudes(model)
-    joints = tuple(_joint(name, table, model, path, gravity_Nm) for name, table in file.joints.items())
-    _check_joints(file, joints, model, path)
+    needs_gains = not all(_has_torque(table, drives[name]) for name, table in file.joints.items())
+    joints = tuple(
+        _joint(name, table, model, path, numbers[name], drives[name], gravity_Nm, needs_gains)
+        for name, table in file.joints.items()
+    )
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, file.tool_site)
     if file.tool_site and site < 0:
         names = [model.site(k).name for k in range(model.nsite)]
-        raise RobotError(f"{path}: tool_site: {_unknown('site', file.tool_site, names)}")
+        raise RobotError(f"{path}: tool_site: {describe_unknown('site', file.tool_site, names)}")
     period_s = round(1.0 / (file.control_rate_Hz * file.time_step_s)) * file.time_step_s
-    return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path.parent)
+    return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path.parent, left_out)
 
 
-def read_model_text(path: Path) -> str:
-    """Read an MJCF file such that its text compiles from any folder.
-
-    Raises:
-        RobotError: it cannot be read or is no XML.
-    """
-    text, root = _read_xml(path)
-    if root.tag != "mujoco":
-        raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
-    if not any(one.tag in (*FILE_ATTRIBUTES, "include") and "file" in one.attrib for one in root.iter()):
-        return text
-    _insert_includes(root, path.parent, (path.resolve(),))
-    settings = {name: value for one in root.iter("compiler") for name, value in one.attrib.items()}
-    for one in root.iter():
-        if one.tag in FILE_ATTRIBUTES and "file" in one.attrib:
-            below = settings.get(FILE_ATTRIBUTES[one.tag], settings.get("assetdir", ""))
-            one.set("file", str((path.parent / below / one.attrib["file"]).resolve()))
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path, ...]) -> None:
-    """Put the elements of included files in the place of each include; paths begin at `folder`."""
-    for parent in [*root.iter()]:
-        for k, child in reversed([*enumerate(parent)]):
-            if child.tag == "include":
-                path = (folder / child.attrib.get("file", "")).resolve()
-                if path in within:
-                    raise RobotError(f"{path}: includes itself; remove this include")
-                _, included = _read_xml(path)
-                _insert_includes(included, folder, (*within, path))
-                parent[k : k + 1] = [*included]
-
-
-def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
-    """Read a file of XML as text and as a tree."""
-    try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise RobotError(f"{path}: is no regular file; name an MJCF file")
-        text = path.read_text(encoding="utf-8")
-        return text, ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read ({error.strerror}); name an MJCF file") from error
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{path}: is not XML: {error}") from error
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: is not UTF-8 text; name an MJCF file") from error
-    except ValueError as error:  # a zero byte in the name
-        raise RobotError(f"{str(path)!r}: is no name of a file; name an MJCF file") from error
+def _has_torque(table: JointTable, drive: Drive) -> bool:
+    """Return whether the torque of a joint is logged, or needs not be, because it has no command."""
+    has_constant = table.torque_constant_Nm_A is not None or drive.torque_constant_Nm_A is not None
+    return table.command is None or table.torque is not None or (table.current is not None and has_constant)
 
 
 def gravity_amplitudes(model: mujoco.MjModel) -> Array:
     """Return half the range of the gravity torque of each degree of freedom, (nv,) [N m], at random poses."""
     data = mujoco.MjData(model)
-    random = np.random.default_rng(0)  # a fixed sample: the robot of a file is always the same
+    # a fixed sample: the robot of a file is always the same
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    draws = [(model.jnt_type == kind, np.random.default_rng(k)) for k, kind in enumerate(kinds)]
     low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
     high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
-    hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     torque_Nm = np.empty((N_POSES, model.nv))
     for k in range(N_POSES):
-        data.qpos[model.jnt_qposadr[hinges]] = random.uniform(low[hinges], high[hinges])
+        for own, random in draws:
+            data.qpos[model.jnt_qposadr[own]] = random.uniform(low[own], high[own])
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_rne(model, data, 0, torque_Nm[k])
     return np.asarray(np.ptp(torque_Nm, axis=0) / 2)
 
 
-def _joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path, gravity_Nm: Array) -> RobotJoint:
-    """Find a joint in the model, and take from the model what the file does not say."""
+def _find_joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path) -> int:
+    """Return the index of a joint in the model, and refuse one of another kind than its columns."""
     where = f"{path}: joints.{name}"
     in_model = table.joint or name
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, in_model)
     if number < 0:
         names = [model.joint(k).name for k in range(model.njnt)]
-        raise RobotError(f"{where}.joint: {_unknown('joint', in_model, names)}")
-    if model.jnt_type[number] != mujoco.mjtJoint.mjJNT_HINGE:
-        raise RobotError(f"{where}.joint: {in_model!r} is no hinge; only hinges can be diagnosed")
-    dof = int(model.jnt_dofadr[number])
-    actuator = _actuator(table, model, number, where)
-    if actuator >= 0 and model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_NONE:
+        raise RobotError(f"{where}.joint: {describe_unknown('joint', in_model, names)}")
+    kind = model.jnt_type[number]
+    is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+    if not is_slide and kind != mujoco.mjtJoint.mjJNT_HINGE:
+        raise RobotError(f"{where}.joint: {in_model!r} is no hinge and no slide; only these can be diagnosed")
+    for key, quantities in table.quantities().items():
+        column = getattr(table, key)
+        if column is None or len(quantities) == 1 or column.at_0_rad is not None or table.is_of_topic(column):
+            continue
+        own = quantities[is_slide and column.side == "joint"]
+        try:
+            find_unit(column.unit, own)
+        except ValueError as error:
+            side = "; its motor turns" if is_slide and own is quantities[0] else ""
+            raise RobotError(
+                f"{where}.{key}.unit: {error}, as {in_model!r} is a {'slide' if is_slide else 'hinge'}{side}"
+            ) from error
+    return int(number)
+
+
+def _joint(
+    name: str,
+    table: JointTable,
+    model: mujoco.MjModel,
+    path: Path,
+    number: int,
+    drive: Drive,
+    gravity_Nm: Array,
+    needs_gains: bool,
+) -> RobotJoint:
+    """Take from the model what the file does not say."""
+    where, dof = f"{path}: joints.{name}", int(model.jnt_dofadr[number])
+    kp, kd = _gains(table, drive, where, needs_gains)
+    constant = (
+        drive.torque_constant_Nm_A if table.torque_constant_Nm_A is None else table.torque_constant_Nm_A
+    )
+    if constant is None and (table.mode == "current" or not table.torque_constant_is_known):
         raise RobotError(
-            f"{where}.actuator: {model.actuator(actuator).name!r} has dynamics of its own (timeconst ..); "
-            "a diagnosis lacks them, so take them out of the model"
+            f"{where}.torque_constant_Nm_A: is missing; {CONSTANT_NEEDED[table.mode == 'current']}"
         )
-    kp, kd = _gains(model, actuator)
-    kp = kp if table.kp_Nm_rad is None else table.kp_Nm_rad
-    kd = kd if table.kd_Nms_rad is None else table.kd_Nms_rad
-    if table.mode == "position" and kp == 0.0:
-        raise RobotError(f"{where}.kp_Nm_rad: is 0 or missing, and the model has no gain; give one above 0")
-    if table.mode == "velocity" and kd == 0.0:
-        raise RobotError(f"{where}.kd_Nms_rad: is 0 or missing, and the model has no gain; give one above 0")
     limit_Nm = table.torque_limit_Nm
     if limit_Nm is None:
-        limit_Nm = _torque_limit(model, number, actuator, where)
-    threshold_Nm = max(float(model.dof_frictionloss[dof]), ROUNDING * float(np.max(gravity_Nm)))
+        limit_Nm = read_torque_limit(model, number, drive.actuator, where)
+    # forces and torques do not compare
+    alike_Nm = gravity_Nm[model.jnt_type[model.dof_jntid] == model.jnt_type[number]]
+    threshold_Nm = max(float(model.dof_frictionloss[dof]), ROUNDING * float(np.max(alike_Nm)))
     return RobotJoint(
         name=name,
         qpos_index=int(model.jnt_qposadr[number]),
         dof_index=dof,
-        actuator_index=actuator,
+        actuator_index=drive.actuator,
         mode=ControlMode(table.mode),
         kp_Nm_rad=kp,
         kd_Nms_rad=kd,
         torque_limit_Nm=limit_Nm,
         gear_ratio=table.gear_ratio,
-        torque_constant_Nm_A=math.nan if table.torque_constant_Nm_A is None else table.torque_constant_Nm_A,
+        torque_constant_Nm_A=math.nan if constant is None else constant,
         is_known=table.is_known,
         is_loaded_by_gravity=bool(gravity_Nm[dof] > threshold_Nm),
+        is_slide=bool(model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE),
+        torque_constant_is_known=table.torque_constant_is_known,
     )
 
 
-def _actuator(table: JointTable, model: mujoco.MjModel, joint: int, where: str) -> int:
-    """Return the index of the actuator of a joint, -1 if the model has none."""
-    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    driving = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
-    names = {model.actuator(k).name: k for k in driving}
-    if table.actuator:
-        if table.actuator not in names:
-            raise RobotError(f"{where}.actuator: {_unknown('actuator', table.actuator, list(names))}")
-        return names[table.actuator]
-    if len(driving) > 1:
-        shown = ", ".join(filter(None, names)) or "without a name in the model,"
+CONSTANT_NEEDED: Final = (
+    "with torque_constant_is_known = false it is the start of the fit",
+    "the mode current needs it",
+)
+
+
+def _gains(table: JointTable, drive: Drive, where: str, needs_gains: bool) -> tuple[float, float]:
+    """Return kp and kd of a joint; NaN for one that is unknown and not needed."""
+    kd = drive.kd_Nms_rad if table.kd_Nms_rad is None else table.kd_Nms_rad
+    if table.mode == "voltage":
+        if drive.torque_Nm_V is None:
+            raise RobotError(
+                f"{where}.mode: is voltage, and the model has no <dcmotor> at this joint; add one"
+            )
+        return drive.torque_Nm_V, drive.back_emf_Nms_rad if table.kd_Nms_rad is None else kd
+    kp = drive.kp_Nm_rad if table.kp_Nm_rad is None else table.kp_Nm_rad
+    if table.mode == "position" and kp == 0.0:
+        if needs_gains:
+            raise RobotError(
+                f"{where}.kp_Nm_rad: is 0 or missing, and the model has no gain; give one above 0"
+            )
+        kp = math.nan
+    if table.mode == "velocity" and kd == 0.0:
+        if needs_gains:
+            raise RobotError(
+                f"{where}.kd_Nms_rad: is 0 or missing, and the model has no gain; give one above 0"
+            )
+        kd = math.nan
+    return kp, kd
+
+
+def _check_left_out(file: RobotFile, model: mujoco.MjModel, path: Path) -> None:
+    """Refuse to leave out a joint that is not there, that has a table, or that is tied to one that stays."""
+    names = [joint_name(model, k) for k in range(model.njnt)]
+    for name in file.left_out:
+        if name not in names:
+            raise RobotError(f"{path}: left_out: {describe_unknown('joint', name, names)}")
+        table = next((key for key, one in file.joints.items() if name == (one.joint or key)), None)
+        if table is not None:
+            raise RobotError(f"{path}: left_out: {name!r} has the table joints.{table}; remove one of them")
+        tied = tied_joints(model, names.index(name))
+        if not set(tied) <= set(file.left_out):
+            raise RobotError(
+                f"{path}: left_out: an equality or a tendon ties {name!r} to others; "
+                f"leave out {_listed(tied)}"
+            )
+
+
+def _check_base(model: mujoco.MjModel, path: Path) -> None:
+    """Refuse a free joint: commands do not hold it."""
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    if free.size:
+        name = joint_name(model, int(free[0]))
+        holds = f'left_out = ["{name}"] holds it where the model has it' if name else "give it a name"
         raise RobotError(
-            f"{where}.actuator: {len(driving)} actuators, {shown} drive this joint; name one of them"
+            f"{path}: model: the joint of {name or 'a body'!r} is free, so that it falls; {holds}"
         )
-    return int(driving[0]) if driving else -1
 
 
-def _gains(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
-    """Return stiffness [N m/rad] and damping [N m s/rad] of an actuator at its joint."""
-    if actuator < 0 or model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
-        return 0.0, 0.0
-    gear, bias = float(model.actuator_gear[actuator, 0]), model.actuator_biasprm[actuator]
-    # Length and force of an actuator are both scaled by its gear.
-    return -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
-
-
-def _torque_limit(model: mujoco.MjModel, joint: int, actuator: int, where: str) -> float:
-    """Return the smaller limit of an actuator and of its joint [N m], infinite if there is none."""
-    ranges = {}
-    if actuator >= 0 and model.actuator_forcelimited[actuator]:
-        ranges["forcerange"] = model.actuator_forcerange[actuator] * abs(model.actuator_gear[actuator, 0])
-    if model.jnt_actfrclimited[joint]:
-        ranges["actuatorfrcrange"] = model.jnt_actfrcrange[joint]
-    for name, (low, high) in ranges.items():
-        if low != -high:
-            raise RobotError(
-                f"{where}.torque_limit_Nm: {name} of the model is {low:g} to {high:g} N m at the joint; "
-                "give one limit for both directions"
-            )
-    return min((float(high) for _, high in ranges.values()), default=math.inf)
-
-
-def _check_joints(file: RobotFile, joints: tuple[RobotJoint, ...], model: mujoco.MjModel, path: Path) -> None:
+def _check_joints(numbers: dict[str, int], model: mujoco.MjModel, path: Path) -> None:
     """Refuse a joint that is named twice, and a driven joint of the model that is not named."""
-    used = [one.dof_index for one in joints]
-    for k, one in enumerate(joints):
-        if one.dof_index in used[:k]:
-            raise RobotError(f"{path}: joints.{one.name}.joint: is the joint of another table; name its own")
-    for k in range(model.nu):
+    used = [*numbers.values()]
+    for k, name in enumerate(numbers):
+        if numbers[name] in used[:k]:
+            raise RobotError(f"{path}: joints.{name}.joint: is the joint of another table; name its own")
+    for k in range(model.nactuator):
         joint = int(model.actuator_trnid[k, 0])
-        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_dofadr[joint] not in used:
+        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and joint not in used:
+            tied = _listed(tied_joints(model, joint))
             raise RobotError(
-                f"{path}: joints: the model drives {model.joint(joint).name!r}, which has no table; add one"
+                f"{path}: joints: the model drives {model.joint(joint).name!r}, which has no table; "
+                f"add one, or write left_out = {tied}"
             )
 
 
-def _unknown(kind: str, name: str, names: list[str]) -> str:
-    near = get_close_matches(name, names, 1) or [", ".join(filter(None, names)) or "none"]
-    hint = f"did you mean {near[0]}?" if near[0] in names else f"it has {near[0]}"
-    return f"the model has no {kind} {name!r}; {hint}"
+def _listed(names: list[str]) -> str:
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"

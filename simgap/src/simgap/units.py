@@ -106,16 +106,16 @@ Temperatures are in degC; all other quantities are in SI units.
 """
 
 
-def find_unit(name: str, quantity: Quantity) -> Unit:
+def find_unit(name: str, *quantities: Quantity) -> Unit:
     """Return the unit with this name.
 
     Raises:
-        ValueError: there is no such unit of this quantity; the text names those that there are.
+        ValueError: there is no such unit of these quantities; the text names those that there are.
     """
     unit = UNITS.get(name)
-    if unit is not None and unit.quantity is quantity:
+    if unit is not None and unit.quantity in quantities:
         return unit
-    fitting = [key for key, one in UNITS.items() if one.quantity is quantity]
+    fitting = [key for key, one in UNITS.items() if one.quantity in quantities]
     near = get_close_matches(name, fitting, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"write one of {', '.join(fitting)}"
-    raise ValueError(f"{name!r} is no unit of {quantity.value}; {hint}")
+    raise ValueError(f"{name!r} is no unit of {' or '.join(quantities)}; {hint}")

@@ -33,14 +33,14 @@ WAIT_s = 300.0
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a pendulum and four short motions of it."""
     place = tmp_path_factory.mktemp("pendulum")
-    robot, time_s = pendulum(), 0.02 * np.arange(400)
+    robot, time_s = pendulum(), 0.02 * np.arange(200)
     (place / "model.xml").write_text(robot.model_xml)
     (place / "robot.toml").write_text(ROBOT.replace('tool_site = "tip"\n', "") + SWING)
     columns: dict[str, list[float | str]] = {"t": [], "motion": [], "command": [], "position": []}
     for k in range(4):
         command = waves(time_s, k)
         position = simulated(robot, motion(time_s, command, command), (at_swing(GainError, robot), [0.2]))
-        for name, values in zip(columns, (time_s, [f"motion {k}"] * 400, command, position), strict=True):
+        for name, values in zip(columns, (time_s, [f"motion {k}"] * 200, command, position), strict=True):
             columns[name].extend(values)
     pq.write_table(pa.table(columns), place / "log.parquet")
     return place

@@ -1,5 +1,6 @@
 """Plugin of all tests: one thread for linear algebra, repeatable properties, where real data is."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -32,3 +33,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "real_data" in item.keywords:
             item.add_marker(skip)
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected out of later garbage collections, which would look through it each time."""
+    gc.collect()
+    gc.freeze()

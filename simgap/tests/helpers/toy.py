@@ -35,11 +35,12 @@ class Toy(Effect):
 class ToyResiduals:
     """Measured minus predicted values of the toys."""
 
-    kind, unit, method, by_motion, step_s = "simulation", "rad", "", False, 0.002
+    kind, method, by_motion, step_s = "simulation", "", False, 0.002
     noise_std = 0.0
 
     def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
         self.commands, self.measured, self.joints = commands, measured, names
+        self.units = ("rad",) * len(names)
         self.motions = tuple(f"m{k}" for k in range(commands.shape[1]))
         self.repeat_of = (*("",) * (commands.shape[1] - 2), "repeat", "repeat")
         grid = np.indices(commands.shape).reshape(3, -1)

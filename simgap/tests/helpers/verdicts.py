@@ -81,7 +81,7 @@ REFUSED = tuple(Refusal(name, "the command is cut off at -1.034 rad", 40) for na
 class Drawn:
     """Residual model of two joints in four motions, drawn from a seed; findings remove most of it."""
 
-    kind, unit = "simulation", "rad"
+    kind, units = "simulation", ("rad", "rad")
     joints, motions = ("pan", "lift"), ("d", "e", "f", "g")
 
     def __init__(self, n=500):

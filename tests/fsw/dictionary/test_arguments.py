@@ -187,7 +187,7 @@ anything = st.recursive(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(
     st.sampled_from(get_args(Command)).flatmap(lambda kind: st.builds(kind, *[anything] * len(fields(kind))))
 )

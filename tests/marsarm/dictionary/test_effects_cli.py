@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 from sim.effects.catalogue import catalogue
-from tests.marsarm.command import marsarm_process
+from tests.marsarm.command import marsarm
 
 
 def test_the_catalogue_is_one_document(tmp_path: Path) -> None:
-    done = marsarm_process(tmp_path, "dictionary", "--effects", "--json")
+    done = marsarm(tmp_path, "dictionary", "--effects", "--json")
     assert done.returncode == 0, done.stderr
     listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
     assert set(listed) == set(catalogue())

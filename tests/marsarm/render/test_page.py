@@ -11,7 +11,7 @@ from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.render import svg
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
-from tests.marsarm.command import marsarm_process
+from tests.marsarm.command import marsarm
 
 MET = Requirement("total position", "± 20 mm", "± 10 mm", True)
 NOT_MET = Requirement("lateral position", "± 15 mm", "± 21.9 mm", False)
@@ -84,7 +84,7 @@ def test_a_result_gives_the_same_bytes_but_for_the_date(page, monkeypatch):
 
 def test_a_command_refuses_a_wrong_date_before_it_works(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
-    done = marsarm_process(tmp_path, "budget", "--report", "page.html")
+    done = marsarm(tmp_path, "budget", "--report", "page.html")
     assert done.returncode == 2
     assert done.stderr.strip() == (
         "SOURCE_DATE_EPOCH: 'yesterday' is not a date; give whole seconds since 1970, or unset it"

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
@@ -32,7 +32,7 @@ def log_of_today(tmp_path_factory) -> str:
 
 
 def test_a_difference_as_a_document(folder, log_of_today):
-    done = marsarm_process(folder, "replay", log_of_today, "--params", "other.toml", "--json")
+    done = marsarm(folder, "replay", log_of_today, "--params", "other.toml", "--json")
     assert done.returncode == 3
     document = json.loads(done.stdout)
     assert document["evrs"][0]["recorded"]["name"] == "Booted"

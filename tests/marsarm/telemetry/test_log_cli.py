@@ -6,7 +6,7 @@ import pytest
 
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 from validation.speed import record_log
 
 CYCLES = 130
@@ -75,7 +75,7 @@ def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     found = run_json(folder, "info", "two.mcap")
     assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("info", "two.mcap", "*")):
-        assert "after the end of the log" in marsarm_process(folder, "log", *words).stderr
+        assert "after the end of the log" in marsarm(folder, "log", *words).stderr
     assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
 
 

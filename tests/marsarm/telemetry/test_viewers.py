@@ -16,6 +16,7 @@ from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import recover
 from tests.marsarm.command import SHORT_RUN, marsarm
+from tests.marsarm.runs.conftest import initialise_exactly
 from tests.tools import TOOLS
 
 ROCK = "[world.surface]\nposition_m = [2.05, 0.1, -0.25]\nnormal = [-0.5, 0.1, -0.85]\n\n[[command]]"
@@ -40,7 +41,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a log, a copy with a broken chunk, and the log recovered from it."""
     made = tmp_path_factory.mktemp("viewers")
     (made / "short.toml").write_text(SHORT_RUN.replace("[[command]]", ROCK))
-    ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("marsarm.runs.execution.initialise_joints", initialise_exactly)
+        ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
     assert ran.returncode == 0, ran.stderr
     data = bytearray((made / "run.mcap").read_bytes())
     chunks = read_records(bytes(data)).chunks

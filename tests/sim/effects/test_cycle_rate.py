@@ -61,7 +61,7 @@ NOISE = np.array([1e-4, 0.02])
 """Noise of resolver and current sensor."""
 
 
-@pytest.mark.parametrize("effect", slow_but(EFFECTS, *EFFECTS[:3]), ids=lambda effect: type(effect).__name__)
+@pytest.mark.parametrize("effect", slow_but(EFFECTS, EFFECTS[0]), ids=lambda effect: type(effect).__name__)
 def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(effect):
     """The remaining difference is small beside the effect, or below the noise of a sensor."""
     drawn, there = reversal(None, WHOLE), reversal(effect, 1)
@@ -69,7 +69,7 @@ def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_s
     assert np.all(rms_difference(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
 
 
-@pytest.mark.parametrize("effect", slow_but(EFFECTS, *EFFECTS[:3]), ids=lambda effect: type(effect).__name__)
+@pytest.mark.parametrize("effect", slow_but(EFFECTS, EFFECTS[0]), ids=lambda effect: type(effect).__name__)
 def test_looked_at_twice_as_often_it_is_nearer(effect):
     assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 

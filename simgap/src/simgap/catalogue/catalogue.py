@@ -17,6 +17,7 @@ import numpy as np
 from simgap.catalogue.links import depends_on_angle, link_effects
 from simgap.effects.actuation import (
     BackEmf,
+    CurrentScale,
     DampingGain,
     DeadZone,
     GainError,
@@ -127,7 +128,7 @@ JOINT_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
     (ClampHigh, _command),
     (ConstantTorque, _always),
     (Spring, _always),
-    (PositionTorque, _always),
+    (PositionTorque, lambda facts: not facts.joint.is_slide),
     (CommandDelay, _command),
     (MeasurementDelay, _always),
     (EncoderScale, _always),
@@ -168,8 +169,11 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     The sizes have priors. These decide only what the data do not: the armature of a joint that never
     accelerates, or friction at one that never moves.
     """
-    unknown = [facts for facts in _facts(robot, logs.fit) if not facts.joint.is_known]
-    found = [effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS)]
+    found: list[JointEffect] = []
+    for facts in _facts(robot, logs.fit):
+        found += [] if facts.joint.is_known else _at(robot, facts, BASE_EFFECTS)
+        if not facts.joint.torque_constant_is_known:
+            found += _at(robot, facts, ((CurrentScale, _always),))
     return tuple(replace(effect, is_base=True) for effect in found)
 
 
@@ -227,7 +231,7 @@ def transmission_effects(
             continue
         found += _gear(robot, j, scales[joint.name], spread_rad)
         found += _couplings(robot, j, scales, spread_rad)
-        if spread_rad > 0:
+        if spread_rad > 0 and not joint.is_slide:
             found += _periodic(joint, scales[joint.name], spread_rad)
     return found
 
@@ -250,13 +254,14 @@ def _gear(robot: Robot, j: int, scales: JointScales, spread_rad: float) -> list[
         high_rad, softest = 10 * backlash_rad, 10 * compliance
     else:
         per_compliance = gear_inertia_kgm2(robot, j) * (2 * np.pi) ** 2
-        static = DEFLECTION_RAD / scales.torque_Nm
-        backlash_rad, high_rad = SERVO_BACKLASH_RAD, 10 * SERVO_BACKLASH_RAD
+        static = DEFLECTION_RAD * joint.per_rad / scales.torque_Nm
+        backlash_rad = SERVO_BACKLASH_RAD * joint.per_rad
+        high_rad = 10 * backlash_rad
         compliance = min(1 / (per_compliance * VISIBLE_Hz**2), static)
         softest = min(1 / (per_compliance * SOFTEST_Hz**2), 10 * static)
     return [
-        Backlash(joint.name, j, is_at_output, backlash_rad, high_rad),
-        JointCompliance(joint.name, j, is_at_output, compliance, softest),
+        Backlash(joint.name, j, is_at_output, backlash_rad, high_rad, joint.is_slide),
+        JointCompliance(joint.name, j, is_at_output, compliance, softest, joint.is_slide),
     ]
 
 
@@ -264,6 +269,8 @@ def _couplings(robot: Robot, j: int, scales: Mapping[str, JointScales], spread_r
     found: list[Effect] = []
     for k in (j - 1, j + 1):
         if not 0 <= k < len(robot.joints) or robot.joints[k].name not in scales:
+            continue
+        if robot.joints[k].is_slide != robot.joints[j].is_slide:  # a share of the motion has no unit
             continue
         neighbour = robot.joints[k].name
         range_rad = scales[neighbour].high_rad - scales[neighbour].low_rad

@@ -51,7 +51,8 @@ def _candidates(robot: Robot, places: Sequence[str]) -> Iterator[Effect]:
             smallest = float(model.body_inertia[body].min())
             yield LinkMass(place, mass_kg)
             yield LinkCentre(place, _link_length_m(model, body))
-            yield LinkInertia(place, -0.9 * smallest, float(model.dof_M0[dof] - model.dof_armature[dof]))
+            if not robot.joint(place).is_slide:  # it turns nothing
+                yield LinkInertia(place, -0.9 * smallest, float(model.dof_M0[dof] - model.dof_armature[dof]))
         for other in places:
             length_m = float(np.linalg.norm(model.body_pos[body_of[other]]))
             if int(model.body_parentid[body_of[other]]) == body and length_m > 0:
@@ -100,7 +101,10 @@ def _changes_torques(robot: Robot, effect: Effect, scales: Mapping[str, JointSca
 
 def depends_on_angle(robot: Robot, place: str, scales: Mapping[str, JointScales]) -> bool:
     """Check whether a torque depends on the angle of a joint; that of a vertical first axis changes none."""
-    nominal, turned = (_torques_Nm(robot.model, robot, scales, turn) for turn in ({}, {place: 0.1}))
+    nominal, turned = (
+        _torques_Nm(robot.model, robot, scales, turn)
+        for turn in ({}, {place: 0.1 * robot.joint(place).per_rad})
+    )
     return _differ(nominal, turned)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, joint_samples
 from simgap.logs import Motion, Signal
-from simgap.robot import ControlMode, Robot
+from simgap.robot import ControlMode, Robot, RobotJoint
 
 BETTER: Final = 0.5
 """Ratio of two RMS errors from which another command is the better one: the chance that two that fit equally
@@ -33,9 +33,7 @@ def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
 
 def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find joints whose positions follow the command of another joint better than their own."""
-    names = [
-        one.name for one in robot.joints if one.mode is ControlMode.POSITION and _moves(one.name, motions)
-    ]
+    names = [one.name for one in robot.joints if one.mode is ControlMode.POSITION and _moves(one, motions)]
     own = [motion for motion in motions if all(_is_commanded(motion, name) for name in names)]
     if len(names) < 2 or not own:
         return []
@@ -44,12 +42,14 @@ def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     for k, name in enumerate(names):
         best = int(np.argmin(errors[k]))
         if best != k and errors[k, best] < BETTER * min(errors[k, k], _spread(own, name)):
+            joint = robot.joint(name)
             text = (
-                f"the position follows the command of {names[best]} within {errors[k, best] * 1e3:.3g} mrad, "
-                f"its own only within {errors[k, k] * 1e3:.3g}: are the columns of two joints exchanged?"
+                f"the position follows the command of {names[best]} within "
+                f"{joint.show_small(errors[k, best])}, its own only within {errors[k, k] * 1e3:.3g}: are the "
+                "columns of two joints exchanged?"
             )
             motion_names = tuple(motion.name for motion in own)
-            found.append(Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit="rad"))
+            found.append(Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit=joint.unit))
     return found
 
 
@@ -57,11 +57,12 @@ def _is_commanded(motion: Motion, joint: str) -> bool:
     return joint in motion.joints and motion.joints[joint].command is not None
 
 
-def _moves(joint: str, motions: Sequence[Motion]) -> bool:
+def _moves(joint: RobotJoint, motions: Sequence[Motion]) -> bool:
     """Return whether position and command of a joint move in some motion."""
-    samples = [joint_samples(motion.joints[joint]) for motion in motions if _is_commanded(motion, joint)]
+    name, least_rad = joint.name, COARSE_RAD * joint.per_rad
+    samples = [joint_samples(motion.joints[name]) for motion in motions if _is_commanded(motion, name)]
     return any(
-        one.position.size and min(np.ptp(one.position), np.nan_to_num(np.ptp(one.command))) > COARSE_RAD
+        one.position.size and min(np.ptp(one.position), np.nan_to_num(np.ptp(one.command))) > least_rad
         for one in samples
     )
 

@@ -64,17 +64,19 @@ def _cut_off(
     interval = (float(min(others.min(), value - band)), float(max(others.max(), value + band)))
     furthest = side * float(np.min(side * rest.command[at, k]))
     count = f"{len(stop.excursions)} times"
+    stops, goes_on = joint.show(value, ".3f"), joint.show(furthest, ".3f")
+    low, high = (joint.show(one, ".3f").split()[0] for one in interval)
     if _may_be_too_weak(joint, rest, k, side, at):
         text = (
-            f"the position stops at {value:.3f} rad, the command goes on to {furthest:.3f} rad, {count}; "
+            f"the position stops at {stops}, the command goes on to {goes_on}, {count}; "
             "gravity is against it, so a torque limit and a command that is cut off look alike"
         )
-        return Remark(RemarkKind.SATURATION, joint.name, names, text, value, interval, "rad")
+        return Remark(RemarkKind.SATURATION, joint.name, names, text, value, interval, joint.unit)
     text = (
-        f"the position stops at {value:.3f} rad ({interval[0]:.3f} to {interval[1]:.3f}), {count}, while the "
-        f"command goes on to {furthest:.3f} rad{_effort_words(joint.name, motions, rest, at)}"
+        f"the position stops at {stops} ({low} to {high}), {count}, while the "
+        f"command goes on to {goes_on}{_effort_words(joint.name, motions, rest, at)}"
     )
-    return Remark(RemarkKind.CUT_OFF, joint.name, names, text, value, interval, "rad")
+    return Remark(RemarkKind.CUT_OFF, joint.name, names, text, value, interval, joint.unit)
 
 
 def _may_be_too_weak(joint: RobotJoint, rest: Rest, k: int, side: float, at: Array) -> bool:

@@ -58,8 +58,13 @@ class NominalModel:
         return NominalMotion(motion.name, predicted, error)
 
     def _path(self, motion: Motion, tick_s: Array) -> Array:
-        """Step through the control periods; return the positions at them, (n, n_joints) [rad]."""
+        """Step through the control periods; return the positions at them, (n, n_joints) [rad].
+
+        They are NaN if a loop has no gain, or if the simulation blew up.
+        """
         joints, model, data = self.robot.joints, self.model, mujoco.MjData(self.model)
+        if not all(one.knows_gains for one in joints):
+            return np.full((tick_s.size, len(joints)), np.nan)
         command = np.stack([_commands(motion.joints[one.name], tick_s) for one in joints], axis=1)
         is_on = np.stack([_enabled(motion.joints[one.name], tick_s) for one in joints], axis=1)
         for one in joints:

@@ -175,14 +175,14 @@ def find_constant_positions(robot: Robot, motions: Sequence[Motion]) -> list[Rem
             continue
         commands = {name: one.command[np.isfinite(one.command)] for name, one in logs.items()}
         spans = {name: float(np.ptp(one)) for name, one in commands.items() if one.size}
-        moved = tuple(name for name, span in spans.items() if span > COARSE_RAD)
+        moved = tuple(name for name, span in spans.items() if span > COARSE_RAD * joint.per_rad)
         if moved:
             text = (
-                f"the position stays at {positions[0]:.4g} rad, while the command spans "
-                f"{max(spans.values()):.3g} rad: is the encoder dead, or is it the wrong column?"
+                f"the position stays at {joint.show(positions[0])}, while the command spans "
+                f"{joint.show(max(spans.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
             )
             found.append(
-                Remark(RemarkKind.CONSTANT, joint.name, moved, text, float(positions[0]), unit="rad")
+                Remark(RemarkKind.CONSTANT, joint.name, moved, text, float(positions[0]), unit=joint.unit)
             )
     return found
 

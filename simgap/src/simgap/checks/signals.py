@@ -42,7 +42,7 @@ ROUND: Final = 0.1
 def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find positions and commands that jump by whole turns between two rows, and counters that did."""
     found = [*_unwrapped(motions)]
-    for joint in robot.joints:
+    for joint in (one for one in robot.joints if not one.is_slide):
         for name in ("position", "command", "secondary"):
             if name == "command" and joint.mode is not ControlMode.POSITION:
                 continue
@@ -122,10 +122,10 @@ def find_spikes(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         names = tuple(name for name, number in count.items() if number)
         if names:
             text = (
-                f"{sum(count.values())} positions jump away for a sample or two, to {furthest:.3g} rad from "
-                "the median: were they read wrongly?"
+                f"{sum(count.values())} positions jump away for a sample or two, to "
+                f"{joint.show(furthest, '.3g')} from the median: were they read wrongly?"
             )
-            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit="rad"))
+            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
     return found
 
 
@@ -145,11 +145,11 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         if not own or spread_rad > SPREAD * noise_rad or spread_rad == 0.0:
             continue
         text = (
-            f"the joint hardly moves: its positions range over {spread_rad * 1e3:.3g} mrad, their noise is "
-            f"{noise_rad * 1e3:.2g} mrad. Nothing about this joint can be identified"
+            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise "
+            f"is {joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
         )
         names = tuple(motion.name for motion in own)
-        found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit="rad"))
+        found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit=joint.unit))
     return found
 
 
@@ -174,7 +174,7 @@ def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         late_s: dict[str, float] = {}
         for motion in motions:
             if joint.mode is ControlMode.POSITION and joint.name in motion.joints:
-                late = _late_start_s(joint_samples(motion.joints[joint.name]))
+                late = _late_start_s(joint_samples(motion.joints[joint.name]), COARSE_RAD * joint.per_rad)
                 if late:
                     late_s[motion.name] = late
         if late_s:
@@ -187,16 +187,20 @@ def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     return found
 
 
-def _late_start_s(samples: Samples) -> float:
-    """Return how long a joint stands still at the start although its command moves; 0 if it does not."""
+def _late_start_s(samples: Samples, least_rad: float) -> float:
+    """Return how long a joint stands still at the start although its command moves; 0 if it does not.
+
+    Args:
+        least_rad: Distance by which a joint moves clearly.
+    """
     use = np.isfinite(samples.command)
     time_s, position, command = samples.time_s[use], samples.position[use], samples.command[use]
     if time_s.size < WINDOW:
         return 0.0
     error = np.abs((command - command[0]) - (position - position[0]))
-    starts = np.flatnonzero(np.abs(position - position[0]) > COARSE_RAD / STEPS)
+    starts = np.flatnonzero(np.abs(position - position[0]) > least_rad / STEPS)
     if not starts.size or not 0 < starts[0] < time_s.size // 2:
         return 0.0
     before, later = error[: starts[0]], error[2 * starts[0] :]
-    is_late = before.max() > COARSE_RAD and before.max() > BEGINS * float(later.max(initial=0.0))
+    is_late = before.max() > least_rad and before.max() > BEGINS * float(later.max(initial=0.0))
     return float(time_s[starts[0]] - time_s[0]) if is_late else 0.0

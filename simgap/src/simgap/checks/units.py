@@ -118,15 +118,15 @@ def _beyond_range(
     robot: Robot, joint: str, motions: tuple[str, ...], samples: Sequence[Samples]
 ) -> list[Remark]:
     """Remark positions far beyond the range of the model that would lie within it in another unit."""
-    model, number = robot.model, robot.joint(joint).dof_index
-    index = int(model.dof_jntid[number])
+    model, own = robot.model, robot.joint(joint)
+    index = int(model.dof_jntid[own.dof_index])
     if not samples:
         return []
     if not model.jnt_limited[index]:
-        return _many_turns(joint, motions, samples)
+        return [] if own.is_slide else _many_turns(joint, motions, samples)
     allowed = float(np.abs(model.jnt_range[index]).max())
     largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
-    turns = _turns_off(model.jnt_range[index], samples)
+    turns = 0 if own.is_slide else _turns_off(model.jnt_range[index], samples)
     if turns:
         text = (
             f"the position lies {abs(turns)} turns {'above' if turns > 0 else 'below'} the range of the "
@@ -134,9 +134,11 @@ def _beyond_range(
         )
         return [Remark(RemarkKind.UNIT, joint, motions, text.replace(" 1 turns", " a turn"), float(turns))]
     for factor, unit in FACTORS.items():
+        if own.is_slide and unit == "degrees":
+            continue
         if allowed * 3.0 < largest <= factor * allowed * CLOSE:
             text = (
-                f"the position reaches {largest:.4g} rad, the model ends at {allowed:.4g} rad: "
+                f"the position reaches {own.show(largest)}, the model ends at {own.show(allowed)}: "
                 f"is the log in {unit}? That is a factor of {factor:.4g}"
             )
             return [Remark(RemarkKind.UNIT, joint, motions, text, largest / allowed)]

@@ -79,7 +79,8 @@ class JointSummary:
     nominal_mean_abs_rad: float
     """Of the nominal simulation; NaN if it blew up, or is none."""
     is_simulated: bool
-    """False without a command in all motions."""
+    """False without a command in all motions, or without the gains of all loops."""
+    is_slide: bool = False
 
 
 def check_robot(request: CheckRequest, progress: Progress = no_progress) -> CheckReport:
@@ -114,7 +115,9 @@ def summarize_joints(report: CheckReport) -> list[JointSummary]:
 def _summary(report: CheckReport, joint: str) -> JointSummary:
     rates = [rate for rate in report.audit.rates if rate.joint == joint]
     weight = np.array([rate.n_samples for rate in rates], float)
-    is_simulated = all(motion.joints[joint].command is not None for motion in report.logs.motions)
+    is_simulated = all(motion.joints[joint].command is not None for motion in report.logs.motions) and all(
+        one.knows_gains for one in report.robot.joints
+    )
     usable = [report.audit.is_usable(motion.name, joint) for motion in report.logs.motions]
     positions = [motion.joints[joint].position.value for motion in report.logs.motions]
     errors = np.array([one.mean_abs_rad[joint] for one in report.nominal])
@@ -132,6 +135,7 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
         if is_simulated and weight.any()
         else float("nan"),
         is_simulated=is_simulated,
+        is_slide=report.robot.joint(joint).is_slide,
     )
 
 
@@ -237,9 +241,15 @@ def joint_cells(one: JointSummary) -> tuple[str, ...]:
         f"{one.jitter_s * 1e3:.1f}",
         str(one.n_missing + one.n_invalid),
         str(one.n_stale),
-        f"{one.lowest_rad:.2f}..{one.highest_rad:.2f}",
+        f"{1e3 * one.lowest_rad:.1f}..{1e3 * one.highest_rad:.1f} mm"
+        if one.is_slide
+        else f"{one.lowest_rad:.2f}..{one.highest_rad:.2f}",
         f"{one.refused_share:.1%}",
-        f"{error * 1e3:.1f}" if math.isfinite(error) else "blew up" if one.is_simulated else "no command",
+        f"{error * 1e3:.1f}{' mm' if one.is_slide else ''}"
+        if math.isfinite(error)
+        else "blew up"
+        if one.is_simulated
+        else "not simulated",
     )
 
 
@@ -290,7 +300,7 @@ def drawn_motions(report: CheckReport) -> list[int]:
     refused = dict.fromkeys(names, 0)
     for one in report.audit.refused:
         refused[one.motion] += one.n_samples
-    error = [np.nansum(list(one.mean_abs_rad.values())) for one in report.nominal]
+    error = [np.nansum([*_comparable(report.robot, one).values()]) for one in report.nominal]
     of_remarks = [
         names.index(max(one.motions, key=lambda name: refused[name]))
         for one in report.audit.remarks
@@ -303,20 +313,23 @@ def drawn_motions(report: CheckReport) -> list[int]:
 def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:
     """Draw command, position and nominal simulation of one joint, and what a diagnosis leaves out."""
     documents = []
+    what, unit, factor = (
+        ("distance", "mm", 1e3) if report.robot.joint(joint).is_slide else ("angle", "rad", 1.0)
+    )
     for number in motions:
         motion = report.logs.motions[number]
         log = motion.joints[joint]
         left_out = ~report.audit.is_usable(motion.name, joint)
         series: dict[str, Array] = {
-            "refused": np.where(left_out, log.position.value, np.nan),
-            "measured": log.position.value,
-            "nominal": report.nominal[number].position[joint],
+            "refused": np.where(left_out, factor * log.position.value, np.nan),
+            "measured": factor * log.position.value,
+            "nominal": factor * report.nominal[number].position[joint],
         }
         if log.command is not None:
-            series["command"] = hold(log.command, log.position.time_s)
+            series["command"] = factor * hold(log.command, log.position.time_s)
         rows = extreme_rows(series.values())
         shown = {name: values[rows] for name, values in series.items()}
-        panel = series_panel("angle [rad]", "rad", shown, False)
+        panel = series_panel(f"{what} [{unit}]", unit, shown, False)
         documents.append((motion.name, motion_document(log.position.time_s[rows], [panel])))
     has_command = all(report.logs.motions[k].joints[joint].command is not None for k in motions)
     names = ("measured", "nominal", *(("command",) if has_command else ()), "refused")
@@ -327,7 +340,9 @@ def _rate_rows(report: CheckReport) -> Iterator[tuple[str, ...]]:
     for motion, nominal in zip(report.logs.motions, report.nominal, strict=True):
         rates = [one for one in report.audit.rates if one.motion == motion.name]
         left_out = sum(one.n_samples for one in report.audit.refused if one.motion == motion.name)
-        worst = max(nominal.mean_abs_rad, key=lambda name: nominal.mean_abs_rad[name])
+        comparable = _comparable(report.robot, nominal)
+        worst = max(comparable, key=lambda name: comparable[name])
+        unit = report.robot.joint(worst).unit
         yield (
             motion.name,
             f"{rates[0].duration_s:.1f} s",
@@ -336,5 +351,10 @@ def _rate_rows(report: CheckReport) -> Iterator[tuple[str, ...]]:
             str(max(one.n_missing + one.n_invalid for one in rates)),
             str(max(one.n_stale for one in rates)),
             str(left_out),
-            f"{nominal.mean_abs_rad[worst] * 1e3:.1f} mrad at {worst}",
+            f"{nominal.mean_abs_rad[worst] * 1e3:.1f} m{unit} at {worst}",
         )
+
+
+def _comparable(robot: Robot, nominal: NominalMotion) -> dict[str, float]:
+    """Return the error of each joint in rad, that of a slide as what moves a point as far."""
+    return {name: error / robot.joint(name).per_rad for name, error in nominal.mean_abs_rad.items()}

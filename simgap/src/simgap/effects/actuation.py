@@ -22,7 +22,7 @@ class GainError(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Relative change; a loop with less than a twentieth of its gain is a loop that is off."""
-        return (self.with_prior(Size("gain_ratio", -0.95, 4.0, 0.2)),)
+        return (self.with_prior(self.size_of("gain_ratio", -0.95, 4.0, 0.2)),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale the gains."""
@@ -44,7 +44,7 @@ class DampingGain(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (Size("kd_Nms_rad", -self.joint.kd_Nms_rad, scale, 0.05 * scale),)
+        return (self.size_of("kd_Nms_rad", -self.joint.kd_Nms_rad, scale, 0.05 * scale),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping gain."""
@@ -61,12 +61,40 @@ class TorqueConstant(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Relative change; a motor with less than a tenth of its torque is a motor that is off."""
-        return (Size("torque_ratio", -0.9, 1.0, 0.1),)
+        return (self.size_of("torque_ratio", -0.9, 1.0, 0.1),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale gains and limit."""
         for values in (fields.kp_Nm_rad, fields.kd_Nms_rad, fields.torque_limit_Nm):
             values[:, self.index] *= 1.0 + size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentScale(JointEffect):
+    """The torque of a logged current is other than its torque constant says."""
+
+    name: ClassVar[str] = "scale of the current"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def nominal(self) -> float:
+        """Constant of the robot file."""
+        return self.joint.torque_constant_Nm_A
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Constant beside the given one: a tenth of it to five times as much."""
+        given = self.nominal
+        return (
+            self.with_prior(self.size_of("torque_constant_Nm_A", -0.9 * given, 4.0 * given, 0.1 * given)),
+        )
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Scale the logged torque, and that of commands if they are currents."""
+        factor = 1.0 + size[:, 0] / self.nominal
+        fields.torque_scale[:, self.index] *= factor
+        if self.joint.mode is ControlMode.CURRENT:
+            fields.kp_Nm_rad[:, self.index] *= factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +107,11 @@ class TorqueLimit(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Inverse of the limit, from the nominal one down to a twentieth of the torque in use."""
-        return (Size("inverse_limit_1_Nm", 0.0, 20.0 / self.scales.torque_Nm, 2.0 / self.scales.torque_Nm),)
+        return (
+            self.size_of(
+                "inverse_limit_1_Nm", 0.0, 20.0 / self.scales.torque_Nm, 2.0 / self.scales.torque_Nm
+            ),
+        )
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Lower the limit."""
@@ -88,7 +120,7 @@ class TorqueLimit(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"torque limit {float(limit_of(size)[0]):.4g} N m"
+        return f"torque limit {float(limit_of(size)[0]):.4g} {self.joint.effort_unit}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +134,7 @@ class BackEmf(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Inverse of the no-load speed; at most the motor could only just reach half the logged speed."""
         speed = self.scales.speed_rad_s
-        return (Size("inverse_no_load_s_rad", 0.0, 2.0 / speed, 0.5 / speed),)
+        return (self.size_of("inverse_no_load_s_rad", 0.0, 2.0 / speed, 0.5 / speed),)
 
     def act(self, size: Array, tick: Tick) -> None:
         """Lower the limit where the motor drives, and raise it where the motor brakes."""
@@ -119,7 +151,7 @@ class BackEmf(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the no-load speed."""
-        return f"no-load speed {float(limit_of(size)[0]):.4g} rad/s"
+        return f"no-load speed {float(limit_of(size)[0]):.4g} {self.joint.unit}/s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +165,7 @@ class DeadZone(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Error without torque, on each side: at most a tenth of the range."""
         range_rad = max(self.scales.high_rad - self.scales.low_rad, 1e-3)
-        return (Size("dead_rad", 0.0, 0.1 * range_rad, 0.005 * range_rad),)
+        return (self.size_of("dead_rad", 0.0, 0.1 * range_rad, 0.005 * range_rad),)
 
     def act(self, size: Array, tick: Tick) -> None:
         """Take the dead zone off the error, by way of the command."""
@@ -153,7 +185,7 @@ class LeakyIntegral(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Integral gain over stiffness, and leak; ten a second is the bandwidth of a servo."""
-        return (Size("integral_1_s", 0.0, 10.0, 1.0), Size("leak_1_s", 0.0, 10.0, 1.0))
+        return (self.size_of("integral_1_s", 0.0, 10.0, 1.0), self.size_of("leak_1_s", 0.0, 10.0, 1.0))
 
     def act(self, size: Array, tick: Tick) -> None:
         """Add the integral to the command, bounded by the range so that it does not wind up."""

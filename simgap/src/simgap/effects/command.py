@@ -20,7 +20,7 @@ class CommandDelay(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Delay, up to the command that a window keeps before its start."""
-        return (Size("delay_s", 0.0, 0.2, 0.01),)
+        return (self.size_of("delay_s", 0.0, 0.2, 0.01),)
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Shift the command; a fraction of a period is the mean of a command that changes within it."""
@@ -43,7 +43,7 @@ class VelocityLimit(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Inverse of the limit, down to a tenth of the logged speed."""
         speed = self.scales.speed_rad_s
-        return (Size("inverse_speed_s_rad", 0.0, 10.0 / speed, 1.0 / speed),)
+        return (self.size_of("inverse_speed_s_rad", 0.0, 10.0 / speed, 1.0 / speed),)
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Follow the command from its first value."""
@@ -70,7 +70,7 @@ class VelocityLimit(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"velocity limit {float(limit_of(size)[0]):.4g} rad/s"
+        return f"velocity limit {float(limit_of(size)[0]):.4g} {self.joint.unit}/s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class AccelerationLimit(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Inverse of the limit, down to a tenth of the logged acceleration."""
         acceleration = self.scales.acceleration_rad_s2
-        return (Size("inverse_acceleration_s2_rad", 0.0, 10.0 / acceleration, 1.0 / acceleration),)
+        return (self.size_of("inverse_acceleration_s2_rad", 0.0, 10.0 / acceleration, 1.0 / acceleration),)
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Follow the command: speed up, and brake in time to stop at it.
@@ -120,7 +120,7 @@ class AccelerationLimit(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"acceleration limit {float(limit_of(size)[0]):.4g} rad/s2"
+        return f"acceleration limit {float(limit_of(size)[0]):.4g} {self.joint.unit}/s2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class _Clamp(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Length that is cut off from the commanded range: at most half of it."""
         span = max(self.scales.command_high - self.scales.command_low, 1e-6)
-        return (Size("cut_rad", 0.0, 0.5 * span, 0.1 * span),)
+        return (self.size_of("cut_rad", 0.0, 0.5 * span, 0.1 * span),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class MeasurementDelay(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Delay; negative if samples are younger than their stamps."""
-        return (Size("delay_s", -0.1, 0.1, 0.01),)
+        return (self.size_of("delay_s", -0.1, 0.1, 0.01),)
 
     def sample_delay_s(self, size: Array) -> Array:
         """Return the delay."""
@@ -196,7 +196,7 @@ class EncoderScale(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Relative error; a tenth is already another gear."""
-        return (Size("scale_ratio", -0.1, 0.1, 0.01),)
+        return (self.size_of("scale_ratio", -0.1, 0.1, 0.01),)
 
     def encode(self, size: Array, q_rad: Array) -> Array:
         """Scale the angle."""
@@ -217,7 +217,8 @@ class JointZero(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Angle that the encoder shows at the zero of the model; 10 degrees are seen by the eye."""
-        return (Size("zero_rad", -0.175, 0.175, 0.02),)
+        per_rad = self.joint.per_rad
+        return (self.size_of("zero_rad", -0.175 * per_rad, 0.175 * per_rad, 0.02 * per_rad),)
 
     def encode(self, size: Array, q_rad: Array) -> Array:
         """Add the error."""

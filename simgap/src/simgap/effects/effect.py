@@ -107,6 +107,8 @@ class Fields:
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
     rotors: list[Rotor] = field(default_factory=list)
     """Motors that turn something else than their joint; an effect may add one."""
+    torque_scale: Array = field(default_factory=lambda: np.ones((1, 1)))
+    """(n_sims, n_joints), torque over the logged one: inverse dynamics compares with it."""
 
 
 @dataclass(slots=True)
@@ -292,6 +294,10 @@ class JointEffect(Effect):
         """Return the effect at a joint."""
         index = [joint.name for joint in robot.joints].index(place)
         return cls(place, index, robot.joints[index], scales[place])
+
+    def size_of(self, name: str, low: float, high: float, typical: float) -> Size:
+        """Return a size whose name has the unit of the joint."""
+        return Size(self.joint.name_of(name), low, high, typical)
 
     def with_prior(self, size: Size) -> Size:
         """Return a size with its prior around the nominal value, if this is a base effect."""

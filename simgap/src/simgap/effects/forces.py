@@ -31,7 +31,11 @@ class ViscousFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Damping: at most what takes the whole torque at the highest speed, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (self.with_prior(Size("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale)),)
+        return (
+            self.with_prior(
+                self.size_of("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale)
+            ),
+        )
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping."""
@@ -54,7 +58,11 @@ class CoulombFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Friction: at most half of the torque, at least none at all."""
         scale = self.scales.torque_Nm
-        return (self.with_prior(Size("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale)),)
+        return (
+            self.with_prior(
+                self.size_of("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale)
+            ),
+        )
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the dry friction."""
@@ -74,8 +82,8 @@ class StribeckFriction(JointEffect):
         """Extra dry friction at rest, and the speed at which it has fallen to 1/e."""
         torque, speed = self.scales.torque_Nm, self.scales.speed_rad_s
         return (
-            Size("stribeck_Nm", 0.0, 0.5 * torque, 0.05 * torque),
-            Size("stribeck_rad_s", 0.0, speed, 0.1 * speed),
+            self.size_of("stribeck_Nm", 0.0, 0.5 * torque, 0.05 * torque),
+            self.size_of("stribeck_rad_s", 0.0, speed, 0.1 * speed),
         )
 
     def friction_Nm(self, size: Array, state: State) -> Array:
@@ -94,7 +102,7 @@ class LoadFriction(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Friction per torque of the load; from 1 on no gear could be driven backwards."""
-        return (Size("friction_per_load", 0.0, 1.0, 0.1),)
+        return (self.size_of("friction_per_load", 0.0, 1.0, 0.1),)
 
     def friction_Nm(self, size: Array, state: State) -> Array:
         """Return the friction under the load."""
@@ -116,7 +124,7 @@ class AsymmetricFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Friction that acts on positive speeds alone; if it is negative, on negative speeds alone."""
         scale = self.scales.torque_Nm
-        return (Size("asymmetric_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
+        return (self.size_of("asymmetric_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
 
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
         """Return whether dry friction stays positive in both directions."""
@@ -145,7 +153,7 @@ class TemperatureFriction(JointEffect):
         """Friction per kelvin below the hottest logged temperature."""
         span_K = np.nan_to_num(self.scales.hottest_degC - self.scales.coldest_degC)
         scale = self.scales.torque_Nm / max(span_K, 1.0)
-        return (Size("friction_Nm_K", 0.0, 0.5 * scale, 0.05 * scale),)
+        return (self.size_of("friction_Nm_K", 0.0, 0.5 * scale, 0.05 * scale),)
 
     def friction_Nm(self, size: Array, state: State) -> Array:
         """Return the extra friction at the temperature of the joint; none where it is not logged."""
@@ -169,7 +177,7 @@ class ConstantTorque(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Torque: at most half of that of the motor."""
         scale = self.scales.torque_Nm
-        return (Size("offset_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
+        return (self.size_of("offset_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
 
     def torque_Nm(self, size: Array, state: State) -> Array:
         """Return the torque."""
@@ -189,8 +197,8 @@ class Spring(JointEffect):
         torque = self.scales.torque_Nm
         stiffness = torque / max(self.scales.high_rad - self.scales.low_rad, 1e-3)
         return (
-            Size("stiffness_Nm_rad", -stiffness, stiffness, 0.1 * stiffness),
-            Size("offset_Nm", -0.5 * torque, 0.5 * torque, 0.05 * torque),
+            self.size_of("stiffness_Nm_rad", -stiffness, stiffness, 0.1 * stiffness),
+            self.size_of("offset_Nm", -0.5 * torque, 0.5 * torque, 0.05 * torque),
         )
 
     def torque_Nm(self, size: Array, state: State) -> Array:
@@ -215,7 +223,7 @@ class PositionTorque(JointEffect):
         """
         scale = self.scales.torque_Nm
         low, high, typical = -REACH * scale, REACH * scale, 0.1 * scale
-        return Size("cos_Nm", low, high, typical), Size("sin_Nm", low, high, typical)
+        return self.size_of("cos_Nm", low, high, typical), self.size_of("sin_Nm", low, high, typical)
 
     def torque_Nm(self, size: Array, state: State) -> Array:
         """Return the sum of both waves."""
@@ -246,7 +254,9 @@ class PeriodicTorque(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Coefficients of cosine and sine."""
         scale = self.scales.torque_Nm
-        return tuple(Size(f"{wave}_Nm", -0.5 * scale, 0.5 * scale, 0.02 * scale) for wave in ("cos", "sin"))
+        return tuple(
+            self.size_of(f"{wave}_Nm", -0.5 * scale, 0.5 * scale, 0.02 * scale) for wave in ("cos", "sin")
+        )
 
     def torque_Nm(self, size: Array, state: State) -> Array:
         """Return the wave."""

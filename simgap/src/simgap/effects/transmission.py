@@ -38,11 +38,14 @@ class Backlash(Effect):
     encoder_is_at_output: bool
     typical_rad: float
     high_rad: float
+    is_slide: bool = False
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Whole free angle."""
-        return (Size("backlash_rad", 0.0, self.high_rad, self.typical_rad),)
+        return (
+            Size("backlash_m" if self.is_slide else "backlash_rad", 0.0, self.high_rad, self.typical_rad),
+        )
 
     def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         """Add the rotor."""
@@ -78,16 +81,19 @@ class JointCompliance(Effect):
     encoder_is_at_output: bool
     typical_rad_Nm: float
     high_rad_Nm: float
+    is_slide: bool = False
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Deflection per torque."""
-        return (Size("compliance_rad_Nm", 0.0, self.high_rad_Nm, self.typical_rad_Nm),)
+        name = "compliance_m_N" if self.is_slide else "compliance_rad_Nm"
+        return (Size(name, 0.0, self.high_rad_Nm, self.typical_rad_Nm),)
 
     def describe(self, size: Array) -> str:
         """Return the stiffness too, which data sheets give."""
-        stiffness = f" (stiffness {1 / size[0]:.4g} N m/rad)" if size[0] > 0 else ""
-        return f"compliance_rad_Nm = {size[0]:.4g}{stiffness}"
+        unit = "N/m" if self.is_slide else "N m/rad"
+        stiffness = f" (stiffness {1 / size[0]:.4g} {unit})" if size[0] > 0 else ""
+        return f"{self.sizes[0].name} = {size[0]:.4g}{stiffness}"
 
     def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         """Add the rotor."""
@@ -130,7 +136,10 @@ def _gear(joint: str) -> str:
 
 
 def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
-    """Add a rotor that stands still beside the robot, and a tendon over it that does nothing yet."""
+    """Add a rotor that stands still beside the robot, and a tendon over it that does nothing yet.
+
+    That of a slide is a hinge too, which gravity does not move: it turns by 1 rad in 1 m.
+    """
     if spec.joint(_rotor(joint)) is not None:
         return
     inertia_kgm2 = ROTOR_SHARE * float(robot.model.dof_M0[robot.joint(joint).dof_index])

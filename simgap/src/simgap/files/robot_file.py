@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml
-from simgap.units import COUNTS, SHARES, Quantity, find_unit
+from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -15,24 +15,29 @@ NotNegative = Annotated[float, Field(ge=0)]
 TimeStep = Annotated[float, Field(ge=1e-6, le=0.1)]
 """Below, a second is a million steps; above, no joint of a robot is simulated stably."""
 
+POSITIONS = (Quantity.ANGLE, Quantity.LENGTH)
+"""Quantity of a position: that of a hinge, that of a slide."""
+SPEEDS = (Quantity.SPEED, Quantity.LINEAR_SPEED)
+EFFORTS = (Quantity.TORQUE, Quantity.FORCE)
 SIGNALS = {
-    "position": Quantity.ANGLE,
-    "velocity": Quantity.SPEED,
-    "torque": Quantity.TORQUE,
-    "current": Quantity.CURRENT,
-    "voltage": Quantity.VOLTAGE,
-    "temperature": Quantity.TEMPERATURE,
-    "secondary": Quantity.ANGLE,
-    "enabled": Quantity.FLAG,
+    "position": POSITIONS,
+    "velocity": SPEEDS,
+    "torque": EFFORTS,
+    "current": (Quantity.CURRENT,),
+    "voltage": (Quantity.VOLTAGE,),
+    "temperature": (Quantity.TEMPERATURE,),
+    "secondary": POSITIONS,
+    "enabled": (Quantity.FLAG,),
 }
-"""Signals of a joint beside its command."""
+"""Signals of a joint beside its command, with the quantities that they may have."""
 COMMANDS = {
-    "position": Quantity.ANGLE,
-    "velocity": Quantity.SPEED,
-    "torque": Quantity.TORQUE,
-    "current": Quantity.CURRENT,
+    "position": POSITIONS,
+    "velocity": SPEEDS,
+    "torque": EFFORTS,
+    "current": (Quantity.CURRENT,),
+    "voltage": (Quantity.VOLTAGE,),
 }
-"""Quantity of the command by control mode."""
+"""Quantities of the command by control mode."""
 
 TOPIC_FIELDS = {
     "position": ("position", "rad"),
@@ -57,7 +62,7 @@ class SignalColumn(Record):
     factor: float = 1.0
     """Multiplies the logged value: -1 for a joint that counts the other way."""
     zero_rad: float = 0.0
-    """Angle of the joint in the model where the logged angle is 0."""
+    """Position of the joint in the model where the logged one is 0; m of a slide."""
     counts_per_turn: Positive | None = None
     """Counts of a turn, for the units count and count/s."""
     at_0_rad: float | None = None
@@ -84,16 +89,20 @@ class SignalColumn(Record):
 
 
 class JointTable(Record):
-    """Joint of the robot: its place in the model, its controller and its columns."""
+    """Joint of the robot: its place in the model, its controller and its columns.
+
+    Of a slide, each number in rad is in m, and each in N m is in N.
+    """
 
     joint: str = ""
     """Joint of the MJCF model; empty: that with the name of this table."""
     actuator: str = ""
     """Actuator of the MJCF model; empty: the one that drives this joint."""
-    mode: Literal["position", "velocity", "torque", "current"]
-    """What is commanded: position, velocity, torque or current."""
+    mode: Literal["position", "velocity", "torque", "current", "voltage"]
+    """What is commanded: position, velocity, torque, current, or the voltage of a `<dcmotor>`."""
     kp_Nm_rad: NotNegative | None = None
-    """Stiffness of the position loop, with a gain column for a value of 1 in it; absent: of the model."""
+    """Stiffness of the position loop, with a gain column for a value of 1 in it; absent: of the model. Where
+    torques are compared, no gain is needed."""
     kd_Nms_rad: NotNegative | None = None
     """Damping of the position or the velocity loop; absent: of the model."""
     gain_column: str = ""
@@ -101,18 +110,20 @@ class JointTable(Record):
     torque_limit_Nm: Positive | None = None
     """Largest torque at the joint; absent: of the model."""
     gear_ratio: Positive = 1.0
-    """Turns of the motor in a turn of the joint."""
+    """Turns of the motor in a turn of the joint; of a slide, radians of the motor in 1 m."""
     torque_constant_Nm_A: Positive | None = None
-    """Torque at the joint for 1 A."""
+    """Torque at the joint for 1 A; absent: that of a `<dcmotor>` of the model."""
+    torque_constant_is_known: bool = True
+    """False if the torque constant is a guess, so that it is fitted."""
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
     topic: str = ""
     """Topic of messages such as JointState, which have this joint by the name of this table: its position,
-    velocity and effort (as torque, in N m) are read, where no column of the signal is named."""
+    velocity and effort (as torque) are read in SI units, where no column of the signal is named."""
     command_topic: str = ""
     """Topic of such messages with the command, in the field of the mode."""
     position: SignalColumn
-    """Angle that the encoder shows."""
+    """Angle that the encoder shows; of a slide the distance."""
     command: SignalColumn | None = None
     """Command of the mode; without it the logs need torques or a second encoder."""
     velocity: SignalColumn | None = None
@@ -121,7 +132,7 @@ class JointTable(Record):
     """Torque of the motor, as logged. If all joints with a command have it, torques are compared, not
     positions."""
     current: SignalColumn | None = None
-    """Current of the motor; the check looks for saturation in it."""
+    """Current of the motor; with a torque constant it stands for a torque that is not logged."""
     voltage: SignalColumn | None = None
     """Voltage of the supply; it limits how far the supply can sag."""
     temperature: SignalColumn | None = None
@@ -131,25 +142,42 @@ class JointTable(Record):
     enabled: SignalColumn | None = None
     """Whether the motor has power; without it the simulated motor has no torque."""
 
+    def quantities(self) -> dict[str, tuple[Quantity, ...]]:
+        """Return the quantities that each signal may have: where it has two, of a hinge and of a slide."""
+        return {"command": COMMANDS[self.mode], **SIGNALS}
+
+    def is_of_topic(self, column: SignalColumn) -> bool:
+        """Tell whether a column is one of the topics, whose units are those of hinge or slide alike."""
+        topics = tuple(f"{one}." for one in (self.topic, self.command_topic) if one)
+        is_si = column.unit in {unit for _, unit in TOPIC_FIELDS.values()}
+        return is_si and column.column.startswith(topics)
+
     def columns(self) -> dict[str, tuple[SignalColumn, Quantity]]:
-        """Return the signals that are logged, by name, with their quantities."""
-        kinds = {"command": COMMANDS[self.mode], **SIGNALS}
-        found = {name: (getattr(self, name), kind) for name, kind in kinds.items()}
-        return {name: (one, kind) for name, (one, kind) in found.items() if one is not None}
+        """Return the signals that are logged, by name, with the quantities of their units."""
+        found = {name: getattr(self, name) for name in self.quantities()}
+        return {name: (one, UNITS[one.unit].quantity) for name, one in found.items() if one is not None}
 
     @model_validator(mode="after")
     def _check(self) -> "JointTable":
-        for name, (one, quantity) in self.columns().items():
+        for name, quantities in self.quantities().items():
+            one: SignalColumn | None = getattr(self, name)
+            if one is None:
+                continue
             try:
-                find_unit(one.unit, quantity)
+                find_unit(one.unit, *quantities)
             except ValueError as error:
                 raise ValueError(f"{name}.unit: {error}") from error
-            if one.zero_rad and quantity is not Quantity.ANGLE:
-                raise ValueError(f"{name}.zero_rad: a value of {quantity.value} has no zero angle; remove it")
+            if one.zero_rad and quantities is not POSITIONS:
+                said = " or ".join(quantities)
+                raise ValueError(f"{name}.zero_rad: a value of {said} has no zero angle; remove it")
         if self.gain_column and self.mode == "position" and self.kp_Nm_rad is None:
             raise ValueError("kp_Nm_rad: is missing; with a gain column it is the stiffness for a gain of 1")
-        if self.mode == "current" and self.torque_constant_Nm_A is None:
-            raise ValueError("torque_constant_Nm_A: is missing; the mode current needs it")
+        if self.mode == "voltage" and self.kp_Nm_rad is not None:
+            raise ValueError("kp_Nm_rad: has no meaning in the mode voltage; remove it")
+        if not self.torque_constant_is_known and (self.current is None or self.torque is not None):
+            raise ValueError(
+                "torque_constant_is_known: counts where a current stands for the torque; remove it"
+            )
         return self
 
 
@@ -225,6 +253,9 @@ class RobotFile(Record):
     """Name of the robot in reports."""
     model: Text
     """MJCF file, relative to the robot file."""
+    left_out: list[Text] = Field(default_factory=list)
+    """Joints of the model that are not diagnosed and stand where the model has them; a joint without a name
+    has that of its body."""
     split: str = ""
     """File that says what is held out, relative to the robot file; empty: nothing is."""
     time_step_s: TimeStep

@@ -220,6 +220,8 @@ def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:
 def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason: str) -> Iterator[Change]:
     """Yield the control law of each joint where it is new."""
     for j, joint in enumerate(robot.joints):
+        if not joint.knows_gains:  # the model keeps what it has
+            continue
         names = ("kp", "kd", "limit")
         if before is not None and all(before.joints[name][j] == after.joints[name][j] for name in names):
             continue

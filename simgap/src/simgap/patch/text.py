@@ -25,8 +25,12 @@ ORIENTATIONS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fulline
 """Attributes of an inertial element that say the same as `quat`, or what `diaginertia` says."""
 BODY_OF: Final = "body of "
 """Before the name of a joint: the body that it moves, which has no name of its own."""
-SHORTCUTS: Final = ("kp", "kv", "dampratio", "inheritrange", "timeconst")
-"""Attributes of position and velocity actuators that a general one does not have."""
+SHORTCUTS: Final = (
+    *("kp", "kv", "dampratio", "inheritrange", "timeconst"),
+    *("motorconst", "resistance", "nominal", "saturation", "inductance", "cogging"),
+    *("controller", "thermal", "lugre", "input"),
+)
+"""Attributes of servos and DC motors that a general actuator lacks, or reads otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +145,7 @@ def law_attributes(
     position, velocity, gain = {
         ControlMode.POSITION: (kp / gear**2, kd / gear**2, kp / gear**2),
         ControlMode.VELOCITY: (0.0, kd / gear**2, kd / gear**2),
+        ControlMode.VOLTAGE: (0.0, kd / gear**2, kp / gear),
     }.get(joint.mode, (0.0, 0.0, kp / gear))
     return _attributes(gain, position, velocity, limit / abs(gear))
 

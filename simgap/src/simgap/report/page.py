@@ -187,7 +187,10 @@ def _motion(one: Trace) -> dict[str, Any]:
             "nominal": one.measured - one.nominal,
             "explained": one.measured - one.explained,
         }
-        panels.insert(0, series_panel(f"measured and predicted [{one.unit}]", one.unit, series, False))
+        if one.unit == "m":  # of a slide
+            series = {name: factor * values for name, values in series.items()}
+        shown = unit if one.unit == "m" else one.unit
+        panels.insert(0, series_panel(f"measured and predicted [{shown}]", shown, series, False))
     return motion_document(one.time_s, panels)
 
 

@@ -13,10 +13,19 @@ from simgap.selection.acceptance import MAX_WORSE
 
 MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
-SMALL_UNITS: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "rad/s": ("mrad/s", 1e3)}
+SMALL_UNITS: Final = {
+    "rad": ("mrad", 1e3),
+    "m": ("mm", 1e3),
+    "rad/s": ("mrad/s", 1e3),
+    "m/s": ("mm/s", 1e3),
+}
 """Units in which errors of a robot are small numbers, and their factors."""
-GAIN: Final = "gain_ratio"
-"""Name of the base parameter to which others are known as ratios where gravity gives no scale."""
+GAINS: Final = {
+    "gain_ratio": "the gain",
+    "torque_constant_Nm_A": "the torque constant",
+    "torque_constant_N_A": "the force constant",
+}
+"""Base parameters to which others are known as ratios where gravity gives no scale, by their names."""
 NOT_LOCATED: Final = "something small, not located"
 FAMILY_WORDS: Final[dict[StrEnum, str]] = {
     Family.FRICTION: "friction",
@@ -138,9 +147,10 @@ def unknown_sentences(base: Sequence[Base]) -> list[str]:
     sentences = []
     for place in dict.fromkeys(one.place for one in unknown):
         names = [one.name for one in unknown if one.place == place]
-        rest = [name for name in names if name != GAIN]
-        if GAIN in names and rest:
-            what = f"only ratios to the gain can be known of: {join_words(rest, 'and', len(rest))}"
+        rest = [name for name in names if name not in GAINS]
+        gain = next((words for name, words in GAINS.items() if name in names), "")
+        if gain and rest:
+            what = f"only ratios to {gain} can be known of: {join_words(rest, 'and', len(rest))}"
         else:
             what = f"the logs do not determine: {join_words(names, 'and', len(names))}"
         sentences.append(f"At {place}, {what}.")

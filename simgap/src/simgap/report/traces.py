@@ -78,7 +78,14 @@ def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array
             if at.size:
                 own = None if measured is None else measured[at]
                 yield Trace(
-                    name, model.kind, title, model.unit, model.time_s[at], own, nominal[at], explained[at]
+                    name,
+                    model.kind,
+                    title,
+                    model.units[joint],
+                    model.time_s[at],
+                    own,
+                    nominal[at],
+                    explained[at],
                 )
 
 

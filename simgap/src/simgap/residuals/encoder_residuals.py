@@ -62,7 +62,6 @@ class EncoderResiduals:
     """Predict the difference of two encoders; see `ResidualModel`."""
 
     kind = SECOND_ENCODER
-    unit = "rad"
     by_motion = False
     step_s = 0.0
     noise_std = 0.0
@@ -78,6 +77,7 @@ class EncoderResiduals:
         """
         self._robot, self._keep = robot, keep or {}
         self.joints = tuple(joint.name for joint in robot.joints)
+        self.units = tuple(joint.unit for joint in robot.joints)
         self.low_pass = choose_filter(robot, motions)
         self.method = (
             "The second encoder is compared with the first; loads come from positions that pass "

@@ -1,6 +1,9 @@
 """Residuals of inverse dynamics: measured joint torques minus those that the measured motion needs.
 
-    residual = measured - (inverse dynamics + armature a + damping v + friction sign(v) - applied torques)
+    residual = measured - (inverse dynamics + armature a + damping v + friction sign(v) - applied torques) / k
+
+k is 1, or the true over the given torque constant, where a current is measured and its constant is not known:
+the noise of the current is then no error of a regressor.
 
 Motion and measured torque pass one filter (`filtered_motion`), and so does the dry friction: its step
 at a reversal is as steep as that of the measured torque. The sign of the speed is smoothed over the
@@ -57,7 +60,6 @@ class InverseResiduals:
     """Predict measured minus needed torques; see `ResidualModel`."""
 
     kind = "inverse dynamics"
-    unit = "N m"
     by_motion = False
     step_s = 0.0
     noise_std = 0.0
@@ -90,6 +92,7 @@ class InverseResiduals:
         self._logs, self._filtered = tuple(logs), tuple(filtered)
         self._nominal: dict[int, tuple[Array, Array]] = {}
         self.joints = tuple(joint.name for joint in self._robot.joints)
+        self.units = tuple(joint.effort_unit for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in logs)
         self.repeat_of = tuple(motion.repeat_of for motion in logs)
         self._usable: dict[str, Flags] = {}
@@ -177,7 +180,7 @@ class InverseResiduals:
     def _torque(
         self, one: FilteredMotion, needed: tuple[Array, Array], candidates: "_Candidates", c: int
     ) -> Array:
-        """Return the torque that a candidate needs, (n_times, n_joints)."""
+        """Return the torque that a candidate needs, as the log would show it, (n_times, n_joints)."""
         torque, load = needed
         fields = candidates.fields
         state = State(one.time_s, one.q_rad, one.v_rad_s, load, one.temperature_degC)
@@ -190,7 +193,8 @@ class InverseResiduals:
             if e.size[c].any():
                 total[:, e.joint] -= e.effect.torque_Nm(_each(e.size[c], one), state)
         sign = np.tanh(one.v_rad_s / self.low_pass.friction_speed_rad_s)
-        return np.asarray(total + self.low_pass(np.maximum(dry, 0.0) * sign))
+        needed_Nm = total + self.low_pass(np.maximum(dry, 0.0) * sign)
+        return np.asarray(needed_Nm / fields.torque_scale[c])
 
     def select(self, motions: Sequence[str]) -> "InverseResiduals":
         """Return the residuals of these motions alone, in their old order, with the same filter."""

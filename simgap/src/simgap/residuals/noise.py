@@ -29,7 +29,7 @@ class WhitenedResiduals:
             correlation: Correlation of neighbouring samples of the noise, (n_joints,), as a ratio.
         """
         self.raw, self.correlation = raw, correlation
-        self.kind, self.unit, self.joints, self.motions = raw.kind, raw.unit, raw.joints, raw.motions
+        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
         self.by_motion, self.step_s, self.method = raw.by_motion, raw.step_s, raw.method
         self.noise_std = raw.noise_std
         self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
@@ -163,7 +163,7 @@ class Blocks:
 
     def _fill(self, model: ResidualModel, rows: Integers, block: Integers, names: tuple[str, ...]) -> None:
         self._model, self._rows = model, rows
-        self.kind, self.unit, self.joints = model.kind, model.unit, model.joints
+        self.kind, self.units, self.joints = model.kind, model.units, model.joints
         self.step_s, self.method, self.noise_std = model.step_s, model.method, model.noise_std
         self.motions = names
         self.repeat_of = ("",) * len(names)  # parts of a motion do not repeat one another

@@ -24,8 +24,8 @@ class ResidualModel(Protocol):
 
     kind: str
     """"simulation", "inverse dynamics", "second encoder" or "tracker"."""
-    unit: str
-    """Unit of the residuals."""
+    units: tuple[str, ...]
+    """Unit of the residuals of each joint."""
     joints: tuple[str, ...]
     motions: tuple[str, ...]
     """Names of the units of inference: motions, or blocks of a motion."""

@@ -1,7 +1,7 @@
 """Residuals of forward simulation, and the kinds of residual that the logs of a robot allow."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,7 +11,7 @@ import numpy as np
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.common.errors import RobotError
-from simgap.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
+from simgap.effects.actuation import CurrentScale, DampingGain, GainError, TorqueConstant, TorqueLimit
 from simgap.effects.effect import SIMULATION_HOOKS, Effect
 from simgap.effects.transmission import PeriodicError, SmoothPeriodicError
 from simgap.logs import Motion, Usable
@@ -19,7 +19,7 @@ from simgap.residuals import encoder_residuals, inverse_residuals
 from simgap.residuals.encoder_residuals import EncoderResiduals
 from simgap.residuals.inverse_residuals import InverseResiduals
 from simgap.residuals.residuals import ResidualModel, measured_variable
-from simgap.robot import Robot
+from simgap.robot import ControlMode, Robot
 from simgap.simulation.compiled import Models
 from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import SLOPE_SAMPLES, Window, cut_windows
@@ -29,7 +29,8 @@ PENALTY_rad: Final = 100.0
 SPACING_s: Final = 0.02
 """Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
 SHIFT_rad: Final = 1e-3
-"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
+"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion, as is
+`RobotJoint.per_rad` times as much of a slide."""
 SHIFT_s: Final = 0.1
 """Time in which a shifted speed moves a joint by as much: a servo needs about as long to follow."""
 STEP_PARTS: Final = 8
@@ -47,7 +48,6 @@ class SimulationResiduals:
     """
 
     kind = "simulation"
-    unit = "rad"
     by_motion = True
     noise_std = 0.0
 
@@ -96,9 +96,10 @@ class SimulationResiduals:
 
     def _start_responses(self, windows: Sequence[Window], nominal_rad: Array) -> Array:
         """Return what other positions and speeds of the starts change in each joint itself, (n, 2) [rad]."""
+        shift_rad = _shifts_rad(self._models)
         shifts = [
             replace(one, q_rad=one.q_rad + q_rad, v_rad_s=one.v_rad_s + v_rad_s)
-            for q_rad, v_rad_s in ((SHIFT_rad, 0.0), (0.0, SHIFT_rad / SHIFT_s))
+            for q_rad, v_rad_s in ((shift_rad, 0.0), (0.0, shift_rad / SHIFT_s))
             for one in windows
         ]
         both_rad = _simulate_nominal(self._models, shifts, self._n_threads).reshape(2, -1)
@@ -109,6 +110,7 @@ class SimulationResiduals:
     ) -> None:
         self._logs, self._windows, self._refined_rad = tuple(motions), tuple(windows), refined_rad
         self.joints = tuple(joint.name for joint in self._robot.joints)
+        self.units = tuple(joint.unit for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in motions)
         self.repeat_of = tuple(motion.repeat_of for motion in motions)
         counts = np.array([[one.size for one in window.sample_time_s] for window in self._windows])
@@ -197,7 +199,8 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
         windows: Windows whose joints start at the position and speed of their first samples.
     """
     resting = [_rest(window, 0.0) for window in windows]
-    shifted = [_rest(window, SHIFT_rad) for window in windows]
+    small_rad = _shifts_rad(models)
+    shifted = [_rest(window, small_rad) for window in windows]
     moving_rad, resting_rad, shifted_rad = (
         _simulate_nominal(models, some, n_threads) for some in (windows, resting, shifted)
     )
@@ -209,7 +212,7 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
             end += measured_rad.size
             miss_rad = measured_rad[:SLOPE_SAMPLES] - moving_rad[first]
             rest_rad = measured_rad[:SLOPE_SAMPLES] - resting_rad[first]
-            slope = (shifted_rad - resting_rad)[first] / SHIFT_rad
+            slope = (shifted_rad - resting_rad)[first] / small_rad[j]
             # at the start itself the slope is 1: less of it says little about where the joint started
             shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1.0)
             if np.sum((rest_rad - slope * shift_rad) ** 2) < np.sum(miss_rad**2):
@@ -224,7 +227,12 @@ def _simulate_nominal(models: Models, windows: Sequence[Window], n_threads: int)
     return np.asarray(found)
 
 
-def _rest(window: Window, shift_rad: float) -> Window:
+def _shifts_rad(models: Models) -> Array:
+    """Return a small shift of each joint, (n_joints,)."""
+    return np.array([SHIFT_rad * joint.per_rad for joint in models.robot.joints])
+
+
+def _rest(window: Window, shift_rad: Array | float) -> Window:
     """Return a window in which all joints start at rest, so far from their first samples."""
     first = zip(window.measured_rad, window.q_rad, strict=True)
     q_rad = np.array([samples[0] if samples.size else q for samples, q in first])
@@ -274,6 +282,7 @@ def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -
             )
         )
     elif commanded:
+        _check_gains(robot, commanded - measured)
 
         def simulate(part: Sequence[Motion], is_judge: bool) -> ResidualModel:
             most_steps = math.inf if is_judge else MOST_STEPS
@@ -296,10 +305,21 @@ def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -
     return found
 
 
+def _check_gains(robot: Robot, unmeasured: Collection[str]) -> None:
+    """Refuse to simulate a loop without a gain."""
+    for joint in robot.joints:
+        if not joint.knows_gains:
+            key = "kp_Nm_rad" if joint.mode is ControlMode.POSITION else "kd_Nms_rad"
+            raise RobotError(
+                f"joint {joint.name}: {key} is missing; positions are compared, as the logs have no "
+                f"torque of {', '.join(sorted(unmeasured))}"
+            )
+
+
 def shows_simulation(effect: Effect) -> bool:
     """Return whether a simulation can show an effect; a smooth error could follow anything."""
-    is_smooth = isinstance(effect, SmoothPeriodicError)
-    return not is_smooth and effect.overrides(*SIMULATION_HOOKS)
+    is_other = isinstance(effect, SmoothPeriodicError | CurrentScale)
+    return not is_other and effect.overrides(*SIMULATION_HOOKS)
 
 
 def shows_torque(effect: Effect) -> bool:

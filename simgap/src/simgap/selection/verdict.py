@@ -200,7 +200,7 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
     change = np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2))
     return (
         f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
-        f'"{second.effect.name}" differ by {change:.2g} {model.unit} (RMS)'
+        f'"{second.effect.name}" differ by {change:.2g} {model.units[joint]} (RMS)'
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect, Fields, Rotor
+from simgap.mjcf import take_out_joints
 from simgap.robot import ControlMode, Robot
 
 HARD_IMPEDANCE: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -55,10 +56,13 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
     The actuators of the joints are replaced by affine ones: an implicit integrator sees their damping.
     """
     spec = mujoco.MjSpec.from_string(robot.model_xml)
+    take_out_joints(spec, robot.left_out)
     spec.option.timestep = robot.model.opt.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     joints = {robot.model.joint(int(robot.model.dof_jntid[j.dof_index])).name: j for j in robot.joints}
-    for part in (*spec.keys, *spec.sensors, *(a for a in spec.actuators if a.target in joints)):
+    old = [a for a in spec.actuators if a.target in joints]
+    rotors = {name: _rotor_numbers([a for a in old if a.target == name]) for name in joints}
+    for part in (*spec.keys, *spec.sensors, *old):
         spec.delete(part)
     for name in joints:
         joint = spec.joint(name)
@@ -70,6 +74,7 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         motor.forcerange = (-UNLIMITED_Nm, UNLIMITED_Nm)
+        motor.armature, motor.damping = rotors[name]
     for effect in effects:
         if effect.overrides("vary"):
             effect.vary(spec, robot)
@@ -92,6 +97,15 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         dof=_places([joint.dof_index for joint in found]),
         actuator=_places([joint.actuator_index for joint in found]),
     )
+
+
+def _rotor_numbers(actuators: Sequence[mujoco.MjsActuator]) -> tuple[float, Array]:
+    """Return armature and damping of the actuators of a joint, seen at the joint."""
+    gears = [abs(float(one.gear[0])) for one in actuators]
+    armature = sum(gear**2 * one.armature for gear, one in zip(gears, actuators, strict=True))
+    # the coefficients of the speed, its square and its cube
+    damping = [gear ** np.array((2, 3, 4)) * one.damping for gear, one in zip(gears, actuators, strict=True)]
+    return float(armature), np.sum([np.zeros(3), *damping], axis=0)
 
 
 def _skip_idle_stages(model: mujoco.MjModel) -> None:
@@ -136,6 +150,9 @@ def control_laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
                 bias[:, j, 2] = -kd[:, j]
             case ControlMode.TORQUE | ControlMode.CURRENT:
                 gain[:, j] = kp[:, j]
+            case ControlMode.VOLTAGE:
+                gain[:, j] = kp[:, j]
+                bias[:, j, 2] = -kd[:, j]
     return gain, bias
 
 
@@ -155,6 +172,7 @@ def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fiel
         frictionloss_Nm=rows(model.dof_frictionloss[dof]),
         armature_kgm2=rows(model.dof_armature[dof]),
         batch=batch,
+        torque_scale=np.ones((n_sims, len(dof))),
     )
 
 
@@ -164,8 +182,8 @@ def step_armature(robot: Robot, fields: Fields) -> Array:
     The implicit step takes the damping at its end, which acts like more inertia: half a step times the
     damping. Without it the step is a trapezoidal rule, and SO-101 errs by a fifth as much at 5 ms.
     """
-    is_closed = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in robot.joints]
-    damping = fields.damping_Nms_rad + np.where(is_closed, fields.kd_Nms_rad, 0.0)
+    is_damped = [joint.mode not in (ControlMode.TORQUE, ControlMode.CURRENT) for joint in robot.joints]
+    damping = fields.damping_Nms_rad + np.where(is_damped, fields.kd_Nms_rad, 0.0)
     excess = 0.5 * float(robot.model.opt.timestep) * damping
     return np.asarray(np.maximum(fields.armature_kgm2 - excess, 0.0))
 

@@ -1,0 +1,120 @@
+"""MJCF models: their text with all that it includes, and joints that are taken out of them."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+from xml.etree.ElementTree import TreeBuilder, XMLParser
+
+import mujoco
+
+from simgap.common.errors import RobotError
+
+FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
+"""Elements of MJCF that name files, and the setting of the folder that they are relative to."""
+
+
+def read_model_text(path: Path) -> str:
+    """Read an MJCF file such that its text compiles from any folder.
+
+    Raises:
+        RobotError: it cannot be read or is no XML.
+    """
+    text, root = _read_xml(path)
+    if root.tag != "mujoco":
+        raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
+    if not any(one.tag in (*FILE_ATTRIBUTES, "include") and "file" in one.attrib for one in root.iter()):
+        return text
+    _insert_includes(root, path.parent, (path.resolve(),))
+    settings = {name: value for one in root.iter("compiler") for name, value in one.attrib.items()}
+    for one in root.iter():
+        if one.tag in FILE_ATTRIBUTES and "file" in one.attrib:
+            below = settings.get(FILE_ATTRIBUTES[one.tag], settings.get("assetdir", ""))
+            one.set("file", str((path.parent / below / one.attrib["file"]).resolve()))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path, ...]) -> None:
+    """Put the elements of included files in the place of each include; paths begin at `folder`."""
+    for parent in [*root.iter()]:
+        for k, child in reversed([*enumerate(parent)]):
+            if child.tag == "include":
+                path = (folder / child.attrib.get("file", "")).resolve()
+                if path in within:
+                    raise RobotError(f"{path}: includes itself; remove this include")
+                _, included = _read_xml(path)
+                _insert_includes(included, folder, (*within, path))
+                parent[k : k + 1] = [*included]
+
+
+def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
+    """Read a file of XML as text and as a tree."""
+    try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise RobotError(f"{path}: is no regular file; name an MJCF file")
+        text = path.read_text(encoding="utf-8")
+        return text, ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror}); name an MJCF file") from error
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{path}: is not XML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: is not UTF-8 text; name an MJCF file") from error
+    except ValueError as error:  # a zero byte in the name
+        raise RobotError(f"{str(path)!r}: is no name of a file; name an MJCF file") from error
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """Return the name of a joint, or that of its body if it has none."""
+    return str(model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name)
+
+
+def tied_joints(model: mujoco.MjModel, joint: int) -> list[str]:
+    """Return the names of a joint and of all that tendons and equalities of joints tie to it."""
+    found, groups = {joint}, list(_tied(model))
+    while any(found & group and not group <= found for group in groups):
+        found |= set().union(*(group for group in groups if found & group))
+    return [joint_name(model, one) for one in sorted(found)]
+
+
+def _tied(model: mujoco.MjModel) -> Iterator[set[int]]:
+    """Yield the joints of each equality of joints and of each fixed tendon."""
+    for k in range(model.neq):
+        if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT:
+            yield {int(one) for one in (model.eq_obj1id[k], model.eq_obj2id[k]) if one >= 0}
+    for k in range(model.ntendon):
+        yield _of_tendon(model, k)
+
+
+def _of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Return the joints of a fixed tendon."""
+    first = int(model.tendon_adr[tendon])
+    wraps = range(first, first + int(model.tendon_num[tendon]))
+    return {int(model.wrap_objid[k]) for k in wraps if model.wrap_type[k] == mujoco.mjtWrap.mjWRAP_JOINT}
+
+
+def take_out_joints(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    """Take joints out of a model, with what drives, ties and measures them: their bodies stand still.
+
+    Args:
+        names: Names as `joint_name` has them; all joints that are tied to one another are among them.
+    """
+    if not names:
+        return
+    model = spec.compile()
+    out = {k for k in range(model.njnt) if joint_name(model, k) in names}
+    joints = {model.joint(k).name for k in out} - {""}
+    cut = [one for k, one in enumerate(spec.tendons) if _of_tendon(model, k) & out]
+    tendons = {one.name for one in cut} - {""}
+    parts: list[Any] = [*spec.keys, *spec.sensors]
+    for one in spec.actuators:
+        in_tendon = one.trntype == mujoco.mjtTrn.mjTRN_TENDON
+        parts += [one] * (one.target in (tendons if in_tendon else joints))
+    for one in spec.equalities:
+        in_tendon = one.type == mujoco.mjtEq.mjEQ_TENDON
+        ties = one.type == mujoco.mjtEq.mjEQ_JOINT or in_tendon
+        parts += [one] * (ties and bool({one.name1, one.name2} & (tendons if in_tendon else joints)))
+    parts += cut
+    parts += [one for one in spec.joints if (one.name or one.parent.name) in names]
+    for one in parts:
+        spec.delete(one)

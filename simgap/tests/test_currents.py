@@ -1,0 +1,126 @@
+"""Currents stand for torques: without gains, and with a torque constant that is known or fitted."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.robot_folder import write_csv, write_robot
+from helpers.two_joint_arm import arm, rms, simulated
+from simgap import diagnose
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.nominal import NominalModel
+from simgap.common.errors import RobotError
+from simgap.effects.actuation import CurrentScale
+from simgap.loading import load, take_currents_as_torques
+from simgap.logs import Logs, Signal
+from simgap.patch.patch import make_patch
+from simgap.residuals.inverse_residuals import InverseResiduals
+from simgap.residuals.simulation_residuals import list_kinds
+from simgap.robot import Robot
+
+ELBOW = 'torque = { column = "m2", unit = "mN m", side = "motor" }'
+CURRENT = 'current = { column = "m2", unit = "mA" }\ntorque_constant_Nm_A = 2.5'
+COMMAND = 'command = { column = "c1", unit = "deg" }\n'
+
+
+def guessed(constant_Nm_A: float, true_Nm_A: float, is_known: bool):
+    """Return the arm and its logs, in which torques are known as currents."""
+    robot = arm()
+    robot = replace(
+        robot,
+        joints=tuple(
+            replace(one, torque_constant_Nm_A=constant_Nm_A, torque_constant_is_known=is_known)
+            for one in robot.joints
+        ),
+    )
+    motions = []
+    for seed in range(6):
+        one = simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}")
+        joints = {
+            name: replace(log, torque=None, current=Signal(log.torque.time_s, log.torque.value / true_Nm_A))
+            for name, log in one.joints.items()
+        }
+        motions.append(take_currents_as_torques(robot, replace(one, joints=joints)))
+    return robot, motions
+
+
+def test_a_current_with_its_constant_is_read_as_a_torque(tmp_path):
+    path = write_robot(tmp_path, (ELBOW, CURRENT))
+    log = load(path, write_csv(tmp_path)).motions[0].joints["elbow"]
+    assert np.array_equal(log.torque.value, 2.5 * log.current.value)
+    without = load(write_robot(tmp_path, (ELBOW, CURRENT.split("\n")[0])), tmp_path / "log.csv")
+    assert without.motions[0].joints["elbow"].torque is None
+
+
+def test_no_gain_is_asked_where_torques_are_compared(tmp_path):
+    gains = ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "")
+    shoulder = ("[joints.elbow]", 'torque = { column = "m2", unit = "N m" }\n\n[joints.elbow]')
+    path = write_robot(tmp_path, gains, shoulder, (ELBOW, ""))
+    model = (
+        (tmp_path / "model.xml").read_text().replace('kp="30" kv="2" ', "").replace("<position ", "<motor ")
+    )
+    (tmp_path / "model.xml").write_text(model)
+    robot = Robot.from_toml(path)
+    assert math.isnan(robot.joint("shoulder").kp_Nm_rad)
+    logs = load(robot, write_csv(tmp_path))
+    assert [one.name for one in list_kinds(robot, logs.motions, None)] == ["inverse dynamics"]
+    assert math.isnan(NominalModel(robot).simulate(logs.motions[0]).mean_abs_rad["shoulder"])
+    assert "motor of shoulder" not in make_patch(robot, [], []).model_xml
+    assert not any("kp" in one for one in make_patch(robot, [], []).changes if "shoulder" in one)
+    path.write_text(path.read_text().replace('torque = { column = "m2", unit = "N m" }\n', ""))
+    with pytest.raises(RobotError, match=r"joints.shoulder.kp_Nm_rad: is 0 or missing"):
+        Robot.from_toml(path)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("torque_constant_is_known = false", "torque_constant_is_known: counts where a current stands for"),
+        (
+            'current = { column = "m2", unit = "mA" }\ntorque_constant_is_known = false',
+            "torque_constant_is_known: counts where a current stands for",
+        ),
+    ],
+)
+def test_a_guess_without_a_current_in_place_of_a_torque_is_refused(tmp_path, more, said):
+    with pytest.raises(RobotError, match=said):
+        Robot.from_toml(write_robot(tmp_path, (ELBOW, f"{ELBOW}\n{more}")))
+
+
+def test_a_guess_needs_a_number(tmp_path):
+    text = CURRENT.split("\n")[0] + "\ntorque_constant_is_known = false"
+    with pytest.raises(
+        RobotError, match=r"elbow.torque_constant_Nm_A: is missing; with torque_constant_is_known"
+    ):
+        Robot.from_toml(write_robot(tmp_path, (ELBOW, text)))
+
+
+def test_the_scale_of_a_current_is_a_base_parameter_only_if_it_is_a_guess():
+    for is_known in (True, False):
+        robot, motions = guessed(10.0, 10.0, is_known)
+        logs = Logs(tuple(motions))
+        found = [one for one in base_effects(robot, logs) if isinstance(one, CurrentScale)]
+        assert [one.place for one in found] == ([] if is_known else ["shoulder", "elbow"])
+        assert not any(isinstance(one, CurrentScale) for one in catalogue(robot, logs))
+
+
+def test_the_true_scale_leaves_the_noise_and_scales_no_noise():
+    robot, motions = guessed(10.0, 10.8, False)
+    model = InverseResiduals(robot, motions)
+    effects = [one for one in base_effects(robot, Logs(tuple(motions))) if isinstance(one, CurrentScale)]
+    plain, right = model.residuals(effects, np.array([[0.0, 0.0], [0.8, 0.8]]))
+    for j in range(2):
+        assert rms(right[model.joint_of == j]) < 0.6 * rms(plain[model.joint_of == j])
+
+
+@pytest.mark.slow
+def test_a_wrong_scale_of_a_current_is_found():
+    robot, motions = guessed(10.0, 10.8, False)
+    result = diagnose(robot, motions)
+    scale = {one.place: one for one in result.base if one.name == "torque_constant_Nm_A"}
+    for place in ("shoulder", "elbow"):
+        assert scale[place].nominal == 10.0
+        assert scale[place].value == pytest.approx(10.8, rel=0.02)
+    assert result.findings == ()

@@ -1,0 +1,117 @@
+"""DC motors of MuJoCo as nominal drives: the engine moves the joint as MuJoCo does."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.pendulum import motion, pendulum, simulated, waves
+from simgap.common.errors import RobotError
+from simgap.patch.patch import make_patch
+from simgap.robot import ControlMode, Robot
+
+FILE = """name = "pendulum"
+model = "model.xml"
+time_step_s = 0.0005
+control_rate_Hz = 2000.0
+time = {{ column = "t", unit = "s" }}
+[joints.swing]
+mode = "{mode}"
+position = {{ column = "q", unit = "rad" }}
+command = {{ column = "c", unit = "{unit}" }}
+{more}
+"""
+UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m", "current": "A", "voltage": "V"}
+MOTOR = 'motorconst="0.05" resistance="2" gear="20"'
+STEP_S = 0.0005
+
+
+def read(folder, attributes, mode, more="", actuator="dcmotor"):
+    """Read the pendulum with a DC motor."""
+    xml = pendulum(damping=0.01).model_xml
+    drive = f'<actuator><{actuator} name="motor" joint="swing" {attributes}/></actuator></mujoco>'
+    (folder / "model.xml").write_text(xml.replace("</mujoco>", drive))
+    (folder / "robot.toml").write_text(FILE.format(mode=mode, unit=UNITS[mode], more=more))
+    return Robot.from_toml(folder / "robot.toml")
+
+
+def by_mujoco(text, command, scale=1.0):
+    """Return the positions of a model at 1 kHz under a command, (n,)."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep, model.opt.integrator = STEP_S, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+    model.dof_solref[:] = (2 * STEP_S, 1.0)
+    data = mujoco.MjData(model)
+    shown = []
+    for one in command:
+        shown.append(data.qpos[0])
+        data.ctrl[:] = scale * one
+        mujoco.mj_step(model, data)
+    return np.array(shown)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "mode", "scale", "expected"),
+    [
+        (MOTOR, "voltage", 1.0, (0.5, 0.5)),
+        (f'{MOTOR} saturation="0.02"', "voltage", 1.0, (0.5, 0.5)),
+        (f'{MOTOR} armature="1e-5" damping="1e-5"', "voltage", 1.0, (0.5, 0.5)),
+        (f'{MOTOR} input="pos" controller="0.01 0 0.0003"', "position", 20.0, (4.0, 0.12)),
+    ],
+)
+def test_the_engine_moves_as_the_motor_of_mujoco(attributes, mode, scale, expected, tmp_path):
+    robot = read(tmp_path, attributes, mode)
+    joint = robot.joints[0]
+    assert (joint.kp_Nm_rad, joint.kd_Nms_rad) == pytest.approx(expected)
+    time_s = STEP_S * np.arange(4000)
+    command = waves(time_s, 3)
+    engine = simulated(robot, motion(time_s, 0.0 * time_s, command))
+    native = by_mujoco(robot.model_xml, command, scale)
+    assert np.ptp(native) > 0.2
+    assert engine == pytest.approx(native, abs=2e-3)  # half a step of the command, and of the damping
+    patched = by_mujoco(make_patch(robot, [], []).model_xml, command, scale)
+    assert patched == pytest.approx(native, abs=2e-3)
+
+
+def test_the_constants_of_a_motor_are_those_at_the_joint(tmp_path):
+    joint = read(tmp_path, f'{MOTOR} saturation="0.1"', "current").joints[0]
+    assert joint.mode is ControlMode.CURRENT
+    assert joint.torque_constant_Nm_A == pytest.approx(1.0)
+    assert joint.torque_limit_Nm == pytest.approx(2.0)
+    joint = read(tmp_path, MOTOR, "position", "kp_Nm_rad = 3.0").joints[0]
+    assert (joint.kp_Nm_rad, joint.kd_Nms_rad) == pytest.approx((3.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "mode", "said"),
+    [
+        (
+            f'{MOTOR} inductance="0.001"',
+            "voltage",
+            r"actuator: 'motor' has dynamics of its own \(inductance\)",
+        ),
+        (f'{MOTOR} thermal="1 1 1"', "voltage", r"dynamics of its own \(thermal\); a diagnosis lacks them"),
+        (f'{MOTOR} lugre="100 1 .1 .2 .01"', "voltage", r"dynamics of its own \(lugre\)"),
+        (f'{MOTOR} cogging="0.01 6 0"', "voltage", r"dynamics of its own \(cogging\)"),
+        (f'{MOTOR} input="pos" controller="1 1 0"', "position", "an integral gain or slewmax"),
+        (f'{MOTOR} input="pos" controller="1 0 0 5"', "position", "an integral gain or slewmax"),
+        (f'{MOTOR} input="pos" controller="1 0 0 0 0 12"', "position", "has a largest voltage .* saturation"),
+        (f'{MOTOR} input="vel" controller="1 0 1"', "velocity", "so set kp to 0"),
+        (MOTOR, "position", "joints.swing.kp_Nm_rad: is 0 or missing, and the model has no gain"),
+        (MOTOR, "velocity", "joints.swing.kd_Nms_rad: is 0 or missing, and the model has no gain"),
+    ],
+)
+def test_a_motor_with_more_than_a_diagnosis_has_is_refused_in_words(attributes, mode, said, tmp_path):
+    with pytest.raises(RobotError, match=said):
+        read(tmp_path, attributes, mode)
+
+
+def test_the_mode_voltage_needs_a_motor(tmp_path):
+    with pytest.raises(RobotError, match=r"joints.swing.mode: is voltage, and the model has no <dcmotor>"):
+        read(tmp_path, 'gear="2"', "voltage", actuator="motor")
+    with pytest.raises(RobotError, match="kp_Nm_rad: has no meaning in the mode voltage; remove it"):
+        read(tmp_path, MOTOR, "voltage", "kp_Nm_rad = 3.0")
+
+
+def test_a_delay_of_the_model_is_refused(tmp_path):
+    with pytest.raises(RobotError, match="'motor' has a delay of its own; a diagnosis looks for delays"):
+        read(tmp_path, 'kp="4" delay="0.01" nsample="5"', "position", actuator="position")

@@ -1,0 +1,249 @@
+"""Slides: read in mm, moved as MuJoCo moves them, and shown in mm and N; joints that are left out."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.slide_arm import command_of, model_text, write_folder, write_logs
+from simgap import diagnose, verdict_lines
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.audit import audit
+from simgap.common.errors import RobotError
+from simgap.effects.command import CommandDelay
+from simgap.effects.effect import joint_scales
+from simgap.effects.transmission import Backlash, JointCompliance
+from simgap.loading import load
+from simgap.logs import JointLog, Motion, Signal
+from simgap.patch.patch import make_patch
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.robot import Robot
+from simgap.simulation.compiled import Models
+from simgap.simulation.simulation import Engine
+from simgap.simulation.windows import cut_windows
+
+TIME_S = 0.002 * np.arange(1500)
+COMMAND = command_of(3, TIME_S)
+
+
+@pytest.fixture
+def robot(tmp_path):
+    return Robot.from_toml(write_folder(tmp_path))
+
+
+def motion_of(command):
+    """Return a motion at rest, whose commands are these, (n, 2)."""
+    rest = Signal(TIME_S, 0.0 * TIME_S)
+    logs = {
+        name: JointLog(rest, command=Signal(TIME_S, command[:, k]))
+        for k, name in enumerate(("lift", "swing"))
+    }
+    return Motion("m", logs, {})
+
+
+def by_engine(robot, effects=(), size=()):
+    """Return the positions of both joints by the engine, (2, n) [m, rad]."""
+    windows = cut_windows(robot, motion_of(COMMAND), None, 0.0)
+    (found,) = Engine(Models(robot), effects, windows, 1).positions(np.array([size], float))
+    return found.reshape(2, -1)
+
+
+def by_mujoco(text):
+    """Return the positions of both joints by a loop of MuJoCo, (2, n)."""
+    model = mujoco.MjModel.from_xml_string(text)
+    lift, swing = (model.joint(name).qposadr[0] for name in ("lift", "swing"))
+    data = mujoco.MjData(model)
+    shown, last = [], COMMAND[0]
+    for command in COMMAND:
+        shown.append((data.qpos[lift], data.qpos[swing]))
+        data.ctrl[:2], last = (command + last) / 2, command  # half a step later, as in the engine
+        mujoco.mj_step(model, data)
+    return np.transpose(shown)
+
+
+def test_a_slide_has_the_numbers_of_the_model_in_m_and_n(robot):
+    lift, swing = robot.joints
+    assert (lift.is_slide, lift.unit, lift.effort_unit) == (True, "m", "N")
+    assert (lift.kp_Nm_rad, lift.kd_Nms_rad, lift.torque_limit_Nm) == (3000.0, 100.0, 120.0)
+    assert not lift.is_loaded_by_gravity  # a force that is the same everywhere gives no scale
+    assert (swing.unit, swing.effort_unit) == ("rad", "N m")
+    assert lift.show(0.0123) == "12.3 mm"
+
+
+def test_the_engine_and_the_patch_move_a_slide_as_mujoco_does(robot):
+    native, engine = by_mujoco(make_patch(robot, [], []).model_xml), by_engine(robot)
+    assert np.ptp(native, axis=1).min() > 0.05
+    assert np.allclose(engine, native, atol=(5e-4 * np.array([[0.1], [1.0]])))
+
+
+def test_a_slide_is_read_in_mm_and_from_the_side_of_its_motor(tmp_path):
+    path = write_folder(
+        tmp_path,
+        (
+            'position = { column = "p_lift", unit = "mm" }',
+            'position = { column = "p_lift", unit = "deg", side = "motor" }\ngear_ratio = 200.0',
+        ),
+    )
+    log = write_logs(tmp_path, count=4)
+    by_motor = load(path, log).motions[0].joints["lift"]
+    assert np.abs(by_motor.command.value).max() < 0.3
+    write_folder(tmp_path)
+    plain = load(path, log).motions[0].joints["lift"]
+    assert by_motor.position.value == pytest.approx(plain.position.value * 1e3 * np.pi / 180 / 200)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            '"p_lift", unit = "mm"',
+            '"p_lift", unit = "rad"',
+            "joints.lift.position.unit: 'rad' is no unit of length",
+        ),
+        (
+            '"c_swing", unit = "rad"',
+            '"c_swing", unit = "mm"',
+            "joints.swing.command.unit: 'mm' is no unit of angle",
+        ),
+        (
+            '"p_lift", unit = "mm"',
+            '"p_lift", unit = "mm", side = "motor"',
+            "joints.lift.position.unit: 'mm' is no unit of angle; .*, as 'lift' is a slide; its motor turns",
+        ),
+        (
+            '"p_lift", unit = "mm"',
+            '"p_lift", unit = "mmm"',
+            "position.unit: 'mmm' is no unit of angle or length",
+        ),
+    ],
+)
+def test_a_unit_of_the_other_kind_of_joint_is_refused(tmp_path, old, new, said):
+    with pytest.raises(RobotError, match=said):
+        Robot.from_toml(write_folder(tmp_path, (old, new)))
+
+
+def test_effects_of_a_slide_are_told_in_its_units(tmp_path):
+    robot = Robot.from_toml(write_folder(tmp_path))
+    logs = load(robot, write_logs(tmp_path, count=4))
+    effects = [*catalogue(robot, logs), *base_effects(robot, logs)]
+    of_slide = [one for one in effects if one.place == "lift"]
+    names = {size.name for one in of_slide for size in one.sizes}
+    assert {"coulomb_N", "damping_Ns_m", "armature_kg", "kd_Ns_m", "stribeck_m_s"} <= names
+    assert {"backlash_m", "compliance_m_N", "stiffness_N_m", "inverse_limit_1_N"} <= names
+    assert not any("rad" in name or "Nm" in name or "kgm2" in name for name in names)
+    assert {"position-dependent torque", "link inertia", "joint coupling"}.isdisjoint(
+        one.name for one in of_slide
+    )
+    texts = [one.describe(np.array([size.typical for size in one.sizes])) for one in of_slide]
+    assert not any("rad" in text or "N m" in text for text in texts)
+    of_hinge = {size.name for one in effects if one.place == "swing" for size in one.sizes}
+    assert {"coulomb_Nm", "damping_Nms_rad", "armature_kgm2", "zero_rad"} <= of_hinge
+
+
+def test_a_gear_of_a_slide_bends_and_has_play(robot):
+    scale = joint_scales(robot, [motion_of(COMMAND)])
+    plain, shift = by_engine(robot)[0], []
+    for effect in (
+        Backlash("lift", 0, True, 1e-3, 1e-2, True),
+        JointCompliance("lift", 0, True, 1e-4, 1e-3, True),
+    ):
+        moved = by_engine(robot, [effect], [2e-3 if isinstance(effect, Backlash) else 1e-4])[0]
+        shift.append(np.abs(moved - plain).max())
+    assert scale["lift"].torque_Nm == 120.0
+    assert all(1e-5 < one < 1e-2 for one in shift), shift
+
+
+def test_residuals_have_the_unit_of_each_joint(robot):
+    model = SimulationResiduals(robot, [motion_of(COMMAND)])
+    assert model.units == ("m", "rad")
+    delay = CommandDelay.at(robot, "lift", joint_scales(robot, [motion_of(COMMAND)]))
+    here, later = model.residuals([delay], np.array([[0.0], [0.02]]))
+    assert np.abs(here - later)[model.joint_of == 0].max() > 1e-4
+
+
+def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
+    robot = Robot.from_toml(write_folder(tmp_path))
+    assert audit(robot, load(robot, write_logs(tmp_path, delay_s=0.0, friction_N=0.0, count=4))).remarks == ()
+
+
+LEFT_OUT = ('model = "model.xml"', 'model = "model.xml"\nleft_out = ["left", "right"]')
+
+
+def test_a_gripper_that_is_left_out_stands_still_and_stays_in_the_patch(tmp_path):
+    robot = Robot.from_toml(write_folder(tmp_path, LEFT_OUT, has_gripper=True))
+    assert robot.model.nv == 2
+    assert robot.model.body("left").mass[0] == pytest.approx(0.05)
+    assert by_engine(robot).shape[0] == 2
+    text = make_patch(robot, [], []).model_xml
+    assert "<!-- a user's own words -->" in text
+    assert mujoco.MjModel.from_xml_string(text).nv == 4
+    held = mujoco.MjSpec.from_string(text)
+    for one in (*held.equalities, *(held.joint(name) for name in ("left", "right")), held.actuators[2]):
+        held.delete(one)
+    assert np.allclose(by_engine(robot), by_mujoco(held.to_xml()), atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            [],
+            r"joints: the model drives 'left', which has no table; add one, or write "
+            r'left_out = \["left", "right"\]',
+        ),
+        (
+            [(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["left"]')],
+            r"ties 'left' to others; leave out \[\"left\", ",
+        ),
+        (
+            [(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["lef"]')],
+            "left_out: the model has no joint 'lef'; did you",
+        ),
+        (
+            [(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["lift", "left", "right"]')],
+            "left_out: 'lift' has the table joints.lift; remove one of them",
+        ),
+    ],
+)
+def test_what_is_left_out_is_told_in_one_sentence(tmp_path, changes, said):
+    with pytest.raises(RobotError, match=said):
+        Robot.from_toml(write_folder(tmp_path, *changes, has_gripper=True))
+
+
+@pytest.mark.parametrize(
+    "joint", ["<freejoint/>", '<freejoint name="root"/>', '<joint name="root" type="free"/>']
+)
+def test_a_free_base_is_refused_or_held(tmp_path, joint):
+    path = write_folder(tmp_path)
+    base = f'<body name="base" pos="0 0 1">{joint}<inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>'
+    text = (
+        model_text()
+        .replace("<worldbody>", f"<worldbody>{base}")
+        .replace("</worldbody>", "</body></worldbody>")
+    )
+    (tmp_path / "model.xml").write_text(text)
+    name = "root" if "root" in joint else "base"
+    with pytest.raises(
+        RobotError, match=rf"model: the joint of '{name}' is free, .* left_out = \[\"{name}\"\] holds"
+    ):
+        Robot.from_toml(path)
+    path.write_text(path.read_text().replace(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["{name}"]'))
+    robot = Robot.from_toml(path)
+    assert robot.model.nv == 2
+    assert np.ptp(by_engine(robot)[0]) > 0.05
+    assert mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml).nv == 8
+
+
+@pytest.mark.slow
+def test_the_delay_and_the_friction_of_a_slide_are_found(tmp_path):
+    robot = Robot.from_toml(write_folder(tmp_path))
+    logs = load(robot, write_logs(tmp_path), held_out=["m3", "m5"])
+    result = diagnose(robot, logs.fit, held_out=logs.judged)
+    found = next(one for one in result.findings if "lift: command delay" in one.effects)
+    assert found.places == ("lift",)
+    assert found.size[0] == pytest.approx(0.03, abs=2e-3)
+    base = {one.name: one.value for one in result.base if one.place == "lift"}
+    assert base["coulomb_N"] == pytest.approx(10.0, abs=0.5)
+    lift = result.errors[0]
+    assert lift.unit == "m"
+    assert lift.explained < 0.1 * lift.nominal
+    assert " mm" in verdict_lines(result)[2]
