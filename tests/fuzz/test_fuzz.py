@@ -54,6 +54,6 @@ def test_a_table_that_asks_for_all_of_the_memory_is_seen(monkeypatch: pytest.Mon
     def bomb(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(log_file, "_open_csv", bomb)
+    monkeypatch.setitem(log_file.FORMATS, ".csv", bomb)
     with pytest.raises(MemoryError):
         fuzz_inputs.import_once(fuzz_inputs.import_seeds()[0])
