@@ -156,7 +156,7 @@ def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: str, arm_nam
     later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
     mean_N = np.mean(force_N[-CYCLE_HZ:])
     assert mean_N > FEWEST_N
-    assert force_N[soon:] == pytest.approx(mean_N, rel=0.2)
-    assert force_N[later:] == pytest.approx(mean_N, rel=0.05)
+    assert np.array(force_N[soon:]) == pytest.approx(mean_N, rel=0.2)
+    assert np.array(force_N[later:]) == pytest.approx(mean_N, rel=0.05)
     assert min(force_N[soon:]) > 0.0
     assert (np.array(closed[soon:]) == closed[soon]).all()

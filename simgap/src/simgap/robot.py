@@ -268,9 +268,12 @@ def _joint(
     constant = (
         drive.torque_constant_Nm_A if table.torque_constant_Nm_A is None else table.torque_constant_Nm_A
     )
-    if constant is None and (table.mode == "current" or not table.torque_constant_is_known):
+    if constant is None and table.mode == "current":
+        raise RobotError(f"{where}.torque_constant_Nm_A: is missing; the mode current needs it")
+    if constant is None and not table.torque_constant_is_known:
         raise RobotError(
-            f"{where}.torque_constant_Nm_A: is missing; {CONSTANT_NEEDED[table.mode == 'current']}"
+            f"{where}.torque_constant_Nm_A: is missing; "
+            "with torque_constant_is_known = false it is the start of the fit"
         )
     limit_Nm = table.torque_limit_Nm
     if limit_Nm is None:
@@ -294,12 +297,6 @@ def _joint(
         is_slide=bool(model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE),
         torque_constant_is_known=table.torque_constant_is_known,
     )
-
-
-CONSTANT_NEEDED: Final = (
-    "with torque_constant_is_known = false it is the start of the fit",
-    "the mode current needs it",
-)
 
 
 def _gains(table: JointTable, drive: Drive, where: str, needs_gains: bool) -> tuple[float, float]:

@@ -24,7 +24,8 @@ from simgap.logs import Logs, Motion
 from simgap.result import Refusal
 from simgap.robot import ControlMode, Robot
 
-FAULTS: Final = (
+TESTS: Final = (
+    audit_units,
     find_wraps,
     find_exchanged,
     find_constant_positions,
@@ -32,7 +33,7 @@ FAULTS: Final = (
     find_spikes,
     find_late_starts,
 )
-"""Tests of the signals alone, each with the names of what it finds in RemarkKind."""
+"""Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2
 """The second pass predicts free positions without the samples that the first has found held back."""
 
@@ -44,7 +45,7 @@ def audit(robot: Robot, logs: Logs) -> Audit:
     """
     motions = logs.motions
     rates, remarks = audit_rates(motions)
-    for find in (audit_units, *FAULTS):
+    for find in TESTS:
         remarks += find(robot, motions)
     rest = find_rest(robot, motions)
     held = np.zeros(rest.measured.shape, np.bool_)
@@ -66,23 +67,13 @@ def audit(robot: Robot, logs: Logs) -> Audit:
 
 def _find_untested(robot: Robot, motions: Sequence[Motion]) -> Iterator[str]:
     """Yield each fault that these logs cannot show, with the reason."""
-    logs = [
-        motion.joints[joint.name]
-        for motion in motions
-        for joint in robot.joints
-        if joint.name in motion.joints
-    ]
-    commanded = [joint for joint in robot.joints if joint.mode is ControlMode.POSITION]
-    if not any(
-        motion.joints[joint.name].command
-        for motion in motions
-        for joint in commanded
-        if joint.name in motion.joints
-    ):
+    by_position = [joint.name for joint in robot.joints if joint.mode is ControlMode.POSITION]
+    logs = [(name, log) for motion in motions for name, log in motion.joints.items()]
+    if all(log.command is None for name, log in logs if name in by_position):
         yield "exchanged and reversed joints, as no position command is logged"
-    elif len(commanded) < 2:
+    elif len(by_position) < 2:
         yield "exchanged joints, as one joint alone has position commands"
-    if all(log.velocity is None for log in logs):
+    if all(log.velocity is None for _, log in logs):
         yield "times that are wrong by less than a factor of 100, as no velocity is logged"
 
 

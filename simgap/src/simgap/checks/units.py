@@ -128,11 +128,12 @@ def _beyond_range(
     largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
     turns = 0 if own.is_slide else _turns_off(model.jnt_range[index], samples)
     if turns:
+        count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
         text = (
-            f"the position lies {abs(turns)} turns {'above' if turns > 0 else 'below'} the range of the "
-            f"model: add zero_rad = {-turns * TURN_RAD:.6g} to position and command"
+            f"the position lies {count} {'above' if turns > 0 else 'below'} the range of the model: add "
+            f"zero_rad = {-turns * TURN_RAD:.6g} to position and command"
         )
-        return [Remark(RemarkKind.UNIT, joint, motions, text.replace(" 1 turns", " a turn"), float(turns))]
+        return [Remark(RemarkKind.UNIT, joint, motions, text, float(turns))]
     for factor, unit in FACTORS.items():
         if own.is_slide and unit == "degrees":
             continue

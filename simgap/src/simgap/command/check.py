@@ -184,15 +184,15 @@ def print_check(report: CheckReport) -> None:
     more = len(report.audit.remarks) - MAX_REMARKS
     if more > 0:
         console.print(f"{pluralize(more, 'more remark')} in --report and --json")
+    for one in report.audit.untested:
+        console.print(f"not tested: {one}")
     console.print(refusal_sentence(report))
 
 
 def remark_lines(audit: Audit) -> list[str]:
-    """Return a line for each remark, or one that says that there is none, and what was not tested."""
-    lines = [f"{one.kind}: {remark_text(one)}{_motion_words(one)}" for one in audit.remarks]
-    if not lines:
-        lines.append("no remark in what was tested" if audit.untested else "no remark: the logs look sound")
-    return [*lines, *(f"not tested: {one}" for one in audit.untested)]
+    """Return a line for each remark, or one that says that there is none."""
+    none = "no remark in what was tested" if audit.untested else "no remark: the logs look sound"
+    return [f"{one.kind}: {remark_text(one)}{_motion_words(one)}" for one in audit.remarks] or [none]
 
 
 def remark_text(remark: Remark) -> str:
