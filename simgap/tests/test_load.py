@@ -146,7 +146,7 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
         ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
         (
             {"motion": [["slow"]] * 7},
-            "column 'motion' has the type list<element: string>; give it texts or numbers",
+            "column 'motion' has lists of 1: write the place of an item, such as [0]; give it texts",
         ),
         ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
     ],
@@ -186,7 +186,7 @@ def test_arrays_of_other_lengths_than_their_times_are_refused(tmp_path, robot):
         ({"again": np.ones(5)}, "column 'again' has 5 values, 'motion' has 7; give both the same length"),
         ({"gain": np.ones(5)}, "column 'gain' has 5 values, 'motion' has 7; give both the same length"),
         ({"motion": np.full(8, "a")}, "column 't' has 7 values, 'motion' has 8; give both the same length"),
-        ({"motion": np.full((7, 2), "a")}, "array 'motion' is <U1 of shape (7, 2); give it texts or numbers"),
+        ({"motion": np.full((7, 2), "a")}, "column 'motion' has lists of 2: write the place of"),
     ],
 )
 def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_path, changes, said):

@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from helpers.robot_folder import write_robot
 from simgap.common.errors import RobotError
-from simgap.files.ros_message import BadMessage, RosReader
+from simgap.files.decoding import BadMessage, make_decoder
 from simgap.loading import load
 
 JOINT_STATE = """# joints
@@ -82,19 +82,20 @@ def test_each_signal_has_the_times_of_its_messages(tmp_path):
 
 
 def test_a_message_is_read_by_its_definition():
-    found = RosReader("sensor_msgs/msg/JointState", JOINT_STATE).read(joint_state([1.0, 2.0], [3.0, 4.0]))
-    assert found["header"] == {"stamp": {"sec": 1, "nanosec": 500_000_000}, "frame_id": "base"}
-    assert found["name"] == ["a", "b"]
-    assert found["position"] == (1.0, 2.0)
-    assert found["current"] == (3.0, 4.0)
-    assert found["ok"] is True
+    decode = make_decoder("cdr", "ros2msg", "sensor_msgs/msg/JointState", JOINT_STATE.encode())
+    found = decode(joint_state([1.0, 2.0], [3.0, 4.0]))
+    assert (found.header.stamp.sec, found.header.stamp.nanosec) == (1, 500_000_000)
+    assert (found.name, found.ok) == (["a", "b"], True)
+    np.testing.assert_array_equal(found.position, [1.0, 2.0])
+    np.testing.assert_array_equal(found.current, [3.0, 4.0])
 
 
 def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
+    decode = make_decoder("cdr", "ros2msg", "sensor_msgs/JointState", JOINT_STATE.encode())
     with pytest.raises(BadMessage, match="does not fit its definition"):
-        RosReader("sensor_msgs/JointState", JOINT_STATE).read(joint_state([1.0], [3.0, 4.0])[:-8])
-    with pytest.raises(BadMessage, match="type 'odd/Kind' of a/B is not defined"):
-        RosReader("a/B", "odd/Kind x")
+        decode(joint_state([1.0], [3.0, 4.0])[:-8])
+    with pytest.raises(BadMessage, match="a message of a/B does not fit its definition"):
+        make_decoder("cdr", "ros2msg", "a/B", b"odd/Kind x")(b"\0\1\0\0")
 
 
 @pytest.mark.parametrize(
@@ -110,8 +111,12 @@ def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
             "/joints.place[0]",
             "'/joints.place[0]': there is no 'place' in a message, which has",
         ),
-        ("/joints.position[0]", "/joints.position[7]", "there is no 7 in a message, which is not so long"),
-        ("/joints.position[0]", "/joints.name[0]", "'/joints.name[0]' has str; name a number in it"),
+        (
+            "/joints.position[0]",
+            "/joints.position[7]",
+            "has no column '/joints.position[7]', which the robot file names; did you mean",
+        ),
+        ("/joints.position[0]", "/joints.name[0]", "'/joints.name[a]' has str; name a number in it"),
         ("/joints.position[0]", "/joints.position 0", "is no field; write a topic and a field"),
     ],
 )
@@ -126,9 +131,9 @@ def test_a_field_that_is_not_there_is_named(tmp_path, old, new, said):
 def test_an_unknown_encoding_and_a_damaged_file_are_refused(tmp_path):
     robot = write_robot(tmp_path, *FIELDS)
     with pytest.raises(
-        RobotError, match="topic '/joints' is encoded as cdr with ros2idl; write json, or cdr with"
+        RobotError, match="topic '/joints' is encoded as cdr with omgidl; write json, or a message of ROS"
     ):
-        load(robot, write_mcap(tmp_path / "run.mcap", encoding="ros2idl"))
+        load(robot, write_mcap(tmp_path / "run.mcap", encoding="omgidl"))
     path = write_mcap(tmp_path / "run.mcap")
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(RobotError, match="cannot be read"):
@@ -138,7 +143,7 @@ def test_an_unknown_encoding_and_a_damaged_file_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ('{"deg": {"sec": null}}', "column '/command.deg', motion 'run': is no finite number at 0 s"),
+        ('{"deg": {"sec": null}}', "column '/command.deg' is empty; a signal needs numbers"),
         ('{"deg": {"sec": [1]}}', "'/command.deg' has list; name a number in it"),
         ('{"deg": 1' + 400 * "0" + "}", "column '/command.deg', motion 'run': is no finite number at 0 s"),
         (100_000 * "[", "a message is nested too deeply; write fields of a few levels"),
@@ -154,5 +159,5 @@ def test_a_log_in_mcap_is_one_motion(tmp_path):
     robot = write_robot(
         tmp_path, *FIELDS[1:], ('columns = ["motion"]\ncondition', 'columns = ["/command.name"]\ncondition')
     )
-    with pytest.raises(RobotError, match="a log in MCAP is one motion; leave out the columns of"):
+    with pytest.raises(RobotError, match="a log of messages has no rows; in "):
         load(robot, write_mcap(tmp_path / "run.mcap"))

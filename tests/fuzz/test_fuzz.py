@@ -54,6 +54,6 @@ def test_a_table_that_asks_for_all_of_the_memory_is_seen(monkeypatch: pytest.Mon
     def bomb(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setitem(log_file.FORMATS, ".csv", bomb)
+    monkeypatch.setattr(log_file, "open_csv", bomb)
     with pytest.raises(MemoryError):
         fuzz_inputs.import_once(fuzz_inputs.import_seeds()[0])

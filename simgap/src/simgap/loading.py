@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml
+from simgap.files.columns import LogFile
 from simgap.files.log_file import open_log
 from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile
@@ -164,8 +165,11 @@ def load(
         raise RobotError(f"robot {robot.name}: was not read from a robot file, which names the columns")
     motions: list[Motion] = []
     members: list[Member] = []
+    losses: list[str] = []
     for path in [Path(paths)] if isinstance(paths, str | Path) else map(Path, paths):
-        for motion in (take_currents_as_torques(robot, one) for one in _load_file(robot.file, path)):
+        loaded, lost = _load_file(robot.file, path)
+        losses += lost
+        for motion in (take_currents_as_torques(robot, one) for one in loaded):
             other = next((one for one in members if one.motion == motion.name), None)
             if other is not None:
                 raise RobotError(
@@ -177,7 +181,7 @@ def load(
         raise RobotError("logs: none is given; name at least one log file")
     file = read_split(robot.folder / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(file, members, split, held_out)
-    return Logs(tuple(motion for motion in motions if motion.name in fitted | judged), judged)
+    return Logs(tuple(one for one in motions if one.name in fitted | judged), judged, tuple(losses))
 
 
 def take_currents_as_torques(robot: Robot, motion: Motion) -> Motion:
@@ -193,8 +197,8 @@ def take_currents_as_torques(robot: Robot, motion: Motion) -> Motion:
     return replace(motion, joints=joints)
 
 
-def _load_file(file: RobotFile, path: Path) -> list[Motion]:
-    """Load the motions of one file."""
+def _load_file(file: RobotFile, path: Path) -> tuple[list[Motion], list[str]]:
+    """Load the motions of one file, with sentences about what it lacks."""
     signals = {
         (joint, key): (one, quantity, table)
         for joint, table in file.joints.items()
@@ -205,13 +209,24 @@ def _load_file(file: RobotFile, path: Path) -> list[Motion]:
     numbers = dict.fromkeys(filter(None, (file.time.column, *wanted, *gains.values())))
     labels = file.motion.repeat_column, file.motion.condition_column
     texts = dict.fromkeys(filter(None, (*file.motion.columns, *labels)))
-    rows = MotionRows(open_log(path, list(numbers), list(texts), file.csv), file)
-    found = {place: rows.signals(*one) for place, one in signals.items()}
+    log = open_log(path, list(numbers), list(texts), file.csv)
+    rows = MotionRows(log, file)
+    losses = [f"{path}: {one}" for one in log.losses]
+    found = {}
+    for (joint, key), (one, quantity, table) in signals.items():
+        named = one.model_copy(update={"column": _column_by_name(log, file, joint, key, one.column)})
+        signal = rows.signals(key, named, quantity, table)
+        if signal is None:
+            losses.append(
+                f"{path}: column {one.column!r} never is a number; {joint} has no {key} in this log"
+            )
+        else:
+            found[joint, key] = signal
     parts = ({place: one[k] for place, one in found.items()} for k in range(len(rows.names)))
     unwrapped = [_unwrap_counters(file, part) for part in parts]
     gain = {joint: rows.gains(column) for joint, column in gains.items()}
     repeats, conditions = (rows.labels(column) for column in labels)
-    return [
+    motions = [
         Motion(
             name,
             _joint_logs(unwrapped[k][0]),
@@ -222,6 +237,32 @@ def _load_file(file: RobotFile, path: Path) -> list[Motion]:
         )
         for k, name in enumerate(rows.names)
     ]
+    return motions, losses
+
+
+def _column_by_name(log: LogFile, file: RobotFile, joint: str, key: str, column: str) -> str:
+    """Return a column of messages by the name of its joint, where the robot file gives a place in a list.
+
+    Messages may have their joints in any order. The place means the name that stood there first; if other
+    publishers put names there that the robot file does not know, the joint's own.
+
+    Raises:
+        RobotError: the name is another joint of the robot file.
+    """
+    stood = log.names_at(column)
+    if not stood:
+        return column
+    names = {name: {name, table.joint or name} for name, table in file.joints.items()}
+    whole = column.rpartition("[")[0]
+    other = next((name for name, own in names.items() if name != joint and stood[0] in own), None)
+    own = next((one for one in stood if one in names[joint]), None)
+    if other is not None and stood[0] not in names[joint]:
+        right = own or joint
+        raise RobotError(
+            f"{log.path}: joints.{joint}.{key}: {column!r} is that of {stood[0]!r} in the messages; write "
+            f"'{whole}[{right}]'"
+        )
+    return f"{whole}[{own or stood[0]}]"
 
 
 def _unwrap_counters(

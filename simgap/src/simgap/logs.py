@@ -66,6 +66,8 @@ class Logs:
     motions: tuple[Motion, ...]
     held_out: frozenset[str] = frozenset()
     """Names of motions that take no part in a fit."""
+    losses: tuple[str, ...] = ()
+    """Sentences about what the files lack: a cut end, a signal that never is a number."""
 
     @property
     def fit(self) -> tuple[Motion, ...]:

@@ -239,7 +239,7 @@ def _find_joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path)
         raise RobotError(f"{where}.joint: {in_model!r} is no hinge and no slide; only these can be diagnosed")
     for key, quantities in table.quantities().items():
         column = getattr(table, key)
-        if column is None or len(quantities) == 1 or column.at_0_rad is not None:
+        if column is None or len(quantities) == 1 or column.at_0_rad is not None or table.is_of_topic(column):
             continue
         own = quantities[is_slide and column.side == "joint"]
         try:

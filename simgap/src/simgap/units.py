@@ -42,8 +42,8 @@ class Unit:
 
 COUNTS: Final = frozenset({"count", "count/s"})
 """Units whose factor is divided by the counts of a turn."""
-FRACTION: Final = "fraction"
-"""Unit of an angle that is logged as 0 at one end of a range and as 1 at the other."""
+SHARES: Final = {"fraction": 1.0, "percent": 100.0}
+"""Units of an angle that is logged as a share of a range -> value of the whole range."""
 UNITS: Final = {
     "rad": Unit(Quantity.ANGLE, 1.0),
     "mrad": Unit(Quantity.ANGLE, 1e-3),
@@ -51,7 +51,7 @@ UNITS: Final = {
     "deg": Unit(Quantity.ANGLE, math.pi / 180),
     "turn": Unit(Quantity.ANGLE, 2 * math.pi),
     "count": Unit(Quantity.ANGLE, 2 * math.pi),
-    FRACTION: Unit(Quantity.ANGLE, 1.0),
+    **{name: Unit(Quantity.ANGLE, 1.0 / whole) for name, whole in SHARES.items()},
     "m": Unit(Quantity.LENGTH, 1.0),
     "cm": Unit(Quantity.LENGTH, 1e-2),
     "mm": Unit(Quantity.LENGTH, 1e-3),

@@ -141,7 +141,7 @@ BOTH = {
     "robot.toml twice.csv": "has 2 columns 'position_elbow'; give each its own name",
     "robot.toml huge.parquet": "reaches 1e+300 in SI units",
     "robot.toml one_row.parquet": "motion 'motion 0' has 1 position; a motion needs several",
-    "robot.toml": "Missing argument 'LOG...'",
+    "robot.toml": "logs: none is given; name at least one log file",
     # time
     "robot.toml gap.parquet": "end the motion where the gap is",
     "robot.toml time_1000.parquet": "the times look 1000 times too long; write time.unit = 'ms'",

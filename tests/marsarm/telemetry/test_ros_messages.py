@@ -1,7 +1,7 @@
 """ROS 2 messages in a log, decoded by their own definitions, agree with the estimates of flight software."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from marsarm.telemetry.robot_description import draw_scene
 from sim.arms import arm_named
 from sim.record import CycleRecord
 from sim.world import Surface, World
-from simgap.files.ros_message import BadMessage, RosReader
+from simgap.files.decoding import BadMessage, make_decoder
 from tests.tools import TOOLS
 
 ROOT = Path(__file__).parents[3]
@@ -42,10 +42,11 @@ def decoded(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert schema is not None
-            reader = RosReader(schema.name, schema.data.decode())
-            content = reader.read(message.data)
+            decode = make_decoder(channel.message_encoding, schema.encoding, schema.name, schema.data)
+            assert decode is not None
+            content = asdict(decode(message.data))
             with pytest.raises(BadMessage):  # the definition reaches to the last byte
-                reader.read(message.data[:-1])
+                decode(message.data[:-1])
             found.setdefault(channel.topic, []).append((message.log_time, content))
     return found
 

@@ -16,8 +16,15 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     It lists rates, missing and stale rows, units that look wrong, saturation, commands that are cut off and
     contact with a plane, and says which rows a diagnosis will leave out. docs/simgap.md describes the files.
 
+    Without a robot file it lists what is in the logs: columns, rates and ranges.
+
     Example: simgap check robot.toml logs.parquet --report check.html
     """
+    if request.robot.suffix.lower() != ".toml":
+        from simgap.command.columns import columns_json, list_logs, print_columns
+
+        listed = list_logs(request, progress)
+        return VerbResult(columns_json(listed), lambda: print_columns(listed))
     from simgap.command.check import check_json, check_robot, print_check, save_check_page
 
     report = check_robot(request, progress)

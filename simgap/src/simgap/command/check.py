@@ -159,6 +159,7 @@ def check_json(report: CheckReport) -> dict[str, Any]:
         "robot": report.robot.name,
         "motions": [motion.name for motion in report.logs.motions],
         "held_out": sorted(report.logs.held_out),
+        "losses": list(report.logs.losses),
         "joints": [to_json(one) for one in summarize_joints(report)],
         "remarks": [to_json(one) for one in report.audit.remarks],
         "untested": list(report.audit.untested),
@@ -176,6 +177,8 @@ def print_check(report: CheckReport) -> None:
     """Print one line for each joint, and the remarks with the worst first."""
     console = plain_console()
     console.print(_joint_table(report))
+    for loss in report.logs.losses:
+        console.print(loss)
     for line in remark_lines(report.audit)[:MAX_REMARKS]:
         console.print(line)
     more = len(report.audit.remarks) - MAX_REMARKS

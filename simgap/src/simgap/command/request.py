@@ -14,7 +14,13 @@ RobotArgument = Annotated[
 ]
 LogsArgument = Annotated[
     tuple[Path, ...],
-    Option("Logs: .parquet, .csv, .mcap or .npz.", "LOG...", is_argument=True, is_read=True),
+    Option(
+        "Logs: .csv, .tsv, .txt, .parquet, .npz, .jsonl, .mcap, .bag, .db3; or folders of LeRobot data sets "
+        "and ROS 2 bags.",
+        "LOG...",
+        is_argument=True,
+        is_read=True,
+    ),
 ]
 
 
@@ -23,7 +29,8 @@ class CheckRequest:
     """Request for a check of a robot file and its logs."""
 
     robot: RobotArgument
-    logs: LogsArgument
+    """A log, if there is no robot file."""
+    logs: LogsArgument = ()
     report: ReportOption = None
 
 

@@ -1,19 +1,29 @@
-"""Columns of a log: their numbers, and whether those that the robot file names are there."""
+"""Columns of a log: their names, their numbers, and what is told of them.
 
-from collections.abc import Sequence
+All formats share one grammar of names: `NAME`, `NAME.field` for a field, `NAME[2]` for a place in a list, and
+`NAME[elbow]` for a name in a list whose items have names.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 
 N_NAMES: Final = 8
 """Number of columns that an error lists."""
+MAX_LISTED: Final = 64
+"""Longest list whose items are listed as columns: robots have fewer joints, pictures more points."""
+STEP: Final = re.compile(r"\.[A-Za-z_]\w*|\[[^\[\]]+\]")
+Kind = Literal["number", "flag", "time", "text", "other"]
+"""Content of a column; a time is a date, which is read as seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +36,32 @@ class Column:
     """False where a cell is empty, (n,); None: no cell is."""
     time_s: Array | None = None
     """Times of the messages, (n,), in a format where each column has its own; else None."""
+    message: Integers | None = None
+    """Numbers of the messages in their topic, (n,), from 1; None in a table."""
+
+    @property
+    def is_absent(self) -> bool:
+        """True if the column never has a number, as where a driver fills a field with NaN."""
+        value = self.value if self.is_present is None else self.value[self.is_present]
+        return bool(np.all(np.isnan(value)))
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnInfo:
+    """Column of a log, as it is listed."""
+
+    name: str
+    """Name that a robot file may give it."""
+    kind: Kind
+    n_samples: int
+    """Cells or messages that have a value; NaN is none."""
+    rate_Hz: float | None = None
+    """Samples a second; None if the file does not know their times."""
+    lowest: float | None = None
+    """Smallest finite number; None for a text, or without one."""
+    highest: float | None = None
+    unit: str = ""
+    """Unit of the logged values; empty if the file does not know it."""
 
 
 class LogFile(Protocol):
@@ -36,6 +72,21 @@ class LogFile(Protocol):
         """Path of the file."""
         ...
 
+    @property
+    def losses(self) -> Sequence[str]:
+        """Sentences about parts of the file that could not be read; empty if all of it was."""
+        ...
+
+    @property
+    def time_column(self) -> str:
+        """Column of the times, in seconds, unless the robot file names one; empty: none is known."""
+        ...
+
+    @property
+    def motion_column(self) -> str:
+        """Column that names the motions, unless the robot file names one; empty: none is known."""
+        ...
+
     def numbers(self, name: str) -> Column:
         """Return the numbers of a column."""
         ...
@@ -44,19 +95,62 @@ class LogFile(Protocol):
         """Return a column as text, (n,)."""
         ...
 
+    def names_at(self, name: str) -> Sequence[str]:
+        """Return the names that stood at a place of a list of messages, first to last; empty: it has none."""
+        ...
 
-def check_columns(path: Path, wanted: Sequence[str], there: Sequence[str]) -> None:
-    """Check that a log has the columns that the robot file names.
+    def describe(self) -> tuple[ColumnInfo, ...]:
+        """Describe all columns."""
+        ...
 
-    Raises:
-        RobotError: one is missing; the text names the nearest, or those that there are.
+
+def split_name(name: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
+    """Divide a name into the longest known one that it begins with, and steps: `.field`, `[2]` or `[elbow]`.
+
+    Returns:
+        None if it begins with no known name, or the rest is no steps.
     """
-    for name in wanted:
-        if name not in there:
-            near = get_close_matches(name, there, 1)
-            listed = ", ".join([*there[:N_NAMES], *([".."] if len(there) > N_NAMES else [])])
-            listed = " ".join(listed.split())
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {listed or 'none'}"
-            raise RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
-        if there.count(name) > 1:
-            raise RobotError(f"{path}: has {there.count(name)} columns {name!r}; give each its own name")
+    fits = [one for one in known if name == one or name.startswith((f"{one}.", f"{one}["))]
+    for base in sorted(fits, key=len, reverse=True):
+        rest = name[len(base) :]
+        steps = STEP.findall(rest)
+        if "".join(steps) == rest:
+            return base, tuple(steps)
+    return None
+
+
+def place_in_list(step: str, names: Sequence[str] | None) -> int | None:
+    """Return the place that a step `[2]` or `[elbow]` means; None if there is no such name."""
+    inner = step[1:-1].strip()
+    if inner.isdecimal():
+        return int(inner)
+    return names.index(inner) if names is not None and inner in names else None
+
+
+def missing_column(path: Path, name: str, there: Sequence[str]) -> RobotError:
+    """Return the error for a column that is not there; it names the nearest, or those that there are."""
+    near = get_close_matches(name, there, 1)
+    listed = ", ".join([*there[:N_NAMES], *([".."] if len(there) > N_NAMES else [])])
+    listed = " ".join(listed.split())
+    hint = f"did you mean {near[0]!r}?" if near else f"it has {listed or 'none'}"
+    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+
+
+def describe_numbers(
+    name: str, column: Column, kind: Kind, unit: str = "", rate_Hz: float | None = None
+) -> ColumnInfo:
+    """Describe a column of numbers."""
+    value = column.value if column.is_present is None else column.value[column.is_present]
+    n = int(np.count_nonzero(~np.isnan(value)))
+    finite = value[np.isfinite(value)]
+    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (None, None)
+    if column.time_s is not None:
+        rate_Hz = median_rate_Hz(column.time_s)
+    return ColumnInfo(name, kind, n, rate_Hz, lowest, highest, unit)
+
+
+def median_rate_Hz(time_s: Array) -> float | None:
+    """Return the rate by the median of the periods; None if it is not known."""
+    periods_s = np.diff(time_s)
+    periods_s = periods_s[np.isfinite(periods_s) & (periods_s > 0.0)]
+    return 1.0 / float(np.median(periods_s)) if periods_s.size else None

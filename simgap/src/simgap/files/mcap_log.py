@@ -1,142 +1,232 @@
-"""Logs in MCAP: messages in JSON, or in the CDR encoding of ROS 2, as columns with times of their own."""
+"""Logs in MCAP: records in the order of the file, with all checksums compared."""
 
-import json
-import math
-import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+import mmap
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Channel, Schema
-from numpy.typing import NDArray
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import get_chunk_data_stream
 
-from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import Column, check_columns
-from simgap.files.ros_message import BadMessage, RosReader
+from simgap.files.decoding import BadMessage, Decoder, make_decoder
+from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
 
-ELEMENT: Final = re.compile(r"\.([A-Za-z_]\w*)|\[(\d+)\]")
-Decoder = Callable[[bytes], Any]
+MAGIC: Final = b"\x89MCAP0\r\n"
+HEAD: Final = struct.Struct("<BQ")
+"""Before each record: its kind and its length."""
+OF_FORMAT: Final = range(0x80)
+"""Kinds of records of the format: one that is not known is damage. Above are those of an application."""
+MAX_CHUNK_BYTES: Final = 1 << 30
+"""Largest size of an unpacked chunk: writers make them of some megabytes, a damaged file claims any."""
+CRC_BYTES: Final = 4
+"""The checksum of a summary covers all up to itself, at the end of the footer."""
 
 
-@dataclass(frozen=True, slots=True)
-class McapLog:
-    """Columns of an MCAP file."""
+class _Damage(Exception):
+    """Damage of a file, in words."""
+
+
+@dataclass(slots=True)
+class _Scan:
+    """Records of a file that were read so far."""
 
     path: Path
-    columns: dict[str, Column]
+    names: Sequence[str] | None
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    decoders: dict[int, Decoder] = field(default_factory=dict)
+    messages: list[Message] = field(default_factory=list)
+    n_messages: int = 0
+    first_ns: int | None = None
+    last_ns: int = 0
+    chunks: set[int] = field(default_factory=set)
+    """Offsets of the chunks."""
+    indexed: set[int] = field(default_factory=set)
+    """Offsets of chunks by their indexes."""
+    statistics: Statistics | None = None
+    data_end: int | None = None
+    """Offset behind the record that ends the data."""
+    loss: str = ""
+    """Sentence about what is missing at the end; empty if nothing is."""
 
-    def numbers(self, name: str) -> Column:
-        """Return the numbers of a field, with the times of its messages."""
-        return self.columns[name]
 
-    def texts(self, name: str) -> NDArray[np.str_]:
-        """Refuse: messages have no rows that a text could divide."""
-        raise RobotError(
-            f"{self.path}: {name!r}: a log in MCAP is one motion; leave out the columns of [motion]"
-        )
+def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
+    """Read fields of an MCAP file; None for all.
 
-
-def open_mcap(path: Path, names: Sequence[str]) -> McapLog:
-    """Read fields of an MCAP file.
-
-    Args:
-        names: Fields, as topic and path in its messages: `/joint_states.position[2]`.
+    A file that ends before its data do is used as far as it goes, and the log tells the loss.
 
     Raises:
         RobotError: the file is damaged, a field is missing, or its encoding is unknown.
     """
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    scans = [_scan_file(one, names) for one in files]
+    scans.sort(key=lambda scan: scan.messages[0].time_ns if scan.messages else 0)
+    topics = sorted({channel.topic for scan in scans for channel in scan.channels.values()})
+    messages = [message for scan in scans for message in scan.messages]
+    losses = [
+        f"{scan.loss}" if scan.path == path else f"{scan.path.name} {scan.loss}"
+        for scan in scans
+        if scan.loss
+    ]
     try:
-        with path.open("rb") as file:
-            reader = make_reader(file)
-            summary = reader.get_summary()
-            topics = sorted({one.topic for one in summary.channels.values()}) if summary else []
-            fields = {name: _split(path, name, topics) for name in dict.fromkeys(names)}
-            found = _collect(path, reader.iter_messages({topic for topic, _ in fields.values()}), fields)
-    except (McapError, BadMessage, EOFError, ValueError) as error:
-        raise RobotError(f"{path}: cannot be read: {str(error) or 'it is cut short'}") from error
-    except RecursionError as error:
-        raise RobotError(f"{path}: a message is nested too deeply; write fields of a few levels") from error
-    start_ns = min((times[0] for times, _ in found.values() if times), default=0)
-    return McapLog(path, {name: _column(path, name, *one, start_ns) for name, one in found.items()})
+        return open_messages(MessageFile(path, topics, messages, losses), names)
+    except BadMessage as error:
+        raise RobotError(f"{path}: cannot be read: {error}") from error
 
 
-def _split(path: Path, name: str, topics: Sequence[str]) -> tuple[str, tuple[str | int, ...]]:
-    """Divide a name into its topic, the longest that fits, and the path of its field."""
-    topic = max((one for one in topics if name.startswith(one + ".")), key=len, default="")
-    if not topic:
-        check_columns(path, [name.partition(".")[0]], topics)
-    rest = name.removeprefix(topic)
-    parts = ELEMENT.findall(rest)
-    if "".join(f".{key}" if key else f"[{index}]" for key, index in parts) != rest or not parts:
-        raise RobotError(
-            f"{path}: {name!r} is no field; write a topic and a field, such as /joints.position[0]"
-        )
-    return topic, tuple(key or int(index) for key, index in parts)
+def _scan_file(path: Path, names: Sequence[str] | None) -> _Scan:
+    scan = _Scan(path, names)
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        try:
+            scan.loss = _scan(scan, data)
+        except (_Damage, BadMessage) as error:
+            raise RobotError(f"{path}: cannot be read: {error}") from error
+    return scan
 
 
-Messages = Iterator[tuple[Schema | None, Channel, Any]]
-Found = dict[str, tuple[list[int], list[float]]]
-
-
-def _collect(path: Path, messages: Any, fields: dict[str, tuple[str, tuple[str | int, ...]]]) -> Found:
-    """Take the fields out of the messages, in their order of time."""
-    found: Found = {name: ([], []) for name in fields}
-    decoders: dict[int, Decoder] = {}
-    for schema, channel, message in messages:
-        decode = decoders.setdefault(channel.id, _decoder(path, schema, channel))
-        content = decode(message.data)
-        for name, (topic, place) in fields.items():
-            if topic == channel.topic:
-                times, values = found[name]
-                times.append(message.log_time)
-                values.append(_number(path, name, content, place))
-    return found
-
-
-def _decoder(path: Path, schema: Schema | None, channel: Channel) -> Decoder:
-    if channel.message_encoding == "json":
-        return json.loads
-    if channel.message_encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
-        return RosReader(schema.name, schema.data.decode()).read
-    encoding = channel.message_encoding + (f" with {schema.encoding}" if schema else "")
-    raise RobotError(
-        f"{path}: topic {channel.topic!r} is encoded as {encoding}; write json, or cdr with ros2msg"
+def _scan(scan: _Scan, data: mmap.mmap) -> str:
+    """Read all records and compare the checksums; return a sentence about what is missing at the end."""
+    if data[: len(MAGIC)] != MAGIC:
+        raise _Damage("it does not begin as an MCAP file does")
+    at = len(MAGIC)
+    while at + HEAD.size <= len(data):
+        kind, length = HEAD.unpack_from(data, at)
+        end = at + HEAD.size + length
+        if end > len(data):
+            break
+        if kind == Opcode.FOOTER:
+            _check_end(scan, data, at, end)
+            return ""
+        _read_record(scan, data, at, kind, end)
+        at = end
+    if data[-len(MAGIC) :] == MAGIC:
+        raise _Damage(f"the record at byte {at} has a wrong length")
+    if scan.data_end is not None:  # only the index is cut
+        return ""
+    if scan.first_ns is None:
+        raise _Damage("it is cut before its first message")
+    used_s = (scan.last_ns - scan.first_ns) * 1e-9
+    return (
+        f"is cut at byte {len(data)}, where the record of byte {at} is not complete; {used_s:.6g} s are used"
     )
 
 
-def _number(path: Path, name: str, content: Any, place: Sequence[str | int]) -> float:
-    """Return the number at a place of a message; a stamp of ROS is a number of seconds."""
-    for key in place:
-        try:
-            content = content[key]
-        except (KeyError, IndexError, TypeError):
-            there = f"has {', '.join(content)}" if isinstance(content, dict) else "is not so long"
-            raise RobotError(f"{path}: {name!r}: there is no {key!r} in a message, which {there}") from None
-    if isinstance(content, dict) and "sec" in content:
-        nanoseconds = content.get("nanosec", content.get("nsec", 0))
-        return _float(path, name, content["sec"]) + 1e-9 * _float(path, name, nanoseconds)
-    return _float(path, name, content)
-
-
-def _float(path: Path, name: str, value: Any) -> float:
-    """Return a value as a number; null is none."""
-    if value is None:
-        return math.nan
-    if not isinstance(value, int | float):
-        raise RobotError(f"{path}: {name!r} has {type(value).__name__}; name a number in it")
+def _read_record(scan: _Scan, data: mmap.mmap, at: int, kind: int, end: int) -> None:
+    """Read a record outside of a chunk."""
+    body = at + HEAD.size
     try:
-        return float(value)
-    except OverflowError:  # an integer of hundreds of digits
-        return math.inf
+        match kind:
+            case Opcode.CHUNK:
+                scan.chunks.add(at)
+                _read_chunk(scan, Chunk.read(ReadDataStream(BytesIO(data[body:end]))), at)
+            case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
+                _keep(scan, kind, data[body:end])
+            case Opcode.CHUNK_INDEX:
+                index = ChunkIndex.read(ReadDataStream(BytesIO(data[body:end])))
+                scan.indexed.add(index.chunk_start_offset)
+            case Opcode.STATISTICS:
+                scan.statistics = Statistics.read(ReadDataStream(BytesIO(data[body:end])))
+            case Opcode.DATA_END:
+                (crc,) = struct.unpack_from("<I", data[body:end])
+                if crc and zlib.crc32(memoryview(data)[:at]) != crc:
+                    raise _Damage("its data have another checksum than was written")
+                scan.data_end = end
+            case _ if kind in OF_FORMAT and kind not in list(Opcode):
+                raise _Damage(f"the record at byte {at} is of no known kind")
+    except (McapError, ValueError, EOFError, struct.error) as error:
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise _Damage(f"the record at byte {at} is damaged ({what})") from error
 
 
-def _column(path: Path, name: str, times_ns: list[int], values: list[float], start_ns: int) -> Column:
-    if not values:
-        raise RobotError(f"{path}: {name!r} has no messages; name a topic that was recorded")
-    time_s: Array = np.array([time - start_ns for time in times_ns], dtype=np.float64) * 1e-9
-    return Column(np.array(values, dtype=np.float64), None, time_s)
+def _read_chunk(scan: _Scan, chunk: Chunk, at: int) -> None:
+    """Read the records of a chunk, after its checksum was compared."""
+    where = f"the chunk at byte {at}, which begins at {chunk.message_start_time * 1e-9:.6f} s, "
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES or chunk.compression not in ("", "lz4", "zstd"):
+        raise _Damage(where + "has a damaged head")
+    try:
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    except Exception as error:  # lz4 and zstd raise errors of their own
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise _Damage(where + f"is damaged ({what})") from error
+    unpacked, place = stream.read(length) if length else b"", 0
+    while place < length:
+        if place + HEAD.size > length:
+            raise _Damage(where + "ends within a record")
+        kind, size = HEAD.unpack_from(unpacked, place)
+        begin = place + HEAD.size
+        place = begin + size
+        if place > length:
+            raise _Damage(where + "ends within a record")
+        if kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            _keep(scan, kind, unpacked[begin:place])
+
+
+def _keep(scan: _Scan, kind: int, body: bytes) -> None:
+    """Keep a definition, a channel, or a message of a wanted topic."""
+    stream = ReadDataStream(BytesIO(body))
+    if kind == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        scan.schemas[schema.id] = schema
+    elif kind == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        scan.channels[channel.id] = channel
+    else:
+        message = McapMessage.read(stream, len(body))
+        scan.n_messages += 1
+        scan.first_ns = message.log_time if scan.first_ns is None else scan.first_ns
+        scan.last_ns = max(scan.last_ns, message.log_time)
+        found = scan.channels.get(message.channel_id)
+        if found is None:
+            raise _Damage(f"a message is of channel {message.channel_id}, which is not declared before it")
+        if is_wanted(found.topic, len(message.data), scan.names):
+            decode = _decoder(scan, found)
+            if decode is not None:
+                scan.messages.append(Message(found.topic, message.log_time, partial(decode, message.data)))
+
+
+def _decoder(scan: _Scan, channel: Channel) -> Decoder | None:
+    """Return the decoder of a channel; None for one that a list leaves out."""
+    if channel.id in scan.decoders:
+        return scan.decoders[channel.id]
+    schema = scan.schemas.get(channel.schema_id)
+    if channel.schema_id and schema is None:
+        raise _Damage(f"the definition of topic {channel.topic!r} is missing")
+    form = (schema.encoding, schema.name, schema.data) if schema else ("", "", b"")
+    decode = make_decoder(channel.message_encoding, *form)
+    if decode is None and scan.names is not None:
+        encoding = channel.message_encoding + (f" with {schema.encoding}" if schema else "")
+        raise RobotError(
+            f"{scan.path}: topic {channel.topic!r} is encoded as {encoding}; write json, or a message of ROS "
+            "with its definition"
+        )
+    if decode is not None:
+        scan.decoders[channel.id] = decode
+    return decode
+
+
+def _check_end(scan: _Scan, data: mmap.mmap, at: int, end: int) -> None:
+    """Compare the summary with its checksum and with what was read."""
+    try:
+        footer = Footer.read(ReadDataStream(BytesIO(data[at + HEAD.size : end])))
+    except (McapError, EOFError, struct.error) as error:
+        raise _Damage("its footer is damaged") from error
+    if data[end:] != MAGIC or scan.data_end is None:
+        raise _Damage("its end is damaged")
+    crc = zlib.crc32(memoryview(data)[scan.data_end : end - CRC_BYTES])
+    if footer.summary_crc not in (0, crc):
+        raise _Damage("its summary has another checksum than was written")
+    meant = scan.n_messages if scan.statistics is None else scan.statistics.message_count
+    if meant != scan.n_messages:
+        raise _Damage(f"it has {scan.n_messages} messages, its summary says {meant}")
+    if not scan.indexed <= scan.chunks:
+        raise _Damage(f"the chunk at byte {min(scan.indexed - scan.chunks)} is none")

@@ -11,7 +11,7 @@ from simgap.common.errors import RobotError
 from simgap.files.columns import Column, LogFile
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal
-from simgap.units import COUNTS, FRACTION, UNITS, Quantity, find_unit
+from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 
 MAX_VALUE: Final = 1e9
 """Largest value in SI units: no angle, torque, current or voltage of a robot is as large."""
@@ -25,19 +25,36 @@ TIMES: Final = ("s", "ms", "us", "ns")
 """Units that are mistaken for one another."""
 
 
+ROUNDING_s: Final = 1e-6
+"""Rounding of a time: seconds since 1970 as a double have steps of a quarter of it."""
+NEEDED: Final = ("position", "command")
+"""Signals that a log must have if the robot file names them; others may be absent."""
+Pieces = list[tuple[Any, Array]]
+"""Rows and times of each motion."""
+
+
 class MotionRows:
     """A log file with its rows divided into motions."""
 
     def __init__(self, log: LogFile, file: RobotFile) -> None:
-        """Divide the rows by the columns that name a motion."""
+        """Divide the rows by the columns that name a motion, or by windows of time."""
         self._log = log
         self._file = file
-        self._times: dict[str, list[Array]] = {}
+        self._time_column = file.time.column or log.time_column
+        self._time_unit = file.time.unit if file.time.column else "s"
+        self._clocks: dict[str, Array] = {}
+        self._pieces: dict[str, Pieces] = {}
         self.names: tuple[str, ...] = (log.path.stem,)
         self._parts: list[Any] = [slice(None)]
         self._n_rows: int | None = None
-        if file.motion.columns:
-            self._divide(file.motion.columns)
+        self._windows_s: list[tuple[float, float]] = []
+        self._columns = file.motion.columns or [log.motion_column]
+        if file.motion.windows_s:
+            self.names = tuple(file.motion.windows_s)
+            self._windows_s = [(start_s, end_s) for start_s, end_s in file.motion.windows_s.values()]
+            self._parts *= len(self.names)
+        elif any(self._columns):
+            self._divide(self._columns)
 
     def _divide(self, columns: Sequence[str]) -> None:
         texts = [self._log.texts(name) for name in columns]
@@ -54,20 +71,25 @@ class MotionRows:
         """Refuse an array of another length than the column that names the motions."""
         if self._n_rows not in (None, values.size):
             raise RobotError(
-                f"{self._log.path}: column {name!r} has {values.size} values, "
-                f"{self._file.motion.columns[0]!r} has {self._n_rows}; give both the same length"
+                f"{self._log.path}: column {name!r} has {values.size} values, {self._columns[0]!r} has "
+                f"{self._n_rows}; give both the same length"
             )
 
-    def signals(self, one: SignalColumn, quantity: Quantity, table: JointTable) -> list[Signal]:
-        """Return a signal of a joint for each motion.
+    def signals(
+        self, key: str, one: SignalColumn, quantity: Quantity, table: JointTable
+    ) -> list[Signal] | None:
+        """Return a signal of a joint for each motion; None if it never has a number and is not needed.
 
         Raises:
             RobotError: a value is not finite, times do not increase, or a motion has no sample.
         """
         column = self._log.numbers(one.column)
-        times = self._times_of(one, column)
+        if column.is_absent:
+            if key in NEEDED:
+                raise RobotError(f"{self._log.path}: column {one.column!r} is empty; a signal needs numbers")
+            return None
         found = []
-        for name, part, time_s in zip(self.names, self._parts, times, strict=True):
+        for name, (part, time_s) in zip(self.names, self._pieces_of(one, column), strict=True):
             value = _to_si(column.value[part], one, quantity, table)
             is_present = None if column.is_present is None else column.is_present[part]
             if is_present is not None and not np.all(is_present):
@@ -75,17 +97,20 @@ class MotionRows:
             if not value.size:
                 raise RobotError(f"{self._log.path}: column {one.column!r} has no value in motion {name!r}")
             if not np.all(np.isfinite(value)):
-                first = float(time_s[np.flatnonzero(~np.isfinite(value))[0]])
+                row = int(np.flatnonzero(~np.isfinite(value))[0])
+                where = (
+                    "" if column.message is None else f", message {column.message[part][row]} of its topic"
+                )
                 raise RobotError(
                     f"{self._log.path}: column {one.column!r}, motion {name!r}: is no finite number at "
-                    f"{first:.6g} s; leave the cell empty or remove the row"
+                    f"{time_s[row]:.6g} s{where}; leave the cell empty or remove the row"
                 )
             if np.abs(value).max() > MAX_VALUE:
                 raise RobotError(
                     f"{self._log.path}: column {one.column!r}, motion {name!r}: reaches "
                     f"{np.abs(value).max():.3g} in SI units; leave the cells empty, or correct the unit"
                 )
-            if one is table.position:
+            if key == "position":
                 self._check_rate(time_s, name)
             found.append(Signal(time_s, value))
         return found
@@ -100,7 +125,7 @@ class MotionRows:
         if not SLOWEST <= share <= FASTEST:
             raise RobotError(
                 f"{where} has a position every {period_s:.3g} s, control_rate_Hz is "
-                f"{self._file.control_rate_Hz:g}: {_other_unit(share, self._file.time.unit)}"
+                f"{self._file.control_rate_Hz:g}: {_other_unit(share, self._time_unit)}"
             )
         mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
         if mean_s > MAX_PERIOD_S:
@@ -150,29 +175,56 @@ class MotionRows:
             )
         return values[0]
 
-    def _times_of(self, one: SignalColumn, column: Column) -> list[Array]:
-        """Return the times of a signal in each motion [s]; signals with one clock share the arrays."""
-        path, name = self._log.path, one.time_column or self._file.time.column
-        if name and name not in self._times:
-            clock = self._log.numbers(name)
-            if clock.is_present is not None or not np.all(np.isfinite(clock.value)):
-                raise RobotError(f"{path}: time column {name!r} has rows without a time; remove them")
-            self._times[name] = self._split_times(clock.value * UNITS[self._file.time.unit].factor, name)
+    def _pieces_of(self, one: SignalColumn, column: Column) -> Pieces:
+        """Return rows and times of a signal in each motion; signals with one clock share the arrays."""
+        path, name = self._log.path, one.time_column or self._time_column
         if not name and column.time_s is None:
             raise RobotError(f"{path}: has no times of its own; name its time column in time.column")
-        times = self._times[name] if name else self._split_times(column.time_s, one.column)
-        if sum(map(np.size, times)) != column.value.size:
+        if name:
+            time_s = self._clock(name)
+        else:
+            assert column.time_s is not None
+            time_s = column.time_s
+        if time_s.size != column.value.size:
             raise RobotError(
-                f"{path}: column {one.column!r} has {column.value.size} values, its times "
-                f"{sum(map(np.size, times))}; name a time_column as long as it"
+                f"{path}: column {one.column!r} has {column.value.size} values, its times {time_s.size}; "
+                "name a time_column as long as it"
             )
-        return times
+        if not name:
+            return self._divide_times(time_s, one.column, 0.0)
+        if name not in self._pieces:
+            self._pieces[name] = self._divide_times(time_s, name, self._start_s() if self._windows_s else 0.0)
+        return self._pieces[name]
 
-    def _split_times(self, time_s: Array | None, name: str) -> list[Array]:
-        assert time_s is not None
+    def _clock(self, name: str) -> Array:
+        """Return the times of a time column [s]."""
+        if name not in self._clocks:
+            clock = self._log.numbers(name)
+            if clock.is_present is not None or not np.all(np.isfinite(clock.value)):
+                raise RobotError(
+                    f"{self._log.path}: time column {name!r} has rows without a time; remove them"
+                )
+            self._clocks[name] = clock.value * UNITS[self._time_unit].factor
+        return self._clocks[name]
+
+    def _start_s(self) -> float:
+        """Return the first time of all time columns, from which windows count."""
+        signals = (one for table in self._file.joints.values() for one, _ in table.columns().values())
+        names = {one.time_column or self._time_column for one in signals}
+        return min(float(self._clock(name).min()) for name in names if name)
+
+    def _divide_times(self, time_s: Array, name: str, start_s: float) -> Pieces:
+        """Divide times by motion, and refuse those that do not increase."""
         self._check_length(time_s, name)
-        found = [time_s[part] for part in self._parts]
-        for motion, one in zip(self.names, found, strict=True):
+        parts = self._parts
+        if self._windows_s:
+            since_s = time_s - start_s
+            parts = [
+                np.flatnonzero((since_s >= low - ROUNDING_s) & (since_s <= high + ROUNDING_s))
+                for low, high in self._windows_s
+            ]
+        for motion, part in zip(self.names, parts, strict=True):
+            one = time_s[part]
             back = np.flatnonzero(np.diff(one) <= 0.0)
             if back.size:
                 before, after = one[back[0]], one[back[0] + 1]
@@ -181,7 +233,7 @@ class MotionRows:
                     f"{self._log.path}: motion {motion!r}: the time of {name!r} {what} after {before:.6g} s; "
                     "sort the rows, or name the columns of a motion"
                 )
-        return found
+        return [(part, time_s[part]) for part in parts]
 
 
 def _other_unit(share: float, unit: str) -> str:
@@ -214,7 +266,7 @@ def _to_si(value: Array, one: SignalColumn, quantity: Quantity, table: JointTabl
     offset = unit.offset
     if one.unit in COUNTS and one.counts_per_turn is not None:
         factor /= one.counts_per_turn
-    if one.unit == FRACTION and one.at_0_rad is not None and one.at_1_rad is not None:
+    if one.unit in SHARES and one.at_0_rad is not None and one.at_1_rad is not None:
         factor *= one.at_1_rad - one.at_0_rad
         offset = one.at_0_rad
     if one.side == "motor" and quantity in (Quantity.ANGLE, Quantity.SPEED):

@@ -1,13 +1,13 @@
 """The robot file: its model, its joints, and the columns of its logs, in TOML."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml
-from simgap.units import COUNTS, FRACTION, UNITS, Quantity, find_unit
+from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -39,12 +39,20 @@ COMMANDS = {
 }
 """Quantities of the command by control mode."""
 
+TOPIC_FIELDS = {
+    "position": ("position", "rad"),
+    "velocity": ("velocity", "rad/s"),
+    "torque": ("effort", "N m"),
+}
+"""Signal or mode -> field of a JointState with it, and its unit."""
+
 
 class SignalColumn(Record):
     """Column of a log that holds one signal of a joint."""
 
     column: Text
-    """Name of the column; in MCAP the topic and the field, such as `/joint_states.position[2]`."""
+    """Name of the column, with `.field` for a field, and `[2]` or `[elbow]` for a place or name in a list; of
+    messages the topic and the field, such as `/joint_states.position[elbow]`."""
     unit: Text
     """Unit of the logged values."""
     time_column: str = ""
@@ -58,9 +66,9 @@ class SignalColumn(Record):
     counts_per_turn: Positive | None = None
     """Counts of a turn, for the units count and count/s."""
     at_0_rad: float | None = None
-    """Angle where the log has 0, for the unit fraction."""
+    """Angle where the log has 0, for the units fraction and percent."""
     at_1_rad: float | None = None
-    """Angle where the log has 1, for the unit fraction."""
+    """Angle where the log has 1 or 100 %, for the units fraction and percent."""
 
     @model_validator(mode="after")
     def _check(self) -> "SignalColumn":
@@ -68,13 +76,15 @@ class SignalColumn(Record):
             raise ValueError("factor is 0, which leaves nothing of the values; write another number")
         if (self.unit in COUNTS) != (self.counts_per_turn is not None):
             raise ValueError("counts_per_turn is needed for the units count and count/s, and for no other")
-        is_fraction = self.unit == FRACTION
-        if is_fraction and (self.side != "joint" or self.factor != 1.0):
+        is_share = self.unit in SHARES
+        if is_share and (self.side != "joint" or self.factor != 1.0):
             raise ValueError(
-                "side and factor: with the unit fraction, at_0_rad and at_1_rad say all of it; remove"
+                f"side and factor: with the unit {self.unit}, at_0_rad and at_1_rad say all of it; remove"
             )
-        if (is_fraction, is_fraction) != (self.at_0_rad is not None, self.at_1_rad is not None):
-            raise ValueError("at_0_rad and at_1_rad are needed for the unit fraction, and for no other")
+        if (is_share, is_share) != (self.at_0_rad is not None, self.at_1_rad is not None):
+            raise ValueError(
+                "at_0_rad and at_1_rad are needed for the units fraction and percent, and for no other"
+            )
         return self
 
 
@@ -107,6 +117,11 @@ class JointTable(Record):
     """False if the torque constant is a guess, so that it is fitted."""
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
+    topic: str = ""
+    """Topic of messages such as JointState, which have this joint by the name of this table: its position,
+    velocity and effort (as torque) are read in SI units, where no column of the signal is named."""
+    command_topic: str = ""
+    """Topic of such messages with the command, in the field of the mode."""
     position: SignalColumn
     """Angle that the encoder shows; of a slide the distance."""
     command: SignalColumn | None = None
@@ -130,6 +145,12 @@ class JointTable(Record):
     def quantities(self) -> dict[str, tuple[Quantity, ...]]:
         """Return the quantities that each signal may have: where it has two, of a hinge and of a slide."""
         return {"command": COMMANDS[self.mode], **SIGNALS}
+
+    def is_of_topic(self, column: SignalColumn) -> bool:
+        """Tell whether a column is one of the topics, whose units are those of hinge or slide alike."""
+        topics = tuple(f"{one}." for one in (self.topic, self.command_topic) if one)
+        is_si = column.unit in {unit for _, unit in TOPIC_FIELDS.values()}
+        return is_si and column.column.startswith(topics)
 
     def columns(self) -> dict[str, tuple[SignalColumn, Quantity]]:
         """Return the signals that are logged, by name, with the quantities of their units."""
@@ -160,11 +181,23 @@ class JointTable(Record):
         return self
 
 
+def columns_of_topics(joint: str, table: dict[str, Any]) -> dict[str, Any]:
+    """Return the table of a joint with the columns of its topics, where it names none itself."""
+    fields = dict.fromkeys(TOPIC_FIELDS, "topic") | {"command": "command_topic"}
+    found = dict(table)
+    for signal, key in fields.items():
+        topic = table.get(key)
+        field, unit = TOPIC_FIELDS.get(str(table.get("mode")) if signal == "command" else signal, ("", ""))
+        if isinstance(topic, str) and topic and field and signal not in found:
+            found[signal] = {"column": f"{topic}.{field}[{joint}]", "unit": unit}
+    return found
+
+
 class TimeTable(Record):
     """Times of the rows."""
 
     column: str = ""
-    """Time column; only a log in MCAP may leave it out, and has the times of its messages then."""
+    """Time column; empty: messages have their own times, a LeRobot data set has `timestamp`."""
     unit: Literal["s", "ms", "us", "ns"] = "s"
     """Unit of all time columns."""
 
@@ -173,24 +206,42 @@ class MotionTable(Record):
     """Columns that say which rows belong together."""
 
     columns: list[Text] = Field(default_factory=list)
-    """Columns whose values together name a motion; empty: each file is a motion."""
+    """Columns whose values together name a motion; empty: each file is a motion, of a LeRobot data set each
+    episode."""
+    windows_s: dict[Text, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
+        default_factory=dict
+    )
+    """Name of a motion -> its start and end in seconds from the start of the log, in place of columns:
+    `{ chirp = [2.0, 30.0] }`; the rest of the log is left out."""
     repeat_column: str = ""
     """Column whose value is the same in motions that repeat one another."""
     condition_column: str = ""
     """Column whose value, such as a gain, a split may hold out."""
 
+    @model_validator(mode="after")
+    def _check(self) -> "MotionTable":
+        if self.columns and self.windows_s:
+            raise ValueError("columns and windows_s exclude each other; give one of the two")
+        for name, (start_s, end_s) in self.windows_s.items():
+            if not 0.0 <= start_s < end_s:
+                raise ValueError(
+                    f"windows_s.{name}: ends at {end_s:g} s and starts at {start_s:g} s; write a start "
+                    "from 0 on and a later end"
+                )
+        return self
+
 
 class CsvTable(Record):
     """Format of CSV files."""
 
-    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    """Character between two columns."""
-    decimal: Literal[".", ","] = "."
-    """Character before the decimals of a number."""
+    separator: Annotated[str, Field(max_length=1)] = ""
+    """Character between two columns; empty: found by the first rows."""
+    decimal: Literal["", ".", ","] = ""
+    """Character before the decimals of a number; empty: found by the first rows."""
 
     @model_validator(mode="after")
     def _check(self) -> "CsvTable":
-        if self.separator == self.decimal:
+        if self.separator and self.separator == self.decimal:
             raise ValueError(f"separator and decimal are both {self.decimal!r}; one of them is another")
         return self
 
@@ -221,6 +272,19 @@ class RobotFile(Record):
     """Format of CSV files."""
     joints: Annotated[dict[Text, JointTable], Field(min_length=1)]
     """The joints, each a table by its name."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_columns(cls, content: Any) -> Any:
+        """Name the columns of the joints that have topics."""
+        joints = content.get("joints") if isinstance(content, dict) else None
+        if not isinstance(joints, dict):
+            return content
+        named = {
+            name: columns_of_topics(name, table) if isinstance(table, dict) else table
+            for name, table in joints.items()
+        }
+        return {**content, "joints": named}
 
     @model_validator(mode="after")
     def _check(self) -> "RobotFile":

@@ -20,7 +20,7 @@ from simgap.files.log_file import open_log
 from simgap.files.robot_file import CsvTable, Text
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
 from simgap.serial_arm.model import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
-from simgap.units import COUNTS, FRACTION, Quantity, Unit, find_unit
+from simgap.units import COUNTS, SHARES, Quantity, Unit, find_unit
 
 MOST_LINKS: Final = 20
 """Most links of an arm: the fit of more would take minutes."""
@@ -112,7 +112,7 @@ class TableColumns(Record):
 
     def convert(self, quantity: Quantity) -> Unit:
         """Return the unit; an error names those that there are."""
-        if self.unit in (*COUNTS, FRACTION):
+        if self.unit in (*COUNTS, *SHARES):
             raise ValueError(f"{self.unit!r} needs a range; convert the column to radians or degrees")
         return find_unit(self.unit, quantity)
 

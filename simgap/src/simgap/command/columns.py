@@ -1,0 +1,80 @@
+"""A list of what is in logs, for a user who has no robot file yet."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from simgap.command.request import CheckRequest
+from simgap.common.console import plain_console, pluralize
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
+from simgap.common.report import to_json
+from simgap.files.columns import ColumnInfo
+from simgap.files.log_file import open_whole
+
+
+@dataclass(frozen=True, slots=True)
+class LogContent:
+    """Columns of a log, and sentences about what of it could not be read."""
+
+    log: Path
+    columns: tuple[ColumnInfo, ...]
+    losses: tuple[str, ...]
+
+
+def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[LogContent, ...]:
+    """List the columns of the logs of a request that names no robot file.
+
+    Raises:
+        BadRequest: a page is asked for, which only a check with a robot file makes.
+        RobotError: a log cannot be read.
+    """
+    check_options(request)
+    if request.report is not None:
+        raise BadRequest("report: is of a check; name a robot file before the logs")
+    paths = (request.robot, *request.logs)
+    found = []
+    for number, path in enumerate(paths):
+        progress(number, len(paths), f"reading {path.name}")
+        log = open_whole(path)
+        found.append(LogContent(path, log.describe(), tuple(log.losses)))
+    return tuple(found)
+
+
+def columns_json(logs: Sequence[LogContent]) -> dict[str, Any]:
+    """Convert a list to a JSON document; null where a number is not known."""
+    return {"logs": [to_json(one) for one in logs]}
+
+
+def print_columns(logs: Sequence[LogContent]) -> None:
+    """Print one line for each column."""
+    console = plain_console()
+    for one in logs:
+        console.print(_table(one))
+        for loss in one.losses:
+            console.print(f"{one.log}: {loss}")
+    console.print(
+        "A robot file says which of these columns is which joint; `simgap init` writes a first one."
+    )
+
+
+def _table(content: LogContent) -> Table:
+    title = f"{content.log}: {pluralize(len(content.columns), 'column')}"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    for name in ("column", "kind", "samples", "Hz", "lowest", "highest", "unit"):
+        is_text = name in ("column", "kind", "unit")
+        shown.add_column(
+            name, justify="left" if is_text else "right", overflow="fold" if is_text else "ellipsis"
+        )
+    for one in content.columns:
+        numbers = (_cell(number) for number in (one.rate_Hz, one.lowest, one.highest))
+        shown.add_row(one.name, one.kind, str(one.n_samples), *numbers, one.unit)
+    return shown
+
+
+def _cell(number: float | None) -> str:
+    return "" if number is None else f"{number:.6g}"

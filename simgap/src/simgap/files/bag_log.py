@@ -1,0 +1,122 @@
+"""Logs in bags: of ROS 1, and of ROS 2 in SQLite, by the package rosbags."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+from rosbags.typesys import Stores, get_typestore
+
+from simgap.common.errors import RobotError
+from simgap.files.decoding import BadMessage, Decoder, make_decoder, ros_decoder
+from simgap.files.mcap_log import open_mcap
+from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
+
+METADATA: Final = "metadata.yaml"
+"""File of a folder that is a bag of ROS 2."""
+SCHEMAS: Final = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
+ROWS: Final = (
+    "SELECT topics.name, timestamp FROM messages JOIN topics ON topics.id = topic_id ORDER BY messages.id"
+)
+"""Topics and times in the order of recording; the reader of rosbags sorts messages by time."""
+
+
+def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
+    """Read fields of a bag, which is a file, or a folder of ROS 2; None for all.
+
+    Raises:
+        RobotError: the bag is damaged, was not closed, its clock steps back, or a field is missing.
+    """
+    if path.is_dir() and any(path.glob("*.mcap")):
+        return open_mcap(path, names)
+    try:
+        file = _read_ros1(path, names) if path.suffix.lower() == ".bag" else _read_ros2(path, names)
+        return open_messages(file, names)
+    except (RobotError, MemoryError):
+        raise
+    except Exception as error:  # damage ends in any error of the readers, and in errors of SQLite
+        what = " ".join(str(error).split()) or f"it is damaged ({type(error).__name__})"
+        raise RobotError(f"{path}: cannot be read: {what}") from error
+
+
+def _read_ros1(path: Path, names: Sequence[str] | None) -> MessageFile:
+    with Reader1(path) as reader:
+        decoders = _decoders(path, reader.connections, names, is_ros1=True)
+        chosen = [one for one in reader.connections if one.id in decoders]
+        for one in chosen:
+            rows = sorted(reader.indexes[one.id], key=lambda row: (row.chunk_pos, row.offset))
+            _check_times(path, ((one.topic, row.time) for row in rows))
+        meant = sum(sum(chunk.connection_counts.values()) for chunk in reader.chunk_infos)
+        n_messages = sum(map(len, reader.indexes.values()))
+        if meant != n_messages:
+            raise BadMessage(f"its index has {n_messages} messages, its chunks {meant}")
+        messages = [
+            Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
+            for one, time_ns, data in (reader.messages(chosen) if chosen else ())
+            if is_wanted(one.topic, len(data), names)
+        ]
+        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
+
+
+def _read_ros2(path: Path, names: Sequence[str] | None) -> MessageFile:
+    with Reader2(path) as reader:
+        decoders = _decoders(path, reader.connections, names, is_ros1=False)
+        chosen = [one for one in reader.connections if one.id in decoders]
+        topics = {one.topic for one in chosen}
+        storages = getattr(reader.storage, "storages", [reader.storage])
+        for one in storages:
+            if isinstance(one, Sqlite3Reader) and one.dbconn is not None:
+                _check_times(
+                    path, ((topic, time) for topic, time in one.dbconn.execute(ROWS) if topic in topics)
+                )
+        messages = [
+            Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
+            for one, time_ns, data in (reader.messages(chosen) if chosen else ())
+            if is_wanted(one.topic, len(data), names)
+        ]
+        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
+
+
+def _decoders(
+    path: Path, connections: Sequence[Connection], names: Sequence[str] | None, is_ros1: bool
+) -> dict[int, Decoder]:
+    """Return a decoder for each connection of a wanted topic; a list leaves out types that are not known."""
+    found: dict[int, Decoder] = {}
+    for one in connections:
+        if not is_wanted(one.topic, 0, names):
+            continue
+        decode = _decoder(one, is_ros1)
+        if decode is not None:
+            found[one.id] = decode
+        elif names is not None:
+            raise RobotError(
+                f"{path}: topic {one.topic!r}: the bag has no definition of {one.msgtype}; record it anew "
+                "in MCAP, which has it"
+            )
+    return found
+
+
+def _decoder(one: Connection, is_ros1: bool) -> Decoder | None:
+    """Return the decoder of a connection; bags of older ROS 2 have no definitions, but known types."""
+    if one.msgdef.format in SCHEMAS:
+        encoding, schema = ("ros1", "ros1msg") if is_ros1 else ("cdr", SCHEMAS[one.msgdef.format])
+        return make_decoder(encoding, schema, one.msgtype, one.msgdef.data.encode())
+    store = get_typestore(Stores.LATEST)
+    return ros_decoder(store, one.msgtype, is_ros1) if one.msgtype in store.fielddefs else None
+
+
+def _check_times(path: Path, rows: Iterator[tuple[str, int]]) -> None:
+    """Refuse a clock that steps back; rows are topics and times [ns] in the order of recording."""
+    last: dict[str, tuple[int, int]] = {}
+    for topic, time_ns in rows:
+        number, before_ns = last.get(topic, (0, time_ns))
+        if time_ns < before_ns:
+            raise RobotError(
+                f"{path}: topic {topic!r}: the clock steps back by {(before_ns - time_ns) * 1e-9:.6g} s at "
+                f"message {number + 1}; cut the file there, into one log a clock"
+            )
+        last[topic] = number + 1, time_ns

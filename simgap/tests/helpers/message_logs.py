@@ -1,0 +1,91 @@
+"""Logs of joint states in MCAP and in bags, and a robot file that reads them by topic."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+START_NS = 1_700_000_000_000_000_000
+BY_TOPIC = """name = "two links"
+model = "model.xml"
+time_step_s = 0.002
+control_rate_Hz = 250.0
+
+[joints.shoulder]
+mode = "position"
+kp_Nm_rad = 15.0
+topic = "/joint_states"
+command_topic = "/joint_command"
+
+[joints.elbow]
+mode = "torque"
+topic = "/joint_states"
+"""
+BY_PLACE = BY_TOPIC.replace(
+    '[joints.elbow]\nmode = "torque"\ntopic = "/joint_states"\n',
+    '[joints.elbow]\nmode = "torque"\nposition = { column = "/joint_states.position[1]", unit = "rad" }\n',
+).replace(
+    'topic = "/joint_states"\ncommand_topic',
+    'position = { column = "/joint_states.position[0]", unit = "rad" }\ncommand_topic',
+)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def joint_state(k: int, order: tuple[str, ...] = ("shoulder", "elbow"), **fields) -> dict:
+    """Make the message of row k: position k of the shoulder and -k of the elbow."""
+    values = {"shoulder": float(k), "elbow": -float(k), "finger": 99.0}
+    return {
+        "name": list(order),
+        "position": [values[one] for one in order],
+        "velocity": [],
+        "effort": [],
+    } | fields
+
+
+def rows(n: int = 5, **fields) -> list[tuple[str, int, dict]]:
+    """Make states and commands at 100 Hz: topic, time [ns] and content."""
+    found = []
+    for k in range(n):
+        time_ns = START_NS + k * 10_000_000
+        order = ("shoulder", "elbow") if k % 2 == 0 else ("elbow", "shoulder")
+        found.append(("/joint_states", time_ns, joint_state(k, order, **fields)))
+        found.append(("/joint_command", time_ns, joint_state(10 * k)))
+    return found
+
+
+def write_mcap(path: Path, messages: list[tuple[str, int, dict]], **options) -> Path:
+    """Write messages as JSON."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=300, **options)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {topic: writer.register_channel(topic, "json", schema) for topic, _, _ in messages}
+        for topic, time_ns, content in messages:
+            writer.add_message(channels[topic], time_ns, json.dumps(content).encode(), time_ns)
+        writer.finish()
+    return path
+
+
+def write_bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:
+    """Write a bag of ROS 1 for a file, of ROS 2 in SQLite for a folder."""
+    is_ros1 = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    seq = {"seq": 0} if is_ros1 else {}
+    header = store.types["std_msgs/msg/Header"](
+        stamp=store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="", **seq
+    )
+    encode = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+    writer = Writer1(path) if is_ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    with writer:
+        topics = dict.fromkeys(topic for topic, _, _ in messages)
+        connections = {one: writer.add_connection(one, JOINT_STATE, typestore=store) for one in topics}
+        for topic, time_ns, content in messages:
+            numbers = {name: np.array(content[name]) for name in ("position", "velocity", "effort")}
+            message = store.types[JOINT_STATE](header=header, name=content["name"], **numbers)
+            writer.write(connections[topic], time_ns, encode(message, JOINT_STATE))
+    return path

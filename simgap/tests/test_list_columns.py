@@ -1,0 +1,52 @@
+"""Lists of what is in a log: names, kinds, counts, rates and ranges."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from helpers.robot_folder import write_csv, write_npz, write_parquet
+from simgap.common.errors import RobotError
+from simgap.files.columns import ColumnInfo
+from simgap.files.log_file import list_columns
+
+
+@pytest.mark.parametrize("write", [write_parquet, write_csv, write_npz])
+def test_the_columns_of_a_table_are_listed(tmp_path, write):
+    found = {one.name: one for one in list_columns(write(tmp_path))}
+    assert list(found) == ["t", "motion", "gain", "q1", "c1", "q2", "m2"]
+    assert found["q1"] == ColumnInfo("q1", "number", 7, None, 0.0, 180.0)
+    assert found["motion"] == ColumnInfo("motion", "text", 7)
+
+
+def test_items_of_lists_and_fields_of_records_are_columns(tmp_path):
+    np.savez(tmp_path / "log.npz", q=np.arange(6.0).reshape(3, 2), rate=50.0)
+    assert [one.name for one in list_columns(tmp_path / "log.npz")] == ["q[0]", "q[1]"]
+    rows = [{"t": k, "arm": {"q": [k, 2.0 * k], "mode": "on"}} for k in range(3)]
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    found = list_columns(tmp_path / "log.jsonl")
+    assert [one.name for one in found] == ["t", "arm.q[0]", "arm.q[1]", "arm.mode"]
+    assert (found[2].lowest, found[2].highest) == (0.0, 4.0)
+
+
+def test_a_list_has_the_names_of_the_information_file(tmp_path):
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    info = {"total_frames": 4, "features": {"action": {"names": ["pan.pos", "lift.pos"]}}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
+    columns = {"action": [[1.0, 2.0]] * 4, "timestamp": [0.0, 0.1, 0.0, 0.1], "episode_index": [0, 0, 1, 1]}
+    path = tmp_path / "data" / "chunk-000" / "file-000.parquet"
+    pq.write_table(pa.table(columns), path)
+    for log in (tmp_path, path):
+        names = [one.name for one in list_columns(log)]
+        assert names == ["action[pan.pos]", "action[lift.pos]", "timestamp", "episode_index"]
+    assert list_columns(tmp_path)[0].rate_Hz == pytest.approx(10.0)
+    assert list_columns(tmp_path)[2].unit == "s"
+
+
+def test_a_log_without_columns_is_refused(tmp_path):
+    np.savez(tmp_path / "log.npz", rate=50.0)
+    with pytest.raises(RobotError, match="has no rows; name a log with samples"):
+        list_columns(tmp_path / "log.npz")

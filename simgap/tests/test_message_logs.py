@@ -1,0 +1,156 @@
+"""Logs of messages: joints by name, bags, cut and damaged files, clocks and numbers that are none."""
+
+import json
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+
+from helpers.message_logs import BY_PLACE, BY_TOPIC, START_NS, joint_state, rows, write_bag, write_mcap
+from helpers.robot_folder import MODEL
+from simgap.common.errors import RobotError
+from simgap.loading import load
+
+
+@pytest.fixture(params=[BY_TOPIC, BY_PLACE], ids=["topic", "place"])
+def robot(tmp_path, request):
+    (tmp_path / "model.xml").write_text(MODEL)
+    (tmp_path / "robot.toml").write_text(request.param)
+    return tmp_path / "robot.toml"
+
+
+def check(logs, n=5):
+    (motion,) = logs.motions
+    shoulder, elbow = motion.joints["shoulder"], motion.joints["elbow"]
+    np.testing.assert_allclose(shoulder.position.value, np.arange(n))
+    np.testing.assert_allclose(elbow.position.value, -np.arange(n))
+    np.testing.assert_allclose(shoulder.position.time_s, 0.01 * np.arange(n))
+    np.testing.assert_allclose(shoulder.command.value, 10.0 * np.arange(n))
+    assert shoulder.velocity is None
+    assert elbow.torque is None
+
+
+FORMS = {
+    "chunks": {},
+    "no_chunks": {"use_chunking": False},
+    "lz4": {"compression": CompressionType.LZ4},
+    "plain": {"compression": CompressionType.NONE},
+    "no_summary": {"use_statistics": False, "use_summary_offsets": False, "repeat_channels": False},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_joints_are_read_by_name_from_every_form_of_mcap(robot, tmp_path, form):
+    check(load(robot, write_mcap(tmp_path / "log.mcap", rows(), **FORMS[form])))
+
+
+@pytest.mark.parametrize("name", ["log.bag", "log"])
+def test_joints_are_read_by_name_from_bags(robot, tmp_path, name):
+    check(load(robot, write_bag(tmp_path / name, rows())))
+
+
+def test_a_database_of_a_bag_may_be_named_alone(robot, tmp_path):
+    write_bag(tmp_path / "log", rows())
+    check(load(robot, tmp_path / "log" / "log.db3"))
+
+
+def test_messages_of_other_publishers_are_passed_over(robot, tmp_path):
+    finger = ("/joint_states", START_NS - 1_000, joint_state(0, ("finger",)))
+    logs = load(robot, write_mcap(tmp_path / "log.mcap", [finger, *rows()]))
+    np.testing.assert_allclose(logs.motions[0].joints["shoulder"].position.value, np.arange(5))
+
+
+def test_a_place_of_another_joint_is_refused_with_the_right_column(tmp_path):
+    (tmp_path / "model.xml").write_text(MODEL)
+    (tmp_path / "robot.toml").write_text(BY_PLACE.replace("position[0]", "position[2]").replace("[1]", "[0]"))
+    messages = [
+        (topic, time_ns, joint_state(0, ("shoulder", "elbow", "finger"))) for topic, time_ns, _ in rows()
+    ]
+    with pytest.raises(
+        RobotError, match=r"'/joint_states.position\[0\]' is that of 'shoulder' in the messages"
+    ):
+        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", messages))
+
+
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_mcap, "log.mcap"), (write_bag, "log.bag"), (write_bag, "log")]
+)
+def test_a_clock_that_steps_back_is_refused_with_topic_and_message(robot, tmp_path, write, name):
+    messages = rows()
+    messages[6:] = [(topic, time_ns - 10**9, content) for topic, time_ns, content in messages[6:]]
+    with pytest.raises(RobotError, match=r"topic '/joint_.*': the clock steps back .* at message 4"):
+        load(robot, write(tmp_path / name, messages))
+
+
+def test_a_signal_that_never_is_a_number_is_absent_and_told(tmp_path):
+    (tmp_path / "model.xml").write_text(MODEL)
+    (tmp_path / "robot.toml").write_text(BY_TOPIC)
+    never = write_mcap(tmp_path / "log.mcap", rows(velocity=[np.nan, np.nan]))
+    logs = load(tmp_path / "robot.toml", never)
+    check(logs)
+    assert any(
+        "'/joint_states.velocity[shoulder]' never is a number; shoulder has no" in one for one in logs.losses
+    )
+
+
+def test_a_number_that_is_none_among_others_is_refused_with_message_and_time(robot, tmp_path):
+    messages = rows()
+    messages[4][2]["position"][0] = np.nan
+    with pytest.raises(RobotError, match=r"is no finite number at 0.02 s, message 3 of its topic"):
+        load(robot, write_mcap(tmp_path / "log.mcap", messages))
+
+
+def test_a_file_that_was_cut_is_used_and_the_loss_told(robot, tmp_path):
+    path = write_mcap(tmp_path / "log.mcap", rows(20))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    logs = load(robot, path)
+    n = logs.motions[0].joints["shoulder"].position.value.size
+    assert 2 <= n < 20
+    assert any("is cut at byte" in one and "are used" in one for one in logs.losses)
+
+
+def test_a_damaged_chunk_is_refused_with_its_place_and_time(robot, tmp_path):
+    path = write_mcap(tmp_path / "log.mcap", rows(), compression=CompressionType.NONE)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b'"position": [1', b'"position": [7', 1).replace(b"[-1.0", b"[-5.0", 1))
+    with pytest.raises(
+        RobotError, match=r"the chunk at byte \d+, which begins at 1700000000.0\d+ s, is damaged"
+    ):
+        load(robot, path)
+
+
+def test_a_log_is_cut_into_motions_by_windows(robot, tmp_path):
+    text = robot.read_text().replace(
+        "\n[joints.shoulder]",
+        "\n[motion.windows_s]\nfirst = [0.0, 0.03]\nsecond = [0.05, 0.08]\n\n[joints.shoulder]",
+    )
+    robot.write_text(text)
+    first, second = load(robot, write_mcap(tmp_path / "log.mcap", rows(20))).motions
+    assert (first.name, second.name) == ("first", "second")
+    np.testing.assert_allclose(first.joints["shoulder"].position.value, [0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_allclose(second.joints["elbow"].position.value, [-5.0, -6.0, -7.0, -8.0])
+    np.testing.assert_allclose(second.joints["elbow"].position.time_s, [0.0, 0.01, 0.02, 0.03])
+    robot.write_text(text.replace("[0.05, 0.08]", "[5.0, 8.0]"))
+    with pytest.raises(RobotError, match="has no value in motion 'second'"):
+        load(robot, tmp_path / "log.mcap")
+
+
+def test_a_bag_that_was_not_closed_is_refused_in_words(robot, tmp_path):
+    path = write_bag(tmp_path / "log.bag", rows())
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(RobotError, match=r"log\.bag: cannot be read: "):
+        load(robot, path)
+
+
+def test_json_of_another_form_is_refused(robot, tmp_path):
+    path = write_mcap(tmp_path / "log.mcap", [("/joint_states", START_NS, json.loads("[1, 2]"))])
+    with pytest.raises(RobotError):
+        load(robot, path)
+
+
+def test_a_topic_gives_a_slide_in_its_own_units(robot, tmp_path):
+    (tmp_path / "model.xml").write_text(
+        MODEL.replace('name="shoulder" axis', 'name="shoulder" type="slide" axis')
+    )
+    robot.write_text(BY_TOPIC)
+    check(load(robot, write_mcap(tmp_path / "log.mcap", rows())))

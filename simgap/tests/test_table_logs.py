@@ -1,0 +1,141 @@
+"""Logs that are tables: data sets of LeRobot, lists, JSON lines, and CSV as it comes."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_robot
+from simgap.common.errors import RobotError
+from simgap.files.log_file import open_log
+from simgap.files.robot_file import CsvTable
+from simgap.loading import load
+
+BY_LIST = (
+    ('[time]\ncolumn = "t"\nunit = "ms"', ""),
+    ('[motion]\ncolumns = ["motion"]\ncondition_column = "gain"', ""),
+    ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n"),
+    (
+        'column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5',
+        'column = "observation.state[0]", unit = "deg"',
+    ),
+    (
+        'column = "c1", unit = "deg"',
+        'column = "action[shoulder.pos]", unit = "percent", at_0_rad = -1.0, at_1_rad = 3.0',
+    ),
+    (
+        'column = "q2", unit = "count", counts_per_turn = 4096.0, side = "motor"',
+        'column = "observation.state[elbow.pos]", unit = "deg"',
+    ),
+    ('torque = { column = "m2", unit = "mN m", side = "motor" }\n', ""),
+)
+N = 4
+
+
+def write_lerobot(folder, episodes=2, names=("shoulder.pos", "elbow.pos"), **info):
+    """Write a data set with one file an episode."""
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    features = {name: {"names": list(names)} for name in ("action", "observation.state")}
+    features["action"]["names"] = {"motors": list(names)}  # as earlier versions write
+    text = {"codebase_version": "v2.1", "total_frames": episodes * N, "features": features} | info
+    (folder / "meta" / "info.json").write_text(json.dumps(text))
+    for one in range(episodes):
+        state = [[10.0 * one + k, -float(k)] for k in range(N)]
+        table = {
+            "action": [[25.0 * k, 0.0] for k in range(N)],
+            "observation.state": pa.array(state, pa.list_(pa.float32(), 2)),
+            "timestamp": pa.array([0.02 * k for k in range(N)], pa.float32()),
+            "episode_index": [one] * N,
+        }
+        pq.write_table(pa.table(table), folder / "data" / "chunk-000" / f"episode_{one:06d}.parquet")
+    return folder
+
+
+def test_episodes_of_a_data_set_are_motions_with_times_of_their_own(tmp_path):
+    first, second = load(write_robot(tmp_path, *BY_LIST), write_lerobot(tmp_path / "set")).motions
+    assert (first.name, second.name) == ("0", "1")
+    shoulder = second.joints["shoulder"]
+    np.testing.assert_allclose(shoulder.position.time_s, 0.02 * np.arange(N), atol=1e-7)
+    np.testing.assert_allclose(shoulder.position.value, np.radians(10.0 + np.arange(N)))
+    np.testing.assert_allclose(shoulder.command.value, [-1.0, 0.0, 1.0, 2.0])
+    np.testing.assert_allclose(second.joints["elbow"].position.value, np.radians(-np.arange(N)))
+
+
+def test_a_data_file_that_is_missing_is_told(tmp_path):
+    logs = load(write_robot(tmp_path, *BY_LIST), write_lerobot(tmp_path / "set", total_frames=99))
+    assert "has 8 rows, its meta/info.json says 99: data files are missing" in logs.losses[0]
+
+
+def test_a_name_that_no_list_has_is_refused_with_those_that_it_has(tmp_path):
+    folder = write_lerobot(tmp_path / "set", names=("a.pos", "b.pos"))
+    with pytest.raises(RobotError, match=r"has no column 'action\[shoulder.pos\]'.* did you mean|it has"):
+        load(write_robot(tmp_path, *BY_LIST), folder)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", ""])
+def test_a_damaged_information_file_is_refused(tmp_path, text):
+    folder = write_lerobot(tmp_path / "set")
+    (folder / "meta" / "info.json").write_text(text)
+    with pytest.raises(RobotError, match=r"info\.json: "):
+        load(write_robot(tmp_path, *BY_LIST), folder)
+
+
+def test_arrays_of_several_dimensions_are_read_by_place(tmp_path):
+    both = np.stack([COLUMNS["q1"], COLUMNS["c1"]], axis=1)
+    change = [('column = "q1"', 'column = "both[0]"'), ('column = "c1"', 'column = "both[1]"')]
+    slow, _ = load(write_robot(tmp_path, *change), write_npz(tmp_path, both=both)).motions
+    np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
+    with pytest.raises(
+        RobotError, match=r"has no column 'both\[5\]', which the robot file names; did you mean"
+    ):
+        open_log(tmp_path / "log.npz", ["both[5]"], [], CsvTable())
+
+
+def test_json_lines_have_objects_and_lists(tmp_path):
+    rows = [{"t": 1.0 * k, "arm": {"q": [k, None if k == 1 else 2 * k]}} for k in range(3)]
+    path = tmp_path / "log.jsonl"
+    path.write_text("\n".join(map(json.dumps, rows)) + '\n{"t": 3.0, "ar')
+    log = open_log(path, ["t", "arm.q[1]"], [], CsvTable())
+    np.testing.assert_array_equal(log.numbers("t").value, [0.0, 1.0, 2.0])
+    assert log.numbers("arm.q[1]").is_present.tolist() == [True, False, True]
+    assert log.losses == ["line 4 is cut, where the file ends; the 3 lines before it are used"]
+    path.write_text("{}\nno\n{}")
+    with pytest.raises(RobotError, match="line 2 is no JSON"):
+        open_log(path, ["t"], [], CsvTable())
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", "."), ("|", "."), ("   ", ".")]
+)
+def test_the_form_of_a_csv_is_found_by_itself(tmp_path, separator, decimal):
+    slow, fast = load(write_robot(tmp_path), write_csv(tmp_path, separator, decimal)).motions
+    np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
+    assert fast.name == "fast"
+
+
+@pytest.mark.parametrize("head", ["", "0,1\n"])
+def test_a_csv_without_names_has_its_columns_by_place(tmp_path, head):
+    path = tmp_path / "log.csv"
+    path.write_text(head + "0.0,1.5\n0.1,2.5\n")
+    name = "1" if head else "column[1]"
+    np.testing.assert_array_equal(open_log(path, [name], [], CsvTable()).numbers(name).value, [1.5, 2.5])
+
+
+def test_the_last_row_of_a_csv_may_be_cut(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,a,b\n0,1,2\n1,2,3\n2,5")
+    log = open_log(path, ["b"], [], CsvTable())
+    np.testing.assert_array_equal(log.numbers("b").value, [2.0, 3.0])
+    assert log.losses == ["line 4 has 2 of 3 columns, where the file was cut; the 2 rows before it are used"]
+    path.write_text("t,a,b\n0,1\n1,2,3\n")
+    with pytest.raises(RobotError, match="line 2 has 2 of 3 columns; give each row all columns"):
+        open_log(path, ["b"], [], CsvTable())
+
+
+def test_all_rows_of_a_csv_decide_its_types(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,a\n" + "".join(f"{k},0\n" for k in range(300_000)) + "300000,0.5\n")
+    assert open_log(path, ["a"], [], CsvTable()).numbers("a").value[-1] == 0.5
