@@ -196,11 +196,29 @@ def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_pat
     assert said in str(error.value)
 
 
-def test_a_motion_in_two_files_is_refused(tmp_path, robot):
-    with pytest.raises(
-        RobotError, match=r"two\.parquet: motion 'slow' is in one too; give each motion its own"
-    ):
-        load(robot, [write_parquet(tmp_path, "one"), write_parquet(tmp_path, "two")])
+def test_motions_of_one_name_in_two_files_have_the_name_of_the_file(tmp_path, robot):
+    paths = [
+        write_parquet(tmp_path, "monday"),
+        write_parquet(tmp_path, "friday", motion=["slow"] * 3 + ["q"] * 4),
+    ]
+    found = load(robot, paths, held_out=["friday"])
+    assert names(found.motions) == ["monday:slow", "fast", "friday:slow", "q"]
+    assert names(found.judged) == ["friday:slow", "q"]
+    assert names(load(robot, paths, held_out=["monday:slow"]).judged) == ["monday:slow"]
+    assert names(load(robot, paths, held_out=["slow"]).judged) == ["monday:slow", "friday:slow"]
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    robot = write_robot(tmp_path, ('columns = ["motion"]\ncondition_column', "condition_column"))
+    paths = []
+    for folder in ("run1", "run2"):
+        (tmp_path / folder).mkdir()
+        rows = {name: one[:3] for name, one in COLUMNS.items()}
+        paths.append(write_parquet(tmp_path / folder, **rows))
+    found = load(robot, paths, held_out=["run2/log"])
+    assert (names(found.fit), names(found.judged)) == (["run1/log"], ["run2/log"])
+    with pytest.raises(RobotError, match=r"run1/log\.parquet: is given twice; give each log once"):
+        load(robot, [paths[0], paths[0]])
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv", "log.npz", "log.mcap"])

@@ -158,6 +158,12 @@ class Robot:
         """Return the joint with this name."""
         return next(joint for joint in self.joints if joint.name == name)
 
+    def range_rad(self, name: str) -> tuple[float, float]:
+        """Return the limits of a joint in the model, infinite without any."""
+        number = int(self.model.dof_jntid[self.joint(name).dof_index])
+        low, high = self.model.jnt_range[number] if self.model.jnt_limited[number] else (-math.inf, math.inf)
+        return float(low), float(high)
+
 
 N_POSES: Final = 256
 """Number of random poses for the gravity torques; the extremes over six joints are good to some percent."""

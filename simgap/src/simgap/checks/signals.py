@@ -11,12 +11,14 @@ from simgap.arrays import Array, Flags
 from simgap.checks.records import (
     COARSE_RAD,
     STEPS,
+    Faulty,
     Remark,
     RemarkKind,
     Samples,
     encoder_step_rad,
     joint_samples,
     robust_sigma,
+    runs,
 )
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot
@@ -63,7 +65,11 @@ def _unwrapped(motions: Sequence[Motion]) -> Iterator[Remark]:
     for joint in dict.fromkeys(name for motion in motions for name in motion.unwrapped):
         count = {one.name: one.unwrapped[joint] for one in motions if joint in one.unwrapped}
         number = sum(count.values())
-        text = f"the counter wraps {number} times; it is unwrapped"
+        text = (
+            f"the counter wraps {number} times; it is unwrapped"
+            if number
+            else "the counter knows no whole turns; it is moved by turns to where the joint is"
+        )
         yield Remark(RemarkKind.COUNTER, joint, tuple(count), text, float(number))
 
 
@@ -105,27 +111,67 @@ def spike_flags(samples: Samples, step_rad: float) -> Flags:
     return flags
 
 
-def find_spikes(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
-    """Find positions that jump away for a sample or two."""
+REPEATS: Final = 3
+"""Same values in a row that count as stale; fewer are usual where a bus is read faster than its servo."""
+
+
+def stale_flags(samples: Samples, step_rad: float) -> Flags:
+    """Flag values that repeat while the joint moves on, (n,).
+
+    A value is stale if it is repeated several times, the joint moved clearly before, and jumps afterwards by
+    about what it missed. A joint that friction holds does not jump.
+    """
+    position, flags = samples.position, np.zeros(samples.position.size, np.bool_)
+    if position.size < REPEATS + 2:
+        return flags
+    step = np.diff(position)
+    for begin, end in runs(step == 0.0):
+        if end - begin < REPEATS or begin == 0 or end >= step.size:
+            continue
+        before, jump = step[begin - 1], step[end]
+        is_moving = abs(before) > STEPS * step_rad
+        missed = abs(before) * (end - begin)
+        if is_moving and abs(jump) > max(0.5 * missed, 2.0 * abs(before)):
+            flags[begin + 1 : end + 1] = True
+    return flags
+
+
+def flag_samples(motions: Sequence[Motion]) -> Faulty:
+    """Flag position samples that are no number, stale, or spikes."""
+    names = dict.fromkeys(name for motion in motions for name in motion.joints)
+    step_rad = {name: encoder_step_rad(motions, name) for name in names}
+    found: dict[tuple[str, str], dict[str, Flags]] = {}
+    for motion in motions:
+        for name, log in motion.joints.items():
+            samples, n = joint_samples(log), log.position.value.size
+            flags = {"not finite": np.ones(n, np.bool_)}
+            flags["not finite"][samples.index] = False
+            for fault, find in (("stale", stale_flags), ("spike", spike_flags)):
+                flags[fault] = np.zeros(n, np.bool_)
+                flags[fault][samples.index] = find(samples, step_rad[name])
+            found[motion.name, name] = flags
+    return found
+
+
+def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> list[Remark]:
+    """Remark positions that jump away for a sample or two."""
     found: list[Remark] = []
     for joint in robot.joints:
-        step_rad = encoder_step_rad(motions, joint.name)
-        count: dict[str, int] = {}
-        furthest = 0.0
+        away_rad: dict[str, Array] = {}
         for motion in motions:
-            if joint.name in motion.joints:
-                samples = joint_samples(motion.joints[joint.name])
-                flags = spike_flags(samples, step_rad)
-                count[motion.name] = int(flags.sum())
-                away = np.abs(samples.position - np.median(samples.position))[flags]
-                furthest = max(furthest, float(away.max(initial=0.0)))
-        names = tuple(name for name, number in count.items() if number)
-        if names:
+            if joint.name in motion.joints and np.any(flags := faulty[motion.name, joint.name]["spike"]):
+                value = motion.joints[joint.name].position.value
+                away_rad[motion.name] = np.abs(value[flags] - np.nanmedian(value))
+        if away_rad:
+            every = np.concatenate(list(away_rad.values()))
+            furthest = float(every.max())
             text = (
-                f"{sum(count.values())} positions jump away for a sample or two, to "
-                f"{joint.show(furthest, '.3g')} from the median: were they read wrongly?"
+                f"{every.size} positions jump away for a sample or two, to {joint.show(furthest, '.3g')} "
+                "from the median: were they read wrongly?"
             )
-            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
+            found.append(
+                Remark(RemarkKind.SPIKE, joint.name, tuple(away_rad), text, furthest, unit=joint.unit)
+            )
     return found
 
 
@@ -134,22 +180,35 @@ SPREAD: Final = 10.0
 
 
 def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
-    """Find joints that hardly move in any motion."""
+    """Find joints that hardly move in any motion, and positions that never change while commands do."""
     found: list[Remark] = []
     for joint in robot.joints:
-        own = [motion for motion in motions if joint.name in motion.joints]
+        own = {m.name: joint_samples(m.joints[joint.name]) for m in motions if joint.name in m.joints}
+        positions = [one.position for one in own.values() if one.position.size]
         step_rad = encoder_step_rad(motions, joint.name)
-        positions = [joint_samples(motion.joints[joint.name]).position for motion in own]
         noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / np.sqrt(12.0)])
-        spread_rad = max([_range_rad(one) for one in positions], default=0.0)
-        if not own or spread_rad > SPREAD * noise_rad or spread_rad == 0.0:
+        spread_rad = max([_range_rad(one) for one in positions], default=math.inf)
+        if spread_rad > SPREAD * noise_rad:
             continue
-        text = (
-            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise "
-            f"is {joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
-        )
-        names = tuple(motion.name for motion in own)
-        found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit=joint.unit))
+        is_constant = float(np.ptp(np.concatenate(positions))) == 0.0
+        sent = {name: _span(one.command) for name, one in own.items()}
+        moved = tuple(name for name, span in sent.items() if span > COARSE_RAD * joint.per_rad)
+        if is_constant and moved and joint.mode is ControlMode.POSITION:
+            text = (
+                f"the position stays at {joint.show(positions[0][0])}, while the command spans "
+                f"{joint.show(max(sent.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
+            )
+            kind, names, value = RemarkKind.CONSTANT, moved, float(positions[0][0])
+        else:
+            what = (
+                f"the joint never moves: its position stays at {joint.show(positions[0][0])}"
+                if is_constant
+                else f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, "
+                f"their noise is {joint.show_small(noise_rad, '.2g')}"
+            )
+            text = f"{what}. Nothing about this joint can be identified"
+            kind, names, value = RemarkKind.STILL, tuple(own), spread_rad
+        found.append(Remark(kind, joint.name, names, text, value, unit=joint.unit))
     return found
 
 
@@ -160,7 +219,12 @@ def _noise_rad(position: Array) -> float:
 
 def _range_rad(position: Array) -> float:
     """Return the range of a position without the hundredth at each end."""
-    return float(np.ptp(np.quantile(position, [0.01, 0.99]))) if position.size else 0.0
+    return float(np.ptp(np.quantile(position, [0.01, 0.99])))
+
+
+def _span(command: Array) -> float:
+    sent = command[np.isfinite(command)]
+    return float(np.ptp(sent)) if sent.size else 0.0
 
 
 BEGINS: Final = 3.0
