@@ -9,8 +9,8 @@ from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record,
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind, Samples
 from simgap.checks.signals import spike_flags
-from simgap.files.robot_file import JointTable
 from simgap.files.counters import unwrap_counters
+from simgap.files.robot_file import JointTable
 from simgap.logs import Logs, Signal
 
 
@@ -189,6 +189,28 @@ def test_a_position_that_never_changes_while_its_command_moves_is_refused(clean)
     (found,) = remarks(logs, RemarkKind.CONSTANT)
     assert "the position stays at 0 rad, while the command spans" in found.text
     assert not remarks(logs, RemarkKind.STILL)
+
+
+def test_a_position_that_is_ahead_of_its_command_is_told(clean):
+    def exchange(log):
+        return replace(log, position=log.command, command=log.position)
+
+    (found,) = remarks(with_joint(clean, "shoulder", exchange), RemarkKind.AHEAD)
+    assert found.joint == "shoulder"
+    assert 0.02 <= found.value <= 0.2
+    assert not remarks(clean, RemarkKind.AHEAD)
+
+
+@pytest.mark.parametrize("frequency_Hz", [1.0, 3.5, 5.0])
+def test_a_fast_wave_that_lags_is_not_ahead(clean, frequency_Hz):
+    def swing(log):
+        wave = 0.3 * np.sin(2 * np.pi * frequency_Hz * (log.position.time_s - 0.15))
+        sent = 0.3 * np.sin(2 * np.pi * frequency_Hz * log.command.time_s)
+        return replace(
+            log, position=Signal(log.position.time_s, wave), command=Signal(log.command.time_s, sent)
+        )
+
+    assert not remarks(with_joint(clean, "shoulder", swing), RemarkKind.AHEAD)
 
 
 @pytest.mark.parametrize("step_rad", [0.0, COUNT_RAD])

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.checks.commands import find_exchanged
+from simgap.checks.commands import find_exchanged, find_leading
 from simgap.checks.limits import chain_joints, find_collisions, find_cut_offs, find_plane, find_saturation
 from simgap.checks.rates import audit_rates
 from simgap.checks.records import Audit, Faulty, RemarkKind
@@ -24,7 +24,7 @@ from simgap.logs import Logs, Motion
 from simgap.result import Refusal
 from simgap.robot import ControlMode, Robot
 
-TESTS: Final = (audit_units, find_wraps, find_exchanged, find_still_joints, find_late_starts)
+TESTS: Final = (audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_late_starts)
 """Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2
 """The second pass predicts free positions without the samples that the first has found held back."""
@@ -64,7 +64,7 @@ def _find_untested(robot: Robot, motions: Sequence[Motion]) -> Iterator[str]:
     by_position = [joint.name for joint in robot.joints if joint.mode is ControlMode.POSITION]
     logs = [(name, log) for motion in motions for name, log in motion.joints.items()]
     if all(log.command is None for name, log in logs if name in by_position):
-        yield "exchanged and reversed joints, as no position command is logged"
+        yield "exchanged and reversed joints and columns, as no position command is logged"
     elif len(by_position) < 2:
         yield "exchanged joints, as one joint alone has position commands"
     if all(log.velocity is None for _, log in logs):

@@ -19,6 +19,7 @@ class RemarkKind(StrEnum):
     UNIT = "unit looks wrong"
     WRAP = "lost turns"
     ORDER = "joints look exchanged"
+    AHEAD = "position is ahead of its command"
     CONSTANT = "position is constant"
     STILL = "no excitation"
     SPIKE = "spikes"

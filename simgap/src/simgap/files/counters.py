@@ -42,7 +42,7 @@ def unwrap_counters(
     - else the first motion, so that all motions agree.
 
     Command and second encoder, if they are such counters, get the turn nearest the position. Where the range
-    is more than a turn, this is done only if one of the counters did begin anew: else they may know their turns.
+    is more than a turn, this is done only if one of them did begin anew: else they may know their turns.
 
     Args:
         table: Table of the joint.
