@@ -165,6 +165,23 @@ def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
     assert audit(robot, load(robot, write_logs(tmp_path, delay_s=0.0, friction_N=0.0, count=4))).remarks == ()
 
 
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("mm", "times its command: is the position in mm, "), ("cm", "is the position in cm")],
+)
+def test_a_slide_in_another_unit_is_told(tmp_path, unit, said):
+    """The position is declared in m."""
+    write_folder(tmp_path)
+    text = (tmp_path / "robot.toml").read_text().replace('"p_lift", unit = "mm"', '"p_lift", unit = "m"')
+    if unit == "cm":
+        text = text.replace('"p_lift", unit = "m"', '"p_lift", unit = "m", factor = 0.01')
+    (tmp_path / "robot.toml").write_text(text)
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    (remark,) = audit(robot, load(robot, write_logs(tmp_path, count=4))).remarks
+    assert said in remark.text
+    assert "degrees" not in remark.text
+
+
 LEFT_OUT = ('model = "model.xml"', 'model = "model.xml"\nleft_out = ["left", "right"]')
 
 

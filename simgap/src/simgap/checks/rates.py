@@ -60,7 +60,9 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
         ends = [(0.0, 0.0), *pauses[names[0]], (_end_s(motions[0]), 0.0)]
-        parts = [(math.floor(one[1] * 100), math.ceil(two[0] * 100)) for one, two in pairwise(ends)]
+        parts = [
+            (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
+        ]
         shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
         advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
     count = "once" if len(every) == 1 else f"{len(every)} times"

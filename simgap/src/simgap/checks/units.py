@@ -31,12 +31,13 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         own = [motion for motion in motions if joint.name in motion.joints]
         samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         names = tuple(motion.name for motion in own)
+        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
+        ratio = math.nan
         if joint.mode is ControlMode.POSITION:
             ratio = _ratio((one.command, one.position) for one in samples)
-            found += _remark(ratio, joint, names, "the position", "its command")
-        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
+        wrong = _remark(ratio, joint, names, "the position", "its command")
         if own:
-            found += _beyond_range(joint, robot.range_rad(joint.name), names, samples)
+            found += wrong or _beyond_range(joint, robot.range_rad(joint.name), names, samples)
     return found + _audit_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
 
