@@ -45,8 +45,6 @@ def unwrap_counters(
     is more than a turn, this is done only if one of them did begin anew: else they may know their turns.
 
     Args:
-        table: Table of the joint.
-        signals: Its signals.
         range_rad: Range of the joint in the model, infinite without limits.
 
     Returns:
