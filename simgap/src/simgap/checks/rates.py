@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, joint_samples
+from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, joint_samples, say_times
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 
@@ -65,8 +65,8 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
         ]
         shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
         advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
-    count = "once" if len(every) == 1 else f"{len(every)} times"
-    text = f"no signal is logged for {max(every):.3g} s{' at most' * (len(every) > 1)}, {count}: {advice}"
+    most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
+    text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     return [Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")]
 
 

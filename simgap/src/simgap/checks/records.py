@@ -138,6 +138,11 @@ def runs(flags: Flags) -> list[tuple[int, int]]:
     return [(int(begin), int(end)) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def say_times(count: int) -> str:
+    """Return a count as in "it happens 3 times"."""
+    return "once" if count == 1 else f"{count} times"
+
+
 def robust_sigma(values: Array) -> float:
     """Return the standard deviation that the median absolute deviation of normal values (n,) stands for."""
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if values.size else 0.0

@@ -19,6 +19,7 @@ from simgap.checks.records import (
     joint_samples,
     robust_sigma,
     runs,
+    say_times,
 )
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot
@@ -53,8 +54,8 @@ def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
             if names:
                 number = sum(count.values())
                 text = (
-                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {number} times: it wraps. "
-                    "Unwrap it, or give the unit count with counts_per_turn, which is unwrapped"
+                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(number)}: it "
+                    "wraps. Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
                 )
                 found.append(Remark(RemarkKind.WRAP, joint.name, names, text, float(number)))
     return found
@@ -66,7 +67,7 @@ def _unwrapped(motions: Sequence[Motion]) -> Iterator[Remark]:
         count = {one.name: one.unwrapped[joint] for one in motions if joint in one.unwrapped}
         number = sum(count.values())
         text = (
-            f"the counter wraps {number} times; it is unwrapped"
+            f"the counter wraps {say_times(number)}; it is unwrapped"
             if number
             else "the counter knows no whole turns; it is moved by turns to where the joint is"
         )

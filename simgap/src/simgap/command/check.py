@@ -26,6 +26,7 @@ from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report.page import draw_figures, figure_style, motion_document, series_figure, series_panel
 from simgap.report.traces import extreme_rows
+from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 
 READ: Final = 0.05
@@ -144,6 +145,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
     try:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
+        list_kinds(robot, logs.fit, found.usable)
     except RobotError as error:
         return str(error)
     return ""
