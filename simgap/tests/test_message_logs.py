@@ -93,9 +93,10 @@ def test_a_signal_that_never_is_a_number_is_absent_and_told(tmp_path):
     never = write_mcap(tmp_path / "log.mcap", rows(velocity=[np.nan, np.nan]))
     logs = load(tmp_path / "robot.toml", never)
     check(logs)
-    assert any(
-        "'/joint_states.velocity[shoulder]' never is a number; shoulder has no" in one for one in logs.losses
-    )
+    (velocity, torque) = logs.losses
+    columns = "/joint_states.velocity[shoulder], /joint_states.velocity[elbow]"
+    assert f"there is no velocity of shoulder, elbow: {columns} never has a number" in velocity
+    assert "there is no torque of shoulder, elbow" in torque
 
 
 def test_a_number_that_is_none_among_others_is_refused_with_message_and_time(robot, tmp_path):

@@ -124,14 +124,19 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
     texts = dict.fromkeys(filter(None, (*file.motion.columns, *labels)))
     log = open_log(path, list(numbers), list(texts), file.csv)
     rows = MotionRows(log, file)
+    absent: dict[str, dict[str, str]] = {}
     found: dict[str, dict[str, Sequence[Signal]]] = {joint: {} for joint in file.joints}
     for (joint, key), (one, quantity) in signals.items():
         named = one.model_copy(update={"column": _column_by_name(log, file, joint, key, one.column)})
         signal = rows.signals(key, named, quantity, file.joints[joint])
         if signal is None:
-            rows.losses.append(f"column {one.column!r} never is a number; {joint} has no {key} in this log")
+            absent.setdefault(key, {})[joint] = one.column
         else:
             found[joint][key] = signal
+    rows.losses += [
+        f"there is no {key} of {', '.join(columns)}: {', '.join(columns.values())} never has a number"
+        for key, columns in absent.items()
+    ]
     unwrapped = {
         joint: unwrap_counters(table, found[joint], robot.range_rad(joint))
         for joint, table in file.joints.items()
