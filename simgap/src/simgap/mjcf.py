@@ -98,6 +98,8 @@ def place_tied(model: mujoco.MjModel, dofs: Sequence[int], qpos: Array, qvel: Ar
         qpos: Positions of hinges and slides, (..., nq).
         qvel: Speeds, (..., nv).
     """
+    if not model.neq:
+        return
     known = {int(model.dof_jntid[dof]) for dof in dofs}
     for k in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)):
         first, second = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, joint_samples
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, samples_of, span
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -27,14 +27,13 @@ def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
     if not pairs:
         return 0
     errors = np.array(
-        [[_follow_errors(one, other, _between_starts(one, other)) for _, other in pairs] for one, _ in pairs]
+        [
+            [_follow_errors(one, other, float(other.time_s[0] - one.time_s[0])) for _, other in pairs]
+            for one, _ in pairs
+        ]
     )
     own = np.diagonal(errors).T  # (n_motions, 2)
     return int(np.sum((errors.min(axis=1) < BETTER * own).any(axis=1)))
-
-
-def _between_starts(position: Signal, command: Signal) -> float:
-    return float(command.time_s[0] - position.time_s[0])
 
 
 def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
@@ -95,18 +94,15 @@ def _is_commanded(motion: Motion, joint: str) -> bool:
 
 def _moves(joint: RobotJoint, motions: Sequence[Motion]) -> bool:
     """Return whether position and command of a joint move in some motion."""
-    name, least_rad = joint.name, COARSE_RAD * joint.per_rad
-    samples = [joint_samples(motion.joints[name]) for motion in motions if _is_commanded(motion, name)]
-    return any(
-        one.position.size and min(np.ptp(one.position), np.nan_to_num(np.ptp(one.command))) > least_rad
-        for one in samples
-    )
+    least_rad = COARSE_RAD * joint.per_rad
+    own = samples_of(motions, joint.name).values()
+    return any(min(span(one.position), span(one.command)) > least_rad for one in own)
 
 
 def _spread(motions: Sequence[Motion], joint: str) -> float:
     """Return the standard deviation of the positions of a joint within its motions."""
-    positions = [joint_samples(motion.joints[joint]).position for motion in motions]
-    return math.sqrt(float(np.mean([np.var(one) for one in positions if one.size])))
+    own = samples_of(motions, joint).values()
+    return math.sqrt(float(np.mean([np.var(one.position) for one in own])))
 
 
 def _pooled_error(motions: Sequence[Motion], joint: str, other: str, lead_s: float = 0.0) -> float:

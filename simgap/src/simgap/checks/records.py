@@ -124,6 +124,18 @@ def joint_samples(log: JointLog) -> Samples:
     return Samples(index, time_s, position.value[index], command)
 
 
+def samples_of(motions: Sequence[Motion], joint: str) -> dict[str, Samples]:
+    """Return the finite samples of a joint by motion, of motions that have any."""
+    found = {one.name: joint_samples(one.joints[joint]) for one in motions if joint in one.joints}
+    return {name: one for name, one in found.items() if one.position.size}
+
+
+def span(values: Array) -> float:
+    """Return the range of the finite values; 0 without any."""
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if known.size else 0.0
+
+
 def hold(signal: Signal, time_s: Array) -> Array:
     """Return the last value at or before each time, (n,); the first value before the first sample."""
     if signal.time_s.size == 0:
@@ -155,14 +167,9 @@ COARSE_RAD: Final = STEPS * 2.0 * math.pi / 2**10
 
 
 def encoder_step_rad(motions: Sequence[Motion], joint: str) -> float:
-    """Return the smallest change of a position, at least what single precision shows of it."""
-    smallest, largest = math.inf, 0.0
-    for motion in motions:
-        if joint in motion.joints:
-            value = motion.joints[joint].position.value
-            value = value[np.isfinite(value)]
-            largest = max(largest, float(np.abs(value).max(initial=0.0)))
-            change = np.abs(np.diff(value))
-            change = change[change > 4.0 * np.finfo(np.float32).eps * largest]
-            smallest = min(smallest, float(change.min(initial=math.inf)))
-    return smallest if math.isfinite(smallest) else 0.0
+    """Return the smallest change of a position, at least what single precision shows of it; 0 without any."""
+    values = [one.position for one in samples_of(motions, joint).values()]
+    largest = max((float(np.abs(one).max()) for one in values), default=0.0)
+    steps = np.concatenate([np.zeros(0), *(np.abs(np.diff(one)) for one in values)])
+    steps = steps[steps > 4.0 * np.finfo(np.float32).eps * largest]
+    return float(steps.min()) if steps.size else 0.0

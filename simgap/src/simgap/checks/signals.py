@@ -1,7 +1,7 @@
 """Faults of single signals: turns that are lost, samples that jump away, joints that stand still."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,9 @@ from simgap.checks.records import (
     joint_samples,
     robust_sigma,
     runs,
+    samples_of,
     say_times,
+    span,
 )
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot
@@ -44,34 +46,29 @@ ROUND: Final = 0.1
 
 def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find positions and commands that jump by whole turns between two rows, and counters that did."""
-    found = [*_unwrapped(motions)]
-    for joint in (one for one in robot.joints if not one.is_slide):
-        for name in ("position", "command", "secondary"):
+    found: list[Remark] = []
+    for joint in robot.joints:
+        wraps = {one.name: one.unwrapped[joint.name] for one in motions if joint.name in one.unwrapped}
+        if wraps:
+            count = sum(wraps.values())
+            text = (
+                f"the counter wraps {say_times(count)}; it is unwrapped"
+                if count
+                else "the counter knows no whole turns; it is moved by turns to where the joint is"
+            )
+            found.append(Remark(RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count)))
+        for name in ("position", "command", "secondary") if not joint.is_slide else ():
             if name == "command" and joint.mode is not ControlMode.POSITION:
                 continue
-            count = {one.name: _count_turns(one, joint.name, name) for one in motions}
-            names = tuple(motion for motion, number in count.items() if number)
-            if names:
-                number = sum(count.values())
+            jumps = {one.name: n for one in motions if (n := _count_turns(one, joint.name, name))}
+            if jumps:
+                count = sum(jumps.values())
                 text = (
-                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(number)}: it "
+                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(count)}: it "
                     "wraps. Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
                 )
-                found.append(Remark(RemarkKind.WRAP, joint.name, names, text, float(number)))
+                found.append(Remark(RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count)))
     return found
-
-
-def _unwrapped(motions: Sequence[Motion]) -> Iterator[Remark]:
-    """Yield a remark for each joint whose counter began anew: turns were added when it was read."""
-    for joint in dict.fromkeys(name for motion in motions for name in motion.unwrapped):
-        count = {one.name: one.unwrapped[joint] for one in motions if joint in one.unwrapped}
-        number = sum(count.values())
-        text = (
-            f"the counter wraps {say_times(number)}; it is unwrapped"
-            if number
-            else "the counter knows no whole turns; it is moved by turns to where the joint is"
-        )
-        yield Remark(RemarkKind.COUNTER, joint, tuple(count), text, float(number))
 
 
 def _count_turns(motion: Motion, joint: str, name: str) -> int:
@@ -158,21 +155,21 @@ def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> 
     """Remark positions that jump away for a sample or two."""
     found: list[Remark] = []
     for joint in robot.joints:
-        away_rad: dict[str, Array] = {}
-        for motion in motions:
-            if joint.name in motion.joints and np.any(flags := faulty[motion.name, joint.name]["spike"]):
-                value = motion.joints[joint.name].position.value
-                away_rad[motion.name] = np.abs(value[flags] - np.nanmedian(value))
+        own = samples_of(motions, joint.name)
+        spikes = {name: faulty[name, joint.name]["spike"][one.index] for name, one in own.items()}
+        away_rad = {
+            name: np.abs(one.position - np.median(one.position))[spikes[name]]
+            for name, one in own.items()
+            if np.any(spikes[name])
+        }
         if away_rad:
             every = np.concatenate(list(away_rad.values()))
-            furthest = float(every.max())
             text = (
-                f"{every.size} positions jump away for a sample or two, to {joint.show(furthest, '.3g')} "
+                f"{every.size} positions jump away for a sample or two, to {joint.show(every.max(), '.3g')} "
                 "from the median: were they read wrongly?"
             )
-            found.append(
-                Remark(RemarkKind.SPIKE, joint.name, tuple(away_rad), text, furthest, unit=joint.unit)
-            )
+            names, furthest = tuple(away_rad), float(every.max())
+            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
     return found
 
 
@@ -184,32 +181,32 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find joints that hardly move in any motion, and positions that never change while commands do."""
     found: list[Remark] = []
     for joint in robot.joints:
-        own = {m.name: joint_samples(m.joints[joint.name]) for m in motions if joint.name in m.joints}
-        positions = [one.position for one in own.values() if one.position.size]
+        own = samples_of(motions, joint.name)
+        positions = [one.position for one in own.values()]
         step_rad = encoder_step_rad(motions, joint.name)
-        noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / np.sqrt(12.0)])
+        noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
         spread_rad = max([_range_rad(one) for one in positions], default=math.inf)
         if spread_rad > SPREAD * noise_rad:
             continue
-        is_constant = float(np.ptp(np.concatenate(positions))) == 0.0
-        sent = {name: _span(one.command) for name, one in own.items()}
-        moved = tuple(name for name, span in sent.items() if span > COARSE_RAD * joint.per_rad)
+        place, is_constant = joint.show(positions[0][0]), span(np.concatenate(positions)) == 0.0
+        sent = {name: span(one.command) for name, one in own.items()}
+        moved = tuple(name for name, one in sent.items() if one > COARSE_RAD * joint.per_rad)
         if is_constant and moved and joint.mode is ControlMode.POSITION:
             text = (
-                f"the position stays at {joint.show(positions[0][0])}, while the command spans "
+                f"the position stays at {place}, while the command spans "
                 f"{joint.show(max(sent.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
             )
-            kind, names, value = RemarkKind.CONSTANT, moved, float(positions[0][0])
-        else:
-            what = (
-                f"the joint never moves: its position stays at {joint.show(positions[0][0])}"
-                if is_constant
-                else f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, "
-                f"their noise is {joint.show_small(noise_rad, '.2g')}"
-            )
-            text = f"{what}. Nothing about this joint can be identified"
-            kind, names, value = RemarkKind.STILL, tuple(own), spread_rad
-        found.append(Remark(kind, joint.name, names, text, value, unit=joint.unit))
+            value = float(positions[0][0])
+            found.append(Remark(RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit))
+            continue
+        text = (
+            f"the joint never moves: its position stays at {place}"
+            if is_constant
+            else f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, "
+            f"their noise is {joint.show_small(noise_rad, '.2g')}"
+        )
+        text += ". Nothing about this joint can be identified"
+        found.append(Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit))
     return found
 
 
@@ -223,11 +220,6 @@ def _range_rad(position: Array) -> float:
     return float(np.ptp(np.quantile(position, [0.01, 0.99])))
 
 
-def _span(command: Array) -> float:
-    sent = command[np.isfinite(command)]
-    return float(np.ptp(sent)) if sent.size else 0.0
-
-
 BEGINS: Final = 3.0
 """Ratio of the error before a joint starts to the largest later one from which it was not on yet."""
 
@@ -235,13 +227,10 @@ BEGINS: Final = 3.0
 def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find joints that stand still at the start of a motion while their commands move."""
     found: list[Remark] = []
-    for joint in robot.joints:
-        late_s: dict[str, float] = {}
-        for motion in motions:
-            if joint.mode is ControlMode.POSITION and joint.name in motion.joints:
-                late = _late_start_s(joint_samples(motion.joints[joint.name]), COARSE_RAD * joint.per_rad)
-                if late:
-                    late_s[motion.name] = late
+    for joint in (one for one in robot.joints if one.mode is ControlMode.POSITION):
+        own = samples_of(motions, joint.name)
+        starts = {name: _late_start_s(one, COARSE_RAD * joint.per_rad) for name, one in own.items()}
+        late_s = {name: one for name, one in starts.items() if one}
         if late_s:
             longest = max(late_s.values())
             text = (
