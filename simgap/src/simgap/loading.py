@@ -66,6 +66,9 @@ def _name_motions(
         RobotError: a file is given twice.
     """
     whole = [path.resolve() for path in paths]
+    twice = next((paths[k] for k, path in enumerate(whole) if path in whole[:k]), None)
+    if twice is not None:
+        raise RobotError(f"{twice}: is given twice; give each log once")
     labels = _label_files(whole)
     count = Counter(motion.name for motions in files for motion in motions)
     named: list[Motion] = []
@@ -80,14 +83,7 @@ def _name_motions(
 
 
 def _label_files(paths: Sequence[Path]) -> list[str]:
-    """Return the shortest ends of paths, where possible without suffix, that tell the files apart.
-
-    Raises:
-        RobotError: a file is given twice.
-    """
-    twice = next((path for k, path in enumerate(paths) if path in paths[:k]), None)
-    if twice is not None:
-        raise RobotError(f"{twice}: is given twice; give each log once")
+    """Return the shortest ends of paths, where possible without suffix, that tell the files apart."""
     without = [path.with_suffix("") for path in paths]
     ends = (
         ["/".join(path.parts[-n:]) for path in kind]
