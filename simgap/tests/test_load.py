@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, write_robot
+from simgap.checks.records import RemarkKind
+from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
 from simgap.loading import load
 from simgap.robot import Robot
@@ -105,6 +107,20 @@ def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
     np.testing.assert_array_equal(
         load(robot, tmp_path / "log.csv").motions[0].joints["elbow"].enabled.value, [1, 0, 1]
     )
+
+
+def test_a_counter_that_wraps_lies_where_the_model_has_the_joint_and_is_told(tmp_path):
+    counter = 'column = "q1", unit = "count", counts_per_turn = 4096'
+    position = 'column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5'
+    robot = Robot.from_toml(write_robot(tmp_path, (position, counter)))
+    logs = load(robot, write_parquet(tmp_path, q1=[4000, 4090, 84, 4000, 4010, 4020, 4030]))
+    slow, fast = (one.joints["shoulder"].position.value for one in logs.motions)
+    np.testing.assert_allclose(slow, 2 * np.pi / 4096 * np.array([-96, -6, 84]), atol=1e-12)
+    np.testing.assert_allclose(fast, 2 * np.pi / 4096 * np.array([-96, -86, -76, -66]), atol=1e-12)
+    assert [one.unwrapped for one in logs.motions] == [{"shoulder": 1}, {"shoulder": 0}]
+    (remark,) = find_wraps(robot, logs.motions)
+    assert (remark.kind, remark.motions) == (RemarkKind.COUNTER, ("slow", "fast"))
+    assert remark.text == "the counter wraps once; it is unwrapped"
 
 
 def test_a_share_of_a_range_is_an_angle(tmp_path):

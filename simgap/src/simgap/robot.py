@@ -82,7 +82,8 @@ class RobotJoint:
     is_known: bool
     """True if friction, damping, armature and gain are measured numbers, so that none is a nuisance."""
     is_loaded_by_gravity: bool
-    """False if gravity moves the joint by less than its friction: only ratios to the gain can be known."""
+    """False if gravity changes by less than friction, as at a vertical slide: only ratios to the gain can be
+    known."""
     is_slide: bool = False
     torque_constant_is_known: bool = True
     """False if it is a base parameter."""
