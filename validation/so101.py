@@ -25,7 +25,8 @@ from simgap.checks.audit import audit
 from simgap.checks.limits import site_heights
 from simgap.checks.records import Audit, RemarkKind
 from simgap.common.errors import RobotError
-from simgap.loading import load, read_split
+from simgap.files.splits import read_split
+from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.robot import Robot
