@@ -181,7 +181,17 @@ def load(
         raise RobotError("logs: none is given; name at least one log file")
     file = read_split(robot.folder / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(file, members, split, held_out)
+    idle = [one.name for one in motions if one.name not in fitted | judged]
+    if file is not None and idle:
+        losses.append(_idle_sentence(split or file.default, idle))
     return Logs(tuple(one for one in motions if one.name in fitted | judged), judged, tuple(losses))
+
+
+def _idle_sentence(split: str, names: Sequence[str]) -> str:
+    """Return a sentence about motions that a split does not name."""
+    shown = ", ".join([*names[:3], *([f"and {len(names) - 3} more"] if len(names) > 3 else [])])
+    counted, them = ("1 motion is", "it") if len(names) == 1 else (f"{len(names)} motions are", "them")
+    return f"{counted} left out, because no part of the split {split!r} has {them}: {shown}"
 
 
 def take_currents_as_torques(robot: Robot, motion: Motion) -> Motion:
