@@ -1,7 +1,8 @@
 """Logs and pictures of docs/results.md; the published logs become what its robot file reads.
 
 Upstream has a folder a motion: control.csv with the commands and state_motor.csv with the measured state, a
-row each for the same time stamp, in microseconds. All its motions are converted. Half B is fitted, in two minutes; the motions in the pictures are of half A.
+row each for the same time stamp, in microseconds. All motions are converted; those that the split file does
+not name take no part. Half B is fitted, in two minutes; the motions in the pictures are of half A.
 """
 
 import csv
