@@ -8,8 +8,8 @@ take no part. The errors are mean absolute residuals of motions that took no par
 """
 
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 
 from marsarm.render.svg import save_figure
-from simgap.assemble import simulate_models
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
 from simgap.checks.records import Audit
@@ -118,12 +117,15 @@ def cost(context: Context, settings: int = len(SETTINGS)) -> Document:
 
 BASE: Final = (GainError, Armature, ViscousFriction, CoulombFriction)
 LADDER: Final[dict[str, tuple[type[Effect], ...]]] = {
+    "model as it is": (),
     "gain alone": (GainError,),
     "viscous friction": (GainError, Armature, ViscousFriction),
     "base parameters": BASE,
     "and Stribeck friction": (*BASE, StribeckFriction),
     "and load-dependent friction": (*BASE, StribeckFriction, LoadFriction),
 }
+FITS: Final = (*LADDER, "everything free", "diagnosis")
+"""From the simplest on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,26 +138,26 @@ class Baseline:
     cpu_s: float
 
 
-def fit_baselines(robot: Robot, logs: Logs, found: Audit) -> Iterator[Baseline]:
+def fit_baselines(robot: Robot, logs: Logs, found: Audit, names: Sequence[str]) -> Iterator[Baseline]:
     """Fit sets of effects without a selection.
 
     Args:
         logs: Motions that are fitted, and motions that judge.
         found: Audit of all motions.
-
-    Yields:
-        The fits of the ladder, then the one with everything free.
+        names: Fits, by their names in FITS, without the diagnosis.
     """
     (kind, *_) = list_kinds(robot, logs.fit, found.usable)
     fitted, judged = kind.make(logs.fit, False), kind.make(logs.judged, True)
     known = [*base_effects(robot, logs), *catalogue(robot, logs)]
     shown = [one for one in known if kind.shows(one) and one.place in fitted.joints]
-    for name in (*LADDER, "everything free"):
+    for name in names:
         effects = [one for one in shown if name not in LADDER or isinstance(one, LADDER[name])]
-        began = time.process_time()
-        context, present = fit_base(start_context(fitted, effects, (), 1, Meter()))
+        began, sizes = time.process_time(), np.zeros((1, 0))
+        if effects:
+            context, present = fit_base(start_context(fitted, effects, (), 1, Meter()))
+            sizes = present.sizes[None, context.union.columns(effects)]
         spent_s = time.process_time() - began
-        (rows,) = simulate_models(context, judged, [present.sizes])
+        (rows,) = judged.residuals(effects, sizes)
         error = {
             joint: float(np.mean(np.abs(rows[judged.joint_of == j])))
             for j, joint in enumerate(judged.joints)
@@ -173,7 +175,7 @@ def diagnose_baseline(robot: Robot, logs: Logs, found: Audit) -> tuple[Baseline,
     return Baseline("diagnosis", error, time.process_time() - began), keys
 
 
-def baselines(context: Context, robot: Path, logs: str, split: str = "") -> Document:
+def baselines(context: Context, robot: Path, logs: str, split: str = "", fits: int = len(FITS)) -> Document:
     """Compare a diagnosis with simpler fits on held-out motions.
 
     Args:
@@ -181,12 +183,19 @@ def baselines(context: Context, robot: Path, logs: str, split: str = "") -> Docu
         robot: Robot file.
         logs: Log files, with commas.
         split: Split of the robot's split file; the default one if empty.
+        fits: Number of fits, from the simplest on; the last is the diagnosis.
     """
     model = Robot.from_toml(robot)
     read = load(model, [Path(one) for one in logs.split(",")], split=split)
-    found, fits = audit(model, read), list[Baseline]()
-    for one in fit_baselines(model, read, found):
-        context.progress(len(fits), len(LADDER) + 2, one.name)
-        fits.append(one)
-    last, keys = diagnose_baseline(model, read, found)
-    return {"robot": model.name, "fits": [asdict(one) for one in (*fits, last)], "findings": keys}
+    found, made = audit(model, read), list[Baseline]()
+    names = [one for one in FITS[:fits] if one != FITS[-1]]
+    for one in fit_baselines(model, read, found, names):
+        context.progress(len(made), fits, one.name)
+        made.append(one)
+    document: Document = {}
+    if fits >= len(FITS):
+        last, document["findings"] = diagnose_baseline(model, read, found)
+        made.append(last)
+    document["mean_abs"] = {one.name: one.mean_abs for one in made}
+    document["cpu_s"] = {one.name: one.cpu_s for one in made}
+    return {"robot": model.name, **document}

@@ -1,8 +1,8 @@
 """Logs and pictures of docs/results.md; the published logs become what its robot file reads.
 
 Upstream has a folder a motion: control.csv with the commands and state_motor.csv with the measured state, a
-row each for the same time stamp, in microseconds. Motions that the split file does not name are left out.
-Half B is fitted, in two minutes; the motions in the pictures are of half A.
+row each for the same time stamp, in microseconds. All motions are converted; those that the split file does
+not name take no part. Half B is fitted, in two minutes; the motions in the pictures are of half A.
 """
 
 import csv
@@ -25,7 +25,10 @@ from simgap.checks.audit import audit
 from simgap.checks.limits import site_heights
 from simgap.checks.records import Audit, RemarkKind
 from simgap.common.errors import RobotError
+<<<<<<< HEAD
 from simgap.files.splits import read_split
+=======
+>>>>>>> 1d08ea36
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
@@ -38,6 +41,7 @@ from validation.campaigns import Context, Document
 ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"
 FIT: Final = ("end_effector", "center_workspace")
 """Motions of half A that do not touch the table."""
+FILES: Final = ("control.csv", "state_motor.csv")
 SHOWN_S: Final = 30.0
 JOINT: Final = "shoulder_lift"
 CONTACT: Final = "figure_eight"
@@ -122,22 +126,26 @@ def draw_contact(robot: Robot, motion: Motion, found: Audit, figure: Any) -> Non
     figure.legend(loc="outside lower center", ncols=4, fontsize=9)
 
 
-def convert(folder: Path, joints: tuple[str, ...], motions: list[str]) -> pa.Table:
-    """Read the motions in the order of their names.
+def convert(folder: Path, joints: tuple[str, ...]) -> pa.Table:
+    """Read all motions in the order of their names.
 
     Args:
         folder: Folder with a folder for each motion.
         joints: Names of the joints, in the order of the logs.
-        motions: Names of the motions.
 
     Raises:
-        RobotError: A file is missing, or the rows of a motion do not agree.
+        RobotError: There is no motion, a file is missing, or the rows of a motion do not agree.
     """
     tables = []
-    for name in sorted(motions):
+    names = sorted({one.parent.name for file in FILES for one in folder.glob(f"*/{file}")})
+    if not names:
+        raise RobotError(
+            f"{folder}: has no folder of a motion, with {' and '.join(FILES)}; name the folder above"
+        )
+    for name in names:
         (time_s, command), (_, position, velocity) = (
-            _read(folder / name / "control.csv", len(joints), ["positions"]),
-            _read(folder / name / "state_motor.csv", len(joints), ["positions", "velocities"]),
+            _read(folder / name / FILES[0], len(joints), ["positions"]),
+            _read(folder / name / FILES[1], len(joints), ["positions", "velocities"]),
         )
         if len(command) != len(position):
             raise RobotError(f"{folder / name}: has {len(command)} commands and {len(position)} states")
@@ -174,8 +182,7 @@ def campaign(context: Context, logs: Path, convert_only: bool = False) -> Docume
     robot, out = Robot.from_toml(ROBOT), context.out or Path()
     if logs.is_dir():
         joints = tuple(one.name for one in robot.joints)
-        parts = read_split(ROBOT.parent / "split.toml").parts.values()
-        table = convert(logs, joints, [one for part in parts for one in part])
+        table = convert(logs, joints)
         logs = out / "so101.parquet"
         pq.write_table(table, logs)
     if convert_only:

@@ -317,6 +317,7 @@ def test_a_motion_in_no_part_of_a_split_takes_no_part(tmp_path):
     logs(tmp_path)
     found = load(tmp_path / "robot.toml", [tmp_path / "log.parquet", tmp_path / "third.parquet"])
     assert names(found.motions) == ["slow", "fast"]
+    assert found.losses == ("1 motion is left out, because no part of the split 'first' has it: third",)
 
 
 def test_without_a_split_all_motions_are_fitted(tmp_path):

@@ -109,6 +109,18 @@ def test_no_finding_and_no_remainder_is_none():
     )
 
 
+def test_base_parameters_alone_tell_the_error_of_each_joint_and_no_verdict():
+    base = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=(), is_base_only=True)
+    where, what, _, following = verdict_lines(base)
+    assert where == "Where: no effect was looked for."
+    assert what == "What: fitted base parameters differ: gain of lift 17.8 to 12.2."
+    assert following == "Next: look for effects: diagnose with the whole catalogue."
+    assert verdict_word(base) == "unknown"
+    said = detail_lines(base)
+    assert "Mean error of lift: 25.5 mrad as it is, 12 mrad with base parameters." in said
+    assert any("1.1 mrad that base parameters do not explain" in one for one in said)
+
+
 def test_a_remainder_without_a_finding_is_unknown_at_its_joint():
     only = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=())
     where, what, _, following = verdict_lines(only)

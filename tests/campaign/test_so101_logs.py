@@ -36,12 +36,14 @@ def write_motion(folder: Path, first: float, states: int = ROWS) -> None:
         (folder / f"{name}.csv").write_text("\n".join((head, *rows)) + "\n")
 
 
-def test_converted_motions_are_those_of_the_csv_files(tmp_path):
-    for k, name in enumerate(MOTIONS):
+def test_all_motions_are_converted_and_those_of_the_split_are_loaded(tmp_path):
+    for k, name in enumerate((*MOTIONS, "newer_motion")):
         write_motion(tmp_path / name, 0.1 * k)
-    pq.write_table(convert(tmp_path, JOINTS, MOTIONS), tmp_path / "so101.parquet")
-    motions = load(robot_path("so101"), [tmp_path / "so101.parquet"]).motions
+    pq.write_table(convert(tmp_path, JOINTS), tmp_path / "so101.parquet")
+    logs = load(robot_path("so101"), [tmp_path / "so101.parquet"])
+    motions = logs.motions
     assert sorted(one.name for one in motions) == sorted(MOTIONS)
+    assert logs.losses == ("1 motion is left out, because no part of the split 'fit_a' has it: newer_motion",)
     chirp = next(one for one in motions if one.name == "chirp_sweep")
     elbow, first = chirp.joints["elbow_flex"], 0.1 * MOTIONS.index("chirp_sweep")
     np.testing.assert_allclose(elbow.position.time_s, [0.0, 0.02, 0.04, 0.06])
@@ -51,8 +53,11 @@ def test_converted_motions_are_those_of_the_csv_files(tmp_path):
 
 
 def test_a_folder_that_is_not_that_of_the_motions_is_refused_by_name(tmp_path):
-    with pytest.raises(RobotError, match=r"step_response/control.csv: is no log of the SO-101"):
-        convert(tmp_path, JOINTS, ["step_response"])
+    with pytest.raises(RobotError, match="has no folder of a motion"):
+        convert(tmp_path, JOINTS)
     write_motion(tmp_path / "step_response", 0.0, states=ROWS - 1)
     with pytest.raises(RobotError, match="has 4 commands and 3 states"):
-        convert(tmp_path, JOINTS, ["step_response"])
+        convert(tmp_path, JOINTS)
+    (tmp_path / "step_response" / "control.csv").unlink()
+    with pytest.raises(RobotError, match=r"step_response/control.csv: is no log of the SO-101"):
+        convert(tmp_path, JOINTS)

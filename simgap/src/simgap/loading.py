@@ -50,8 +50,11 @@ def load(
         raise RobotError("logs: none is given; name at least one log file")
     splits = read_split(robot.folder / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(splits, members, split, held_out)
-    losses = tuple(f"{path}: {one}" for path, (_, lost) in zip(files, loaded, strict=True) for one in lost)
-    return Logs(tuple(one for one in motions if one.name in fitted | judged), judged, losses)
+    losses = [f"{path}: {one}" for path, (_, lost) in zip(files, loaded, strict=True) for one in lost]
+    idle = [one.name for one in motions if one.name not in fitted | judged]
+    if splits is not None and idle:
+        losses.append(_idle_sentence(split or splits.default, idle))
+    return Logs(tuple(one for one in motions if one.name in fitted | judged), judged, tuple(losses))
 
 
 def _name_motions(
@@ -91,6 +94,13 @@ def _label_files(paths: Sequence[Path]) -> list[str]:
         for n in range(1, max((len(path.parts) for path in paths), default=0) + 1)
     )
     return next((one for one in ends if len(set(one)) == len(one)), [])
+
+
+def _idle_sentence(split: str, names: Sequence[str]) -> str:
+    """Return a sentence about motions that a split does not name."""
+    shown = ", ".join([*names[:3], *([f"and {len(names) - 3} more"] if len(names) > 3 else [])])
+    counted, them = ("1 motion is", "it") if len(names) == 1 else (f"{len(names)} motions are", "them")
+    return f"{counted} left out, because no part of the split {split!r} has {them}: {shown}"
 
 
 def take_currents_as_torques(robot: Robot, motion: Motion) -> Motion:

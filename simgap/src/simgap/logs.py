@@ -67,7 +67,7 @@ class Logs:
     held_out: frozenset[str] = frozenset()
     """Names of motions that take no part in a fit."""
     losses: tuple[str, ...] = ()
-    """Sentences about what the files lack: a cut end, a signal that never is a number."""
+    """Sentences about what the files lack: a cut end, a signal that never is a number, motions in no part."""
 
     @property
     def fit(self) -> tuple[Motion, ...]:

@@ -132,6 +132,8 @@ class Diagnosis:
     """What reading and audit of the logs remarked, a sentence each."""
     effect_kinds: tuple[str, ...] = ()
     """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
+    is_base_only: bool = False
+    """True if no effect was looked for."""
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -67,10 +68,12 @@ start()
 """
 
 
-def run(folder: Path, cache: Path, *start: str) -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, cache: Path, *start: str, words: Sequence[str] = WORDS
+) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis to its end, or as a program says."""
     env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
+    command = [sys.executable, *(start or ("-m", "simgap")), *words]
     return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
 
 
@@ -78,6 +81,16 @@ def end_at_step(number: signal.Signals, folder: Path, cache: Path) -> tuple[int,
     """Run a diagnosis that sends itself a signal once it has kept a step; return its status and errors."""
     ended = run(folder, cache, "-c", ENDING, str(int(number)))
     return ended.returncode, ended.stderr
+
+
+def test_base_parameters_alone_are_fitted_without_the_catalogue(folder: Path, tmp_path: Path) -> None:
+    done = run(folder, tmp_path, words=(*WORDS, "--terms", "none"))
+    found = json.loads(done.stdout)
+    assert (found["findings"], found["verdict"], steps(tmp_path)) == ([], "unknown", [])
+    (error,) = found["errors"]
+    assert error["base"] < 0.01 * error["nominal"]
+    (gain,) = [one["value"] for one in found["base"] if one["name"] == "gain_ratio"]
+    assert gain == pytest.approx(0.2, abs=0.01)
 
 
 @pytest.mark.slow

@@ -222,11 +222,13 @@ def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -
     if isinstance(file, SerialFile):
         return _diagnose_tracker(request, file, terms, progress)
     given = {
-        "terms": request.terms != "all",
+        f"terms {request.terms}": request.terms not in ("all", "none"),
         "fit-share": request.fit_share != FIT_SHARE,
         "nested": request.nested,
     }
     _refuse_any(given, "is for poses of a tracker; this robot file has a model and logs")
+    if request.terms == "none" and request.effects:
+        raise BadRequest("effects: none is looked for with terms none; leave one of the two away")
     return _diagnose_logs(request, progress)
 
 
@@ -251,6 +253,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
             logs.fit,
             held_out=logs.judged,
             effects=effects,
+            base_only=request.terms == "none",
             audit=found,
             seed=request.seed,
             progress=lambda share, text: progress(share, 1.0, text),

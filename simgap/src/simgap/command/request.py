@@ -55,8 +55,8 @@ class DiagnoseRequest:
     terms: Annotated[
         str,
         Option(
-            "Of poses: the terms to fit, of geometry, compliance, periodic and hysteresis, joined by commas; "
-            "none fits only base and target.",
+            "Of poses: the terms to fit, of geometry, compliance, periodic and hysteresis, joined by commas. "
+            "none: only base and target of poses; only the base parameters of logs, without effects.",
             "TERMS|all|none",
         ),
     ] = "all"

@@ -303,7 +303,8 @@ def page_title(diagnosis: Diagnosis) -> str:
         "none": "No effect is seen",
         "unknown": "The error is not in the catalogue",
     }
-    return f"{diagnosis.robot}: {titles[verdict_word(diagnosis)]}"
+    title = "Base parameters alone" if diagnosis.is_base_only else titles[verdict_word(diagnosis)]
+    return f"{diagnosis.robot}: {title}"
 
 
 def save_diagnosis_page(

@@ -65,7 +65,9 @@ def detail_lines(diagnosis: Diagnosis) -> list[str]:
 def finding_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, is not named, and cannot be known."""
     found = [finding_sentence(finding) for finding in diagnosis.findings]
-    rest = [remainder_sentence(one) for one in diagnosis.remaining]
+    found += map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
+    unexplained = "base parameters do not explain" if diagnosis.is_base_only else "no effect explains"
+    rest = [remainder_sentence(one, unexplained) for one in diagnosis.remaining]
     rejected = [
         f"{one.effect[0].upper()}{one.effect[1:]} at {one.place} is not named: {one.reason}."
         for one in diagnosis.rejected
@@ -86,7 +88,7 @@ def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
 def verdict_word(diagnosis: Diagnosis) -> str:
     """Return "named", "set", "none" or "unknown": one word for programs."""
     if not diagnosis.findings:
-        return "unknown" if diagnosis.remaining else "none"
+        return "unknown" if diagnosis.remaining or diagnosis.is_base_only else "none"
     if not all(finding.effects and finding.places for finding in diagnosis.findings):
         return "unknown"
     return "named" if all(len(finding.effects) == 1 for finding in diagnosis.findings) else "set"
@@ -130,7 +132,13 @@ def finding_sentence(finding: Finding) -> str:
     return first + own + (lost if isfinite(finding.share) else "")
 
 
-def remainder_sentence(one: Remainder) -> str:
+def error_sentence(one: JointError) -> str:
+    """Return the mean error of a joint, with the model as it is and with its base parameters fitted."""
+    nominal, base = (quantity(value, one.unit) for value in (one.nominal, one.base))
+    return f"Mean error of {one.joint}: {nominal} as it is, {base} with base parameters."
+
+
+def remainder_sentence(one: Remainder, unexplained: str = "no effect explains") -> str:
     """Return what remains at a joint, and on which variable it depends."""
     depends = (
         f"it depends on {one.depends_on}, which explains {percent(one.depends_share)} of it"
@@ -138,7 +146,7 @@ def remainder_sentence(one: Remainder) -> str:
         else "it depends on no logged variable"
     )
     amount = quantity(one.mean_abs, one.unit)
-    return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that no effect explains; {depends}."
+    return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that {unexplained}; {depends}."
 
 
 def unknown_sentences(base: Sequence[Base]) -> list[str]:
@@ -199,6 +207,8 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 
 
 def _where(diagnosis: Diagnosis) -> str:
+    if diagnosis.is_base_only:
+        return "no effect was looked for."
     located = [finding for finding in diagnosis.findings if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
@@ -215,6 +225,8 @@ def _where(diagnosis: Diagnosis) -> str:
 
 
 def _what(diagnosis: Diagnosis) -> str:
+    if diagnosis.is_base_only:
+        return f"{_base_words(diagnosis.base)[2:] or 'fitted base parameters agree'}."
     if not diagnosis.findings:
         explains = " explains it" if diagnosis.remaining else ""
         return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
@@ -298,6 +310,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"record {wanted}."
     if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
+    if diagnosis.is_base_only:
+        return "look for effects: diagnose with the whole catalogue."
     if not has_floor(diagnosis):
         return "repeat some motions without a change, so that the noise floor is known."
     if diagnosis.remaining:

@@ -92,6 +92,8 @@ def select_effects(
         n_kinds: Kinds of residual in which effects are looked for, which share the probability of chance.
     """
     context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
+    if not context.catalogue:
+        return Selection(context, first, first, (), {})
     present = first
     finalists: list[Score] = []
     refitted: dict[str, Score] = {}
