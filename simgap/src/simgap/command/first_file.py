@@ -10,8 +10,8 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-from simgap.setup.draft import KEYS, draft_robot_file
-from simgap.setup.text import list_questions, robot_file_text
+from simgap.setup.compose import KEYS, draft_robot_file
+from simgap.setup.draft import list_questions, robot_file_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,4 +72,6 @@ def print_first_file(made: FirstFile) -> None:
     for number, question in enumerate(made.questions, 1):
         console.print(f"{number}. {question}")
     logs = " ".join(str(one) for one in made.logs)
-    console.print(f"{made.path} is written; answer the questions in it, then: simgap check {made.path} {logs}")
+    console.print(
+        f"{made.path} is written; answer the questions in it, then: simgap check {made.path} {logs}"
+    )

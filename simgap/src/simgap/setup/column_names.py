@@ -1,4 +1,4 @@
-"""What the name of a column says: the joint, the signal, and its unit."""
+"""Names of columns, taken apart: the joint, the signal, and its unit."""
 
 import re
 from collections.abc import Sequence
@@ -8,29 +8,33 @@ from typing import Final
 from simgap.units import UNITS, Quantity
 
 WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
-COMMAND: Final = frozenset(
-    ("command", "cmd", "commanded", "goal", "target", "desired", "des", "ref", "reference", "setpoint")
-    + ("action", "actions", "ctrl", "control", "c", "u")
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+COMMAND: Final = _words(
+    "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
 )
 """Words of a signal that was sent to the robot."""
 SIGNAL_WORDS: Final = {
-    "enabled": frozenset(("enable", "enabled")),
-    "gain": frozenset(("kp", "gain")),
-    "velocity": frozenset(("velocity", "velocities", "vel", "speed", "qvel", "qd", "dq", "v")),
-    "torque": frozenset(("torque", "torques", "tau", "effort", "efforts", "trq", "force")),
-    "current": frozenset(("current", "currents", "cur", "i")),
-    "voltage": frozenset(("voltage",)),
-    "temperature": frozenset(("temperature", "temp")),
-    "position": frozenset(
-        ("position", "positions", "pos", "angle", "angles", "qpos", "q", "p", "state", "act", "actual")
-        + ("present", "measured", "meas", "encoder")
+    "enabled": _words("enable enabled"),
+    "gain": _words("kp gain"),
+    "velocity": _words("velocity velocities vel speed qvel qd dq v"),
+    "torque": _words("torque torques tau effort efforts trq force"),
+    "current": _words("current currents cur i"),
+    "voltage": _words("voltage"),
+    "temperature": _words("temperature temp"),
+    "position": _words(
+        "position positions pos angle angles qpos q p state act actual present measured meas encoder"
     ),
 }
 """Words of each signal; those of a position come last, as they are the least sure."""
-SECONDARY: Final = frozenset(("secondary", "se", "second", "output", "link"))
+SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
-UNCLEAR: Final = frozenset(("raw", "rel", "simple", "load", "error", "err", "kd", "ki", "std", "header"))
+UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
 """Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""
 UNIT_WORDS: Final = {
     "degrees": "deg",
@@ -126,7 +130,11 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
     key = "command" if is_command else signal
     if key == "position" and SECONDARY & set(there):
         key = "secondary"
-    if UNCLEAR & set(own) or signal == "time" or (is_command and signal in ("gain", "enabled", "temperature")):
+    if (
+        UNCLEAR & set(own)
+        or signal == "time"
+        or (is_command and signal in ("gain", "enabled", "temperature"))
+    ):
         key = ""
     return ColumnName(name, joint, " ".join(rest), index, signal, is_command, key, unit)
 

@@ -14,8 +14,8 @@ from simgap.setup.column_names import MOTIONS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 
 USUAL_Hz: Final = 100.0
-"""Logs of robots have 3 to 3000 samples a second. That range is a factor of 1000, as between units of time, so
-that one unit fits."""
+"""Logs of robots have 3 to 3000 samples a second: a factor of 1000, as between units of time, so that one
+unit fits."""
 MAX_MOTIONS: Final = 0.2
 """Largest share of distinct values in a column that names motions: a motion has several samples."""
 
@@ -116,7 +116,7 @@ def _find_motions(
     if left.size:
         row = int(left[0]) + 1
         raise RobotError(
-            f"{log.path}: the time {time!r} begins anew at row {row}, and no column says which motion that is; "
-            "add a column that names the motions, or give each motion a file of its own"
+            f"{log.path}: the time {time!r} begins anew at row {row}, and no column says which motion that "
+            "is; add a column that names the motions, or give each motion a file of its own"
         )
     return tuple(chosen), f"where the time begins anew ({restarts.size} times), it changes"

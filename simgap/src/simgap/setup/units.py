@@ -51,8 +51,8 @@ class UnitGuess:
 
 
 def guess_position_units(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
-    """Guess the unit of positions that have none in their names, one for all hinges and one for all slides."""
-    found = {}
+    """Guess the unit of positions without one in their names, one for all hinges and one for all slides."""
+    found: dict[str, UnitGuess] = {}
     for is_slide in (False, True):
         own = {joint: one for joint, one in values.items() if one.is_slide == is_slide}
         if own:
@@ -63,11 +63,13 @@ def guess_position_units(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
 def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
     every = tuple(values.values())
     if _fits(every, 1.0):
-        return dict.fromkeys(values, UnitGuess("rad", "all positions lie within the range of the model in rad"))
+        return dict.fromkeys(
+            values, UnitGuess("rad", "all positions lie within the range of the model in rad")
+        )
     if all(one.are_whole for one in every) and max(one.high for one in every) > WHOLE:
         asked = (
-            f"is a turn {COUNTS} counts, and is the zero of the model in the middle? zero_rad and factor = -1 say "
-            "another zero and direction"
+            f"is a turn {COUNTS} counts, and is the zero of the model in the middle? zero_rad and "
+            "factor = -1 say another zero and direction"
         )
         guess = UnitGuess(
             "count", "whole numbers", {"counts_per_turn": COUNTS, "zero_rad": round(-math.pi, 6)}, asked
@@ -95,7 +97,9 @@ def _ask_percent(one: Values) -> str:
 def _guess_slides(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
     every = tuple(values.values())
     is_m = _fits(every, 1.0)
-    reason = "all positions lie within the range of the model in m" if is_m else "in m they would lie beyond it"
+    reason = (
+        "all positions lie within the range of the model in m" if is_m else "in m they would lie beyond it"
+    )
     return dict.fromkeys(values, UnitGuess("m" if is_m else "mm", reason))
 
 
@@ -118,7 +122,7 @@ def guess_speed_unit(ratios: Sequence[float], is_slide: bool) -> str:
 
 
 def fits_speed(ratio: float, unit: str) -> bool:
-    """Return whether a logged velocity in a unit is this ratio times the change of the position in SI units."""
+    """Return whether a logged velocity in a unit is this ratio times the true one."""
     return ratio > 0.0 and abs(math.log(ratio * UNITS[unit].factor)) < math.log(CLOSE)
 
 
@@ -132,5 +136,3 @@ def describe_values(value: np.ndarray[Any, Any], range_rad: tuple[float, float],
     known = value[np.isfinite(value)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     return Values(low, high, bool(np.all(known == np.round(known))), range_rad, is_slide)
-
-
