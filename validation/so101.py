@@ -25,10 +25,6 @@ from simgap.checks.audit import audit
 from simgap.checks.limits import site_heights
 from simgap.checks.records import Audit, RemarkKind
 from simgap.common.errors import RobotError
-<<<<<<< HEAD
-from simgap.files.splits import read_split
-=======
->>>>>>> 1d08ea36
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
