@@ -11,6 +11,9 @@ import pytest
 
 from helpers.command import run_simgap, snapshot
 from helpers.message_logs import rows, write_mcap
+from helpers.real_robots import repository_file
+from simgap.command.check import check_robot
+from simgap.command.request import CheckRequest
 from simgap.robot import Robot
 from simgap.setup.column_names import parse_name
 
@@ -204,7 +207,10 @@ def test_a_velocity_that_fits_no_unit_is_left_away_and_asked(tmp_path):
     file, document = start(tmp_path)
     assert "velocity" in file["joints"]["shoulder"]
     assert "velocity" not in file["joints"]["elbow"]
-    assert any("velocity_elbow is " in one and "times the change of the position" in one for one in document["questions"])
+    assert any(
+        "velocity_elbow is " in one and "times the change of the position" in one
+        for one in document["questions"]
+    )
 
 
 def test_motions_begin_where_the_time_begins_anew(tmp_path):
@@ -245,6 +251,7 @@ def test_bad_input_writes_nothing(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.real_data
 @pytest.mark.parametrize(
     ("model", "log", "n_questions"),
     [
@@ -258,4 +265,4 @@ def test_first_files_of_measured_robots_pass_the_check(real_data, tmp_path, mode
     done = run_simgap(tmp_path, "init", str(path), str(real_data / log), "--json")
     assert len(json.loads(done.stdout)["questions"]) <= n_questions
     report = check_robot(CheckRequest(tmp_path / "robot.toml", (real_data / log,)))
-    assert not [one for one in report.audit.remarks if one.kind in REFUSED]
+    assert not report.refusal
