@@ -49,6 +49,21 @@ def by_mujoco(text, command, scale=1.0):
     return np.array(shown)
 
 
+def test_a_motor_of_a_default_class_is_read_and_patched(tmp_path):
+    xml = pendulum(damping=0.01).model_xml
+    motor = '<default><default class="servo"><dcmotor motorconst="0.05" resistance="2"/></default></default>'
+    drive = '<actuator><dcmotor class="servo" name="motor" joint="swing" gear="20"/></actuator></mujoco>'
+    text = xml.replace("<worldbody>", f"{motor}<worldbody>").replace("</mujoco>", drive)
+    (tmp_path / "model.xml").write_text(text)
+    (tmp_path / "robot.toml").write_text(FILE.format(mode="voltage", unit="V", more=""))
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    assert (robot.joints[0].kp_Nm_rad, robot.joints[0].kd_Nms_rad) == pytest.approx((0.5, 0.5))
+    command = waves(STEP_S * np.arange(4000), 3)
+    patched, native = (by_mujoco(one, command) for one in (make_patch(robot, [], []).model_xml, text))
+    assert np.ptp(native) > 0.2
+    assert patched == pytest.approx(native, abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("attributes", "mode", "scale", "expected"),
     [

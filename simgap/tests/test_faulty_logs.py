@@ -9,8 +9,8 @@ from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record,
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind, Samples
 from simgap.checks.signals import spike_flags
-from simgap.files.robot_file import RobotFile, SignalColumn
-from simgap.loading import _unwrap_counters
+from simgap.files.counters import unwrap_counters
+from simgap.files.robot_file import JointTable
 from simgap.logs import Logs, Signal
 
 
@@ -76,29 +76,71 @@ def test_angles_that_wrap_are_refused(clean, zero_rad):
     assert bool(remarks(wrapped, RemarkKind.WRAP)) is jumps is (zero_rad != 0.0)
 
 
+TURN_RAD = 2 * np.pi
+TURNS = 0.4 * np.sin(np.linspace(0.0, 9.0, 100)) + 0.1
+"""Turns of a joint that crosses the zero of its counter."""
+HALF = (-TURN_RAD / 2, TURN_RAD / 2)
+NO_LIMITS = (-np.inf, np.inf)
+
+
+def unwrap(signals, range_rad=NO_LIMITS, gear=1.0, side="joint", **command):
+    """Unwrap the signals of a joint, each a list of turns by motion; return turns, and the counts."""
+    counter = {"column": "q", "unit": "count", "counts_per_turn": 4096, "side": side}
+    columns = {"position": counter, "command": counter | {"column": "c"} | command}
+    if command:
+        columns["command"].pop("counts_per_turn")
+    table = JointTable.model_validate({"mode": "position", "gear_ratio": gear, **columns})
+    given = {
+        key: [Signal(np.arange(one.size), TURN_RAD / gear * one) for one in motions]
+        for key, motions in signals.items()
+    }
+    found, count = unwrap_counters(table, given, range_rad)
+    return {key: [one.value * gear / TURN_RAD for one in motions] for key, motions in found.items()}, count
+
+
 @pytest.mark.parametrize(("side", "gear"), [("joint", 1.0), ("motor", 10.0)])
 def test_a_counter_of_one_turn_is_unwrapped_and_one_of_many_is_as_it_was(side, gear):
-    column = {"column": "q", "unit": "count", "counts_per_turn": 4096, "side": side}
-    joint = {"mode": "position", "position": column, "gear_ratio": gear}
-    file = RobotFile.model_validate(
-        {
-            "name": "one joint",
-            "model": "model.xml",
-            "time_step_s": 0.002,
-            "control_rate_Hz": 50.0,
-            "time": {"column": "t"},
-            "joints": {"elbow": joint},
-        }
-    )
-    assert isinstance(file.joints["elbow"].position, SignalColumn)
-    turns = 0.4 * np.sin(np.linspace(0.0, 9.0, 100)) + 0.1
-    time_s, many = np.arange(100.0), np.arange(100.0)
-    for shown, wraps in ((turns % 1.0, True), (many, False)):
-        given = Signal(time_s, shown * 2 * np.pi / gear)
-        found, count = _unwrap_counters(file, {("elbow", "position"): given})
-        assert bool(count) is wraps
-        expected = turns if wraps else many
-        np.testing.assert_allclose(found["elbow", "position"].value * gear, 2 * np.pi * expected, atol=1e-12)
+    for shown, expected, count in (
+        (TURNS % 1.0, TURNS, [2]),
+        (np.arange(100.0), np.arange(100.0), [None]),
+    ):
+        found, wraps = unwrap({"position": [shown]}, gear=gear, side=side)
+        assert wraps == count
+        np.testing.assert_allclose(found["position"][0], expected, atol=1e-12)
+
+
+def test_each_motion_of_a_counter_lies_in_the_range_of_the_model():
+    shown = [TURNS % 1.0, 0.9 + 0.05 * TURNS, 0.2 + 0.05 * TURNS]
+    found, wraps = unwrap({"position": shown}, HALF)
+    for one, expected in zip(found["position"], (TURNS, shown[1] - 1.0, shown[2]), strict=True):
+        np.testing.assert_allclose(one, expected, atol=1e-12)
+    assert wraps == [2, 0, None]
+
+
+@pytest.mark.parametrize("range_rad", [HALF, NO_LIMITS])
+def test_a_command_that_does_not_cross_zero_gets_the_turn_of_its_position(range_rad):
+    sent = 1.0 + 0.2 * TURNS - 0.1
+    found, _ = unwrap({"position": [TURNS % 1.0], "command": [sent]}, range_rad)
+    np.testing.assert_allclose(found["command"][0], sent - 1.0, atol=1e-12)
+    np.testing.assert_allclose(found["position"][0], TURNS, atol=1e-12)
+
+
+def test_a_counter_without_limits_has_the_turn_of_a_command_that_knows_it():
+    found, _ = unwrap({"position": [TURNS % 1.0], "command": [TURNS + 2.0]}, unit="rad")
+    np.testing.assert_allclose(found["position"][0], TURNS + 2.0, atol=1e-12)
+    np.testing.assert_allclose(found["command"][0], TURNS + 2.0, atol=1e-12)
+
+
+def test_motions_of_a_counter_without_limits_agree():
+    found, _ = unwrap({"position": [(0.05 + TURNS) % 1.0, (TURNS - 0.02) % 1.0]})
+    assert np.abs(found["position"][0] - found["position"][1]).max() < 0.1
+
+
+def test_a_counter_of_a_motor_that_never_began_anew_is_as_it_was():
+    shown = [0.1 + 0.1 * TURNS, 0.8 + 0.1 * TURNS]
+    found, wraps = unwrap({"position": shown}, HALF, gear=10.0, side="motor")
+    np.testing.assert_allclose(found["position"], shown)
+    assert wraps == [None, None]
 
 
 def test_positions_a_turn_beyond_the_model_are_refused_with_their_zero(clean):
@@ -129,6 +171,46 @@ def test_joints_with_like_commands_are_not_exchanged():
     same = [one | {"elbow": one["shoulder"]} for one in sent]
     logs = Logs(tuple(record(planar_arm(), k, one) for k, one in enumerate(same)))
     assert not remarks(logs, RemarkKind.ORDER)
+
+
+def test_a_position_that_never_changes_while_its_command_rests_cannot_be_identified(clean):
+    def rest(log):
+        still = Signal(log.position.time_s, np.full(log.position.time_s.size, 0.3))
+        return replace(log, position=still, command=still)
+
+    logs = with_joint(clean, "elbow", rest)
+    (found,) = remarks(logs, RemarkKind.STILL)
+    assert "never moves: its position stays at 0.3 rad. Nothing about" in found.text
+    assert not remarks(logs, RemarkKind.CONSTANT)
+
+
+def test_a_position_that_never_changes_while_its_command_moves_is_refused(clean):
+    logs = with_joint(clean, "elbow", change_position(lambda value: 0.0 * value))
+    (found,) = remarks(logs, RemarkKind.CONSTANT)
+    assert "the position stays at 0 rad, while the command spans" in found.text
+    assert not remarks(logs, RemarkKind.STILL)
+
+
+def test_a_position_that_is_ahead_of_its_command_is_told(clean):
+    def exchange(log):
+        return replace(log, position=log.command, command=log.position)
+
+    (found,) = remarks(with_joint(clean, "shoulder", exchange), RemarkKind.AHEAD)
+    assert found.joint == "shoulder"
+    assert 0.02 <= found.value <= 0.2
+    assert not remarks(clean, RemarkKind.AHEAD)
+
+
+@pytest.mark.parametrize("frequency_Hz", [1.0, 3.5, 5.0])
+def test_a_fast_wave_that_lags_is_not_ahead(clean, frequency_Hz):
+    def swing(log):
+        wave = 0.3 * np.sin(2 * np.pi * frequency_Hz * (log.position.time_s - 0.15))
+        sent = 0.3 * np.sin(2 * np.pi * frequency_Hz * log.command.time_s)
+        return replace(
+            log, position=Signal(log.position.time_s, wave), command=Signal(log.command.time_s, sent)
+        )
+
+    assert not remarks(with_joint(clean, "shoulder", swing), RemarkKind.AHEAD)
 
 
 @pytest.mark.parametrize("step_rad", [0.0, COUNT_RAD])
@@ -179,6 +261,23 @@ def test_a_clock_that_steps_forward_is_told_with_the_step(clean):
 
     (found,) = remarks(with_joint(clean, "elbow", step), RemarkKind.MISSING)
     assert "0.52 s at once" in found.text
+
+
+def pause(log):
+    """Take out the rows from 3 s to 4 s."""
+    keep = (log.position.time_s < 3.0) | (log.position.time_s > 4.0)
+    signals = {name: getattr(log, name) for name in ("position", "command")}
+    return replace(log, **{name: Signal(one.time_s[keep], one.value[keep]) for name, one in signals.items()})
+
+
+def test_a_pause_of_all_signals_is_told_with_windows_and_has_no_missing_rows(clean):
+    one = replace(clean, motions=clean.motions[:1])
+    logs = with_joint(with_joint(one, "elbow", pause), "shoulder", pause)
+    found = audit(planar_arm(), logs)
+    (remark,) = found.remarks
+    assert (remark.kind, remark.joint) == (RemarkKind.PAUSE, "")
+    assert "no signal is logged for 1.04 s, once: end the motion there" in remark.text
+    assert {rate.n_missing for rate in found.rates} == {0}
 
 
 def test_what_the_logs_cannot_show_is_told(clean):

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, write_robot
+from simgap.checks.records import RemarkKind
+from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
 from simgap.loading import load
 from simgap.robot import Robot
@@ -107,6 +109,20 @@ def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
     )
 
 
+def test_a_counter_that_wraps_lies_where_the_model_has_the_joint_and_is_told(tmp_path):
+    counter = 'column = "q1", unit = "count", counts_per_turn = 4096'
+    position = 'column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5'
+    robot = Robot.from_toml(write_robot(tmp_path, (position, counter)))
+    logs = load(robot, write_parquet(tmp_path, q1=[4000, 4090, 84, 4000, 4010, 4020, 4030]))
+    slow, fast = (one.joints["shoulder"].position.value for one in logs.motions)
+    np.testing.assert_allclose(slow, 2 * np.pi / 4096 * np.array([-96, -6, 84]), atol=1e-12)
+    np.testing.assert_allclose(fast, 2 * np.pi / 4096 * np.array([-96, -86, -76, -66]), atol=1e-12)
+    assert [one.unwrapped for one in logs.motions] == [{"shoulder": 1}, {"shoulder": 0}]
+    (remark,) = find_wraps(robot, logs.motions)
+    assert (remark.kind, remark.motions) == (RemarkKind.COUNTER, ("slow", "fast"))
+    assert remark.text == "the counter wraps once; it is unwrapped"
+
+
 def test_a_share_of_a_range_is_an_angle(tmp_path):
     share = 'unit = "fraction", at_0_rad = -0.2, at_1_rad = 1.8'
     robot = Robot.from_toml(write_robot(tmp_path, ('column = "c1", unit = "deg"', f'column = "c1", {share}')))
@@ -196,11 +212,29 @@ def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_pat
     assert said in str(error.value)
 
 
-def test_a_motion_in_two_files_is_refused(tmp_path, robot):
-    with pytest.raises(
-        RobotError, match=r"two\.parquet: motion 'slow' is in one too; give each motion its own"
-    ):
-        load(robot, [write_parquet(tmp_path, "one"), write_parquet(tmp_path, "two")])
+def test_motions_of_one_name_in_two_files_have_the_name_of_the_file(tmp_path, robot):
+    paths = [
+        write_parquet(tmp_path, "monday"),
+        write_parquet(tmp_path, "friday", motion=["slow"] * 3 + ["q"] * 4),
+    ]
+    found = load(robot, paths, held_out=["friday"])
+    assert names(found.motions) == ["monday:slow", "fast", "friday:slow", "q"]
+    assert names(found.judged) == ["friday:slow", "q"]
+    assert names(load(robot, paths, held_out=["monday:slow"]).judged) == ["monday:slow"]
+    assert names(load(robot, paths, held_out=["slow"]).judged) == ["monday:slow", "friday:slow"]
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    robot = write_robot(tmp_path, ('columns = ["motion"]\ncondition_column', "condition_column"))
+    paths = []
+    for folder in ("run1", "run2"):
+        (tmp_path / folder).mkdir()
+        rows = {name: one[:3] for name, one in COLUMNS.items()}
+        paths.append(write_parquet(tmp_path / folder, **rows))
+    found = load(robot, paths, held_out=["run2/log"])
+    assert (names(found.fit), names(found.judged)) == (["run1/log"], ["run2/log"])
+    with pytest.raises(RobotError, match=r"run1/log\.parquet: is given twice; give each log once"):
+        load(robot, [paths[0], paths[0]])
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv", "log.npz", "log.mcap"])

@@ -1,6 +1,8 @@
 """Logs of messages: joints by name, bags, cut and damaged files, clocks and numbers that are none."""
 
 import json
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -8,8 +10,11 @@ from mcap.writer import CompressionType
 
 from helpers.message_logs import BY_PLACE, BY_TOPIC, START_NS, joint_state, rows, write_bag, write_mcap
 from helpers.robot_folder import MODEL
+from simgap.checks.audit import audit
+from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
 from simgap.loading import load
+from simgap.robot import Robot
 
 
 @pytest.fixture(params=[BY_TOPIC, BY_PLACE], ids=["topic", "place"])
@@ -88,9 +93,10 @@ def test_a_signal_that_never_is_a_number_is_absent_and_told(tmp_path):
     never = write_mcap(tmp_path / "log.mcap", rows(velocity=[np.nan, np.nan]))
     logs = load(tmp_path / "robot.toml", never)
     check(logs)
-    assert any(
-        "'/joint_states.velocity[shoulder]' never is a number; shoulder has no" in one for one in logs.losses
-    )
+    (velocity, torque) = logs.losses
+    columns = "/joint_states.velocity[shoulder], /joint_states.velocity[elbow]"
+    assert f"there is no velocity of shoulder, elbow: {columns} never has a number" in velocity
+    assert "there is no torque of shoulder, elbow" in torque
 
 
 def test_a_number_that_is_none_among_others_is_refused_with_message_and_time(robot, tmp_path):
@@ -98,6 +104,45 @@ def test_a_number_that_is_none_among_others_is_refused_with_message_and_time(rob
     messages[4][2]["position"][0] = np.nan
     with pytest.raises(RobotError, match=r"is no finite number at 0.02 s, message 3 of its topic"):
         load(robot, write_mcap(tmp_path / "log.mcap", messages))
+
+
+def test_numbers_that_are_none_before_the_first_are_left_out_and_told(robot, tmp_path):
+    messages = rows()
+    for _, _, content in messages[:3:2]:
+        content["position"] = [np.nan, np.nan]
+    logs = load(robot, write_mcap(tmp_path / "log.mcap", messages))
+    shoulder = logs.motions[0].joints["shoulder"].position
+    np.testing.assert_allclose(shoulder.value, [2.0, 3.0, 4.0])
+    np.testing.assert_allclose(shoulder.time_s, [0.02, 0.03, 0.04])
+    assert any("is no number before its value 3; 2 are left out" in one for one in logs.losses)
+
+
+def test_a_pause_is_told_with_the_windows_that_cut_it(robot, tmp_path):
+    messages = rows(20)
+    late = [(topic, time_ns + 10**9, content) for topic, time_ns, content in messages[20:]]
+    path = write_mcap(tmp_path / "log.mcap", messages[:20] + late)
+    read = Robot.from_toml(robot)
+    (remark,) = [one for one in audit(read, load(read, path)).remarks if one.kind is RemarkKind.PAUSE]
+    windows = "windows_s = { part1 = [0, 0.09], part2 = [1.1, 1.19] }"
+    assert windows in remark.text
+    robot.write_text(
+        robot.read_text().replace("\n[joints.shoulder]", f"\n[motion]\n{windows}\n\n[joints.shoulder]")
+    )
+    assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [10, 10]
+
+
+def test_a_database_that_is_no_bag_says_what_it_lacks(robot, tmp_path):
+    with closing(sqlite3.connect(tmp_path / "log.db3")) as database:
+        database.execute("CREATE TABLE messages(id INTEGER)")
+    with pytest.raises(RobotError, match=r"it has no table 'topics', .* `ros2 bag reindex FOLDER`"):
+        load(robot, tmp_path / "log.db3")
+
+
+def test_a_folder_of_a_bag_without_its_list_says_what_writes_it(robot, tmp_path):
+    write_bag(tmp_path / "log", rows())
+    (tmp_path / "log" / "metadata.yaml").unlink()
+    with pytest.raises(RobotError, match=r"has no metadata.yaml; `ros2 bag reindex .*log` writes it"):
+        load(robot, tmp_path / "log")
 
 
 def test_a_file_that_was_cut_is_used_and_the_loss_told(robot, tmp_path):

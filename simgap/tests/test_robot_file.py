@@ -20,7 +20,7 @@ from simgap.files.robot_file import (
     TimeTable,
     read_robot_file,
 )
-from simgap.loading import SplitFile, SplitTable
+from simgap.files.splits import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
 
 GAIN = 'gain_column = "gain"\nkp_Nm_rad = 15.0\n'

@@ -8,13 +8,16 @@ from helpers.slide_arm import command_of, model_text, write_folder, write_logs
 from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
+from simgap.checks.nominal import NominalModel
 from simgap.common.errors import RobotError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import joint_scales
 from simgap.effects.transmission import Backlash, JointCompliance
 from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
+from simgap.mjcf import place_tied
 from simgap.patch.patch import make_patch
+from simgap.patch.runtime import RuntimeEffects
 from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
@@ -165,6 +168,23 @@ def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
     assert audit(robot, load(robot, write_logs(tmp_path, delay_s=0.0, friction_N=0.0, count=4))).remarks == ()
 
 
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("mm", "times its command: is the position in mm, "), ("cm", "is the position in cm")],
+)
+def test_a_slide_in_another_unit_is_told(tmp_path, unit, said):
+    """The position is declared in m."""
+    write_folder(tmp_path)
+    text = (tmp_path / "robot.toml").read_text().replace('"p_lift", unit = "mm"', '"p_lift", unit = "m"')
+    if unit == "cm":
+        text = text.replace('"p_lift", unit = "m"', '"p_lift", unit = "m", factor = 0.01')
+    (tmp_path / "robot.toml").write_text(text)
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    (remark,) = audit(robot, load(robot, write_logs(tmp_path, count=4))).remarks
+    assert said in remark.text
+    assert "degrees" not in remark.text
+
+
 LEFT_OUT = ('model = "model.xml"', 'model = "model.xml"\nleft_out = ["left", "right"]')
 
 
@@ -180,6 +200,55 @@ def test_a_gripper_that_is_left_out_stands_still_and_stays_in_the_patch(tmp_path
     for one in (*held.equalities, *(held.joint(name) for name in ("left", "right")), held.actuators[2]):
         held.delete(one)
     assert np.allclose(by_engine(robot), by_mujoco(held.to_xml()), atol=5e-4)
+
+
+GRIP = """
+[joints.left]
+mode = "position"
+command = { column = "c_left", unit = "percent", at_0_rad = 0.0, at_1_rad = 0.04 }
+position = { column = "p_left", unit = "percent", at_0_rad = 0.0, at_1_rad = 0.04 }
+"""
+
+
+def test_a_gripper_with_its_own_log_starts_where_its_tie_puts_both_fingers(tmp_path):
+    path = write_folder(tmp_path, has_gripper=True)
+    path.write_text(path.read_text() + GRIP)
+    columns = ("motion", "repeat", "t", "c_lift", "c_swing", "p_lift", "p_swing", "c_left", "p_left")
+    rows = [f"m,,{0.01 * k:.2f},0,0,-5,0,50,50" for k in range(200)]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(columns), *rows]))
+    robot = Robot.from_toml(path)
+    (motion,) = load(robot, tmp_path / "log.csv").motions
+    assert motion.joints["left"].position.value == pytest.approx(0.02)
+    assert NominalModel(robot).simulate(motion).position["left"] == pytest.approx(0.02, abs=1e-5)
+    windows = cut_windows(robot, motion, None, 0.0)
+    (shown,) = Engine(Models(robot), [], windows, 1).positions(np.zeros((1, 0)))
+    assert shown.reshape(3, -1)[2] == pytest.approx(0.02, abs=1e-5)
+
+
+def test_a_joint_that_depends_on_another_is_placed_by_the_law_of_the_tie():
+    text = model_text(has_gripper=True).replace(
+        'joint1="left" joint2="right"', 'joint1="left" joint2="right" polycoef="0.001 2 0 0 0"'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    left, right = (int(model.joint(name).dofadr[0]) for name in ("left", "right"))
+    for known, other, q, v in ((right, left, 0.021, 0.6), (left, right, 0.0045, 0.15)):
+        qpos, qvel = np.zeros((2, model.nq)), np.zeros((2, model.nv))
+        qpos[:, known], qvel[:, known] = 0.01, 0.3
+        place_tied(model, [known], qpos, qvel)
+        assert (qpos[1, other], qvel[1, other]) == pytest.approx((q, v))
+
+
+def test_the_wrapper_moves_a_slide_as_the_engine_does(robot, tmp_path):
+    delay = CommandDelay.at(robot, "lift", joint_scales(robot, [motion_of(COMMAND)]))
+    patch = make_patch(robot, [delay], [(0.0123,)])
+    (tmp_path / "runtime.toml").write_text(patch.runtime)
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
+    shown = []
+    for command in COMMAND:
+        shown.append(runtime.shown(data) if shown else np.zeros(2))
+        runtime.step(model, data, command)
+    assert np.transpose(shown) == pytest.approx(by_engine(robot, [delay], [0.0123]), abs=1e-12)
 
 
 @pytest.mark.parametrize(

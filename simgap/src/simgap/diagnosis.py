@@ -178,7 +178,12 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
 
 def describe_remark(one: Remark) -> str:
     """Return a remark of the audit as a sentence."""
-    return f"{one.joint or 'robot'}: {one.kind}: {one.text}."
+    return end_sentence(f"{one.joint or 'robot'}: {one.kind}: {one.text}")
+
+
+def end_sentence(text: str) -> str:
+    """Return a text with a full stop, unless it ends with one or with a question."""
+    return text if text.endswith((".", "?")) else f"{text}."
 
 
 def check_names(effects: Sequence[Effect]) -> None:

@@ -7,7 +7,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import TreeBuilder, XMLParser
 
 import mujoco
+import numpy as np
 
+from simgap.arrays import Array
 from simgap.common.errors import RobotError
 
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
@@ -84,6 +86,38 @@ def _tied(model: mujoco.MjModel) -> Iterator[set[int]]:
             yield {int(one) for one in (model.eq_obj1id[k], model.eq_obj2id[k]) if one >= 0}
     for k in range(model.ntendon):
         yield _of_tendon(model, k)
+
+
+def place_tied(model: mujoco.MjModel, dofs: Sequence[int], qpos: Array, qvel: Array) -> None:
+    """Set joints that equalities tie to others where these put them; else a start would jerk both.
+
+    A joint on which others depend is set only if they depend on it in proportion.
+
+    Args:
+        dofs: Degrees of freedom that are set.
+        qpos: Positions of hinges and slides, (..., nq).
+        qvel: Speeds, (..., nv).
+    """
+    if not model.neq:
+        return
+    known = {int(model.dof_jntid[dof]) for dof in dofs}
+    for k in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)):
+        first, second = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        law = np.polynomial.Polynomial(model.eq_data[k, :5])
+        if second in known and first not in known:
+            own, other = first, second
+        elif (
+            first in known and second >= 0 and second not in known and law.coef[1] and not law.coef[2:].any()
+        ):
+            own, other = second, first
+            law = np.polynomial.Polynomial(np.array([-law.coef[0], 1.0]) / law.coef[1])
+        else:
+            continue
+        (q, from_q), (v, from_v) = model.jnt_qposadr[[own, other]], model.jnt_dofadr[[own, other]]
+        moved = qpos[..., from_q] - model.qpos0[from_q]
+        qpos[..., q] = model.qpos0[q] + law(moved)
+        qvel[..., v] = law.deriv()(moved) * qvel[..., from_v]
+        known.add(own)
 
 
 def _of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:

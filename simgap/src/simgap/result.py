@@ -129,7 +129,7 @@ class Diagnosis:
     method: str = ""
     """How residuals were made, with the filter: sentences for a report."""
     remarks: tuple[str, ...] = ()
-    """What the audit of the logs remarked, a sentence each."""
+    """What reading and audit of the logs remarked, a sentence each."""
     effect_kinds: tuple[str, ...] = ()
     """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
     is_base_only: bool = False

@@ -82,7 +82,8 @@ class RobotJoint:
     is_known: bool
     """True if friction, damping, armature and gain are measured numbers, so that none is a nuisance."""
     is_loaded_by_gravity: bool
-    """False if gravity moves the joint by less than its friction: only ratios to the gain can be known."""
+    """False if gravity changes by less than friction, as at a vertical slide: only ratios to the gain can be
+    known."""
     is_slide: bool = False
     torque_constant_is_known: bool = True
     """False if it is a base parameter."""
@@ -157,6 +158,12 @@ class Robot:
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
         return next(joint for joint in self.joints if joint.name == name)
+
+    def range_rad(self, name: str) -> tuple[float, float]:
+        """Return the limits of a joint in the model, infinite without any."""
+        number = int(self.model.dof_jntid[self.joint(name).dof_index])
+        low, high = self.model.jnt_range[number] if self.model.jnt_limited[number] else (-math.inf, math.inf)
+        return float(low), float(high)
 
 
 N_POSES: Final = 256

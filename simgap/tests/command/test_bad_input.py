@@ -141,7 +141,6 @@ BOTH = {
     "robot.toml twice.csv": "has 2 columns 'position_elbow'; give each its own name",
     "robot.toml huge.parquet": "reaches 1e+300 in SI units",
     "robot.toml one_row.parquet": "motion 'motion 0' has 1 position; a motion needs several",
-    "robot.toml": "logs: none is given; name at least one log file",
     # time
     "robot.toml gap.parquet": "end the motion where the gap is",
     "robot.toml time_1000.parquet": "the times look 1000 times too long; write time.unit = 'ms'",
@@ -166,6 +165,8 @@ BOTH = {
     "empty_split.toml log.parquet": "default: is missing",
 }
 """Part of the sentence, by arguments of both verbs."""
+CHECK = {"robot.toml": "logs: none is given; name at least one log file"}
+"""Part of the sentence, by arguments of `check`."""
 UNITS = {
     f"{robot}.toml {name}_{factor}.parquet": word
     for robot, name, word in (
@@ -185,6 +186,7 @@ DIAGNOSE = {
     "robot.toml copied.parquet --held-out 'motion 3'": "motion 3 is held out and is fitted as motion 0",
     "no_command.toml log.parquet": "joint elbow has no command",
     # options
+    "robot.toml --seed 1": "Missing argument 'LOG...'",
     "robot.toml log.parquet --nosuch": "No such option",
     "robot.toml log.parquet --nested": "nested: is for poses of a tracker",
     "robot.toml log.parquet --seed -1": "seed: -1 is below 0",
@@ -226,7 +228,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("verb", "words"),
     [
-        *(("check", one) for one in BOTH),
+        *(("check", one) for one in (*BOTH, *CHECK)),
         *slow_but((("diagnose", one) for one in BOTH), ("diagnose", next(iter(BOTH)))),
         *slow_but((("diagnose", one) for one in UNITS), *(("diagnose", one) for one in list(UNITS)[::5])),
         *(("diagnose", one) for one in DIAGNOSE if one not in UNITS),
@@ -235,7 +237,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: str, words: str) -> None:
     before = snapshot(folder)
     done = run_simgap(folder, verb, *shlex.split(words))
-    assert {**BOTH, **DIAGNOSE}[words] in done.stderr
+    assert {**BOTH, **CHECK, **DIAGNOSE}[words] in done.stderr
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert not LIBRARY_WORDS.search(done.stderr)

@@ -9,9 +9,12 @@ import pytest
 
 from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import run_simgap
+from helpers.message_logs import BY_TOPIC, rows, write_bag, write_mcap
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
+from helpers.robot_folder import MODEL as LINKS
 from simgap.command.check import check_robot, drawn_motions, print_check, summarize_joints
 from simgap.command.request import CheckRequest
+from simgap.common.files import file_sha256
 
 SCREEN_LINES = 24
 
@@ -66,6 +69,34 @@ def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     assert (
         "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"
         in words
+    )
+
+
+@pytest.mark.parametrize("name", ["set", "bag"])
+def test_a_folder_is_a_log_whose_files_have_one_digest(tmp_path, name):
+    (tmp_path / "model.xml").write_text(LINKS)
+    (tmp_path / "robot.toml").write_text(BY_TOPIC)
+    if name == "bag":
+        write_bag(tmp_path / name, rows())
+    else:
+        (tmp_path / name).mkdir()
+        write_mcap(tmp_path / name / "log.mcap", rows())
+    log = tmp_path / name
+    digest = check_robot(CheckRequest(tmp_path / "robot.toml", (log,))).digests[f"log {log}"]
+    assert digest == file_sha256(log)
+    (log / "notes.txt").write_text("other")
+    assert digest != file_sha256(log)
+
+
+def test_a_check_of_logs_without_commands_says_what_a_diagnosis_lacks(folder, tmp_path):
+    logs = slow_logs(planar_arm(), count=2)
+    write_arm(tmp_path)
+    text = re.sub("command = .*", "", (tmp_path / "robot.toml").read_text())
+    (tmp_path / "robot.toml").write_text(text)
+    write_logs(tmp_path / "log.parquet", logs)
+    report = check_robot(CheckRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",)))
+    assert (
+        report.refusal == "the logs have no command, torque or second encoder; a diagnosis needs one of them"
     )
 
 

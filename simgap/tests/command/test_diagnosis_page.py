@@ -24,11 +24,13 @@ from helpers.verdicts import (
 from simgap.command.diagnosis import (
     RobotDiagnosis,
     diagnose_robot,
+    diagnosis_json,
     print_diagnosis,
     save_diagnosis_files,
     save_page_of,
 )
 from simgap.command.request import DiagnoseRequest
+from simgap.loading import load
 from simgap.report.traces import choose_traces, make_traces
 
 FOUND = diagnosis(
@@ -83,6 +85,11 @@ def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
     assert (tmp_path / "page.html").stat().st_size < 1_000_000
 
 
+def test_remarks_on_the_logs_stand_on_the_page(tmp_path):
+    text = text_of(tmp_path, result=replace(FOUND, remarks=("log.csv: is cut at line 9.",)))
+    assert text.index("Remarks on the logs</h2>") < text.index("log.csv: is cut at line 9.")
+
+
 def test_a_name_from_a_log_cannot_break_out_of_the_page(tmp_path):
     evil = "</script><script>alert(1)</script>"
     refused = (replace(REFUSED[0], motion=evil),)
@@ -124,6 +131,10 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
         options["progress"](0.5, "half")
         return diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
 
+    cut = replace(
+        load(folder / "robot.toml", folder / "log.parquet", held_out=["motion 3"]), losses=("is cut",)
+    )
+    monkeypatch.setattr(execution, "load", lambda *_, **__: cut)
     monkeypatch.setattr(execution, "diagnose", find)
     reports = []
     files = {"report": folder / "page.html", "patch": folder / "found"}
@@ -135,6 +146,8 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     assert options_seen["seed"] == 7
     assert any(one.reason == "contact with a plane" for one in options_seen["audit"].refused)
     assert reports[-1][2] == "half"
+    assert result.diagnosis.remarks[0] == "is cut."
+    assert "is cut." in diagnosis_json(result)["remarks"]
     assert not any(path.exists() for path in files.values())
     save_diagnosis_files(result)
     assert (folder / "found" / "patched.xml").is_file()

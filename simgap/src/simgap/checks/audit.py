@@ -1,38 +1,30 @@
 """Audit of logs: remarks, and samples that a diagnosis must not use."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.checks.commands import find_exchanged
+from simgap.checks.commands import find_exchanged, find_leading
 from simgap.checks.limits import chain_joints, find_collisions, find_cut_offs, find_plane, find_saturation
-from simgap.checks.records import (
-    Audit,
-    RemarkKind,
-    audit_rates,
-    encoder_step_rad,
-    find_constant_positions,
-    joint_samples,
-    stale_flags,
+from simgap.checks.rates import audit_rates
+from simgap.checks.records import Audit, Faulty, RemarkKind
+from simgap.checks.signals import (
+    describe_spikes,
+    find_late_starts,
+    find_still_joints,
+    find_wraps,
+    flag_samples,
 )
-from simgap.checks.signals import find_late_starts, find_spikes, find_still_joints, find_wraps, spike_flags
 from simgap.checks.static import Rest, find_rest, predict_free
 from simgap.checks.units import audit_units
 from simgap.logs import Logs, Motion
 from simgap.result import Refusal
 from simgap.robot import ControlMode, Robot
 
-TESTS: Final = (
-    audit_units,
-    find_wraps,
-    find_exchanged,
-    find_constant_positions,
-    find_still_joints,
-    find_spikes,
-    find_late_starts,
-)
+TESTS: Final = (audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_late_starts)
 """Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2
 """The second pass predicts free positions without the samples that the first has found held back."""
@@ -44,7 +36,9 @@ def audit(robot: Robot, logs: Logs) -> Audit:
     Stale and invalid samples, spikes, cut-off commands and contact with a plane are refused.
     """
     motions = logs.motions
-    rates, remarks = audit_rates(motions)
+    faulty = flag_samples(motions)
+    rates, remarks = audit_rates(robot, motions, faulty)
+    remarks += describe_spikes(robot, motions, faulty)
     for find in TESTS:
         remarks += find(robot, motions)
     rest = find_rest(robot, motions)
@@ -61,7 +55,7 @@ def audit(robot: Robot, logs: Logs) -> Audit:
         "command is cut off or the joint is too weak": held,
         "contact with a plane": is_below[:, None] & chain,
     }
-    usable, refused = _refuse(motions, rest, reasons)
+    usable, refused = _refuse(motions, rest, faulty, reasons)
     return Audit(rates, tuple(ranked), refused, usable, tuple(_find_untested(robot, motions)))
 
 
@@ -70,7 +64,7 @@ def _find_untested(robot: Robot, motions: Sequence[Motion]) -> Iterator[str]:
     by_position = [joint.name for joint in robot.joints if joint.mode is ControlMode.POSITION]
     logs = [(name, log) for motion in motions for name, log in motion.joints.items()]
     if all(log.command is None for name, log in logs if name in by_position):
-        yield "exchanged and reversed joints, as no position command is logged"
+        yield "exchanged and reversed joints and columns, as no position command is logged"
     elif len(by_position) < 2:
         yield "exchanged joints, as one joint alone has position commands"
     if all(log.velocity is None for _, log in logs):
@@ -78,33 +72,26 @@ def _find_untested(robot: Robot, motions: Sequence[Motion]) -> Iterator[str]:
 
 
 def _refuse(
-    motions: Sequence[Motion], rest: Rest, reasons: Mapping[str, Flags]
+    motions: Sequence[Motion], rest: Rest, faulty: Faulty, reasons: Mapping[str, Flags]
 ) -> tuple[dict[tuple[str, str], Flags], tuple[Refusal, ...]]:
     """Return flags of usable position samples, and for each motion and reason how many rows are refused."""
     usable: dict[tuple[str, str], Flags] = {}
     refused: list[Refusal] = []
-    step_rad = {name: encoder_step_rad(motions, name) for name in rest.joints}
     for number, motion in enumerate(motions):
         at = np.flatnonzero(rest.motion == number)
-        count = dict.fromkeys([*reasons, "spike", "stale", "not finite"], 0)
+        count: Counter[str] = Counter()
         for name, log in motion.joints.items():
-            samples, n = joint_samples(log), log.position.value.size
-            good = np.zeros(n, np.bool_)
-            good[samples.index] = True
-            count["not finite"] = max(count["not finite"], int(np.sum(~good)))
-            for reason, find in (("stale", stale_flags), ("spike", spike_flags)):
-                flags = np.zeros(n, np.bool_)
-                flags[samples.index] = find(samples, step_rad.get(name, 0.0))
-                count[reason] = max(count[reason], int(flags.sum()))
-                good &= ~flags
-            for reason, at_rest in reasons.items():
-                if name in rest.joints and at.size:
-                    own = at_rest[at, rest.joints.index(name)]
-                    hit = _at_samples(rest.time_s[at], own, log.position.time_s)
-                    count[reason] = max(count[reason], int(np.sum(hit & good)))
-                    good &= ~hit
+            flags = dict(faulty[motion.name, name])
+            if name in rest.joints and at.size:
+                own = {why: one[at, rest.joints.index(name)] for why, one in reasons.items()}
+                time_s = log.position.time_s
+                flags |= {why: _at_samples(rest.time_s[at], one, time_s) for why, one in own.items()}
+            good = np.ones(log.position.value.size, np.bool_)
+            for why, hit in flags.items():
+                count[why] = max(count[why], int(np.sum(hit & good)))
+                good &= ~hit
             usable[motion.name, name] = good
-        refused += [Refusal(motion.name, reason, n) for reason, n in count.items() if n]
+        refused += [Refusal(motion.name, why, n) for why, n in count.items() if n]
     return usable, tuple(refused)
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, joint_samples
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, samples_of, span
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -26,7 +26,12 @@ def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
     """
     if not pairs:
         return 0
-    errors = np.array([[_follow_errors(position, other) for _, other in pairs] for position, _ in pairs])
+    errors = np.array(
+        [
+            [_follow_errors(one, other, float(other.time_s[0] - one.time_s[0])) for _, other in pairs]
+            for one, _ in pairs
+        ]
+    )
     own = np.diagonal(errors).T  # (n_motions, 2)
     return int(np.sum((errors.min(axis=1) < BETTER * own).any(axis=1)))
 
@@ -53,44 +58,82 @@ def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     return found
 
 
+LEADS_S: Final = 0.01 * np.arange(-30, 31)
+"""Times that are tried; those below 0 are lags, which a wave of up to 0.3 s shows as leads too."""
+MAX_SAMPLES: Final = 5000
+"""Samples of a motion that are compared at each of them: they are more than BETTER needs."""
+
+
+def find_leading(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find joints whose position is ahead of its command: no servo is, but columns or clocks may be wrong.
+
+    Joints with torques are passed over: their torques are compared, and the command takes no part.
+    """
+    found: list[Remark] = []
+    for joint in robot.joints:
+        if joint.mode is not ControlMode.POSITION or not _moves(joint, motions):
+            continue
+        own = [motion for motion in motions if _is_commanded(motion, joint.name)]
+        if all(motion.joints[joint.name].torque is not None for motion in own):
+            continue
+        errors = np.array([_pooled_error(own, joint.name, joint.name, lead_s) for lead_s in LEADS_S])
+        lead_s = float(LEADS_S[int(np.argmin(errors))])
+        if errors.min() < BETTER * errors[LEADS_S < 1e-9].min():
+            text = (
+                f"it leads by {lead_s:.2g} s: are the columns of command and position exchanged, or have "
+                "they different clocks?"
+            )
+            names = tuple(motion.name for motion in own)
+            found.append(Remark(RemarkKind.AHEAD, joint.name, names, text, lead_s, unit="s"))
+    return found
+
+
 def _is_commanded(motion: Motion, joint: str) -> bool:
     return joint in motion.joints and motion.joints[joint].command is not None
 
 
 def _moves(joint: RobotJoint, motions: Sequence[Motion]) -> bool:
     """Return whether position and command of a joint move in some motion."""
-    name, least_rad = joint.name, COARSE_RAD * joint.per_rad
-    samples = [joint_samples(motion.joints[name]) for motion in motions if _is_commanded(motion, name)]
-    return any(
-        one.position.size and min(np.ptp(one.position), np.nan_to_num(np.ptp(one.command))) > least_rad
-        for one in samples
-    )
+    least_rad = COARSE_RAD * joint.per_rad
+    own = samples_of(motions, joint.name).values()
+    return any(min(span(one.position), span(one.command)) > least_rad for one in own)
 
 
 def _spread(motions: Sequence[Motion], joint: str) -> float:
     """Return the standard deviation of the positions of a joint within its motions."""
-    positions = [joint_samples(motion.joints[joint]).position for motion in motions]
-    return math.sqrt(float(np.mean([np.var(one) for one in positions if one.size])))
+    own = samples_of(motions, joint).values()
+    return math.sqrt(float(np.mean([np.var(one.position) for one in own])))
 
 
-def _pooled_error(motions: Sequence[Motion], joint: str, other: str) -> float:
-    """Return the RMS of positions beside another command, whose offset and gain are fitted in each motion."""
+def _pooled_error(motions: Sequence[Motion], joint: str, other: str, lead_s: float = 0.0) -> float:
+    """Return the RMS of positions beside another command, whose offset and gain are fitted in each motion.
+
+    Args:
+        lead_s: Time by which positions are ahead of the command.
+    """
     squares: list[float] = []
     for motion in motions:
         command = motion.joints[other].command
         assert command is not None
-        squares.append(_follow_errors(motion.joints[joint].position, command)[1] ** 2)
+        position = motion.joints[joint].position
+        few = slice(None, None, math.ceil(position.value.size / MAX_SAMPLES))
+        position = Signal(position.time_s[few], position.value[few])
+        squares.append(_follow_errors(position, command, lead_s)[1] ** 2)
     return math.sqrt(float(np.mean(squares)))
 
 
-def _follow_errors(position: Signal, command: Signal) -> tuple[float, float]:
+def _follow_errors(position: Signal, command: Signal, lead_s: float) -> tuple[float, float]:
     """Return the RMS of a position beside a command, and beside its best offset and positive gain.
 
     Both are infinite if the command covers less than half of the position.
+
+    Args:
+        lead_s: Time by which the position is taken to be ahead of the command.
     """
-    time_s = position.time_s - position.time_s[0] + command.time_s[0]
+    time_s = position.time_s + lead_s
     sent = np.interp(time_s, command.time_s, command.value)
-    use = (time_s <= command.time_s[-1]) & np.isfinite(position.value) & np.isfinite(sent)
+    use = (time_s >= command.time_s[0]) & (time_s <= command.time_s[-1])
+    use &= np.isfinite(position.value) & np.isfinite(sent)
     if np.mean(use) <= 0.5:
         return math.inf, math.inf
     shown, sent = position.value[use], sent[use]

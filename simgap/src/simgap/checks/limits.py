@@ -1,7 +1,6 @@
 """Limits that a motion meets: clipped commands, joints that stop short, motors at their limit, contact."""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array, Flags
 from simgap.checks.records import Remark, RemarkKind, hold, joint_samples, runs
-from simgap.checks.static import Free, Rest, Stop, find_lower_stop, median_interval
+from simgap.checks.static import Free, Rest, Stop, find_lower_stop, median_interval, visit_poses
 from simgap.logs import JointLog, Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -119,23 +118,19 @@ def find_saturation(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find motors that are at their limit of torque, current or command for a share of the time."""
     found: list[Remark] = []
     for joint in robot.joints:
-        own = [motion for motion in motions if joint.name in motion.joints]
-        efforts = [_effort(joint, motion) for motion in own]
-        kinds = {what for what, _, _ in efforts}
-        if len(kinds) != 1:
+        efforts = {one.name: _effort(joint, one) for one in motions if joint.name in one.joints}
+        limits = {what: limit for what, limit, _ in efforts.values()}
+        values = {name: np.abs(value[np.isfinite(value)]) for name, (_, _, value) in efforts.items()}
+        every = np.concatenate([np.zeros(0), *values.values()])
+        if len(limits) != 1 or not every.size:
             continue
-        what, limit = efforts[0][0], efforts[0][1]
-        values = [np.abs(value[np.isfinite(value)]) for _, _, value in efforts]
-        if not what or sum(value.size for value in values) == 0:
-            continue
-        if not math.isfinite(limit):
-            limit = _plateau(values)
-        share = [float(np.mean(value >= AT_LIMIT * limit)) if value.size else 0.0 for value in values]
-        count = sum(value.size for value in values)
-        total = sum(s * value.size for s, value in zip(share, values, strict=True)) / count
-        names = tuple(m.name for m, s in zip(own, share, strict=True) if s > REMARK_SHARE)
+        ((what, limit),) = limits.items()
+        limit = limit if math.isfinite(limit) else _plateau(list(values.values()))
+        at_limit = {name: float(np.mean(one >= AT_LIMIT * limit)) for name, one in values.items() if one.size}
+        names = tuple(name for name, share in at_limit.items() if share > REMARK_SHARE)
         if math.isfinite(limit) and names:
-            text = f"the {what} is at its limit of {limit:.4g} in {total:.1%} of the samples"
+            share = float(np.mean(every >= AT_LIMIT * limit))
+            text = f"the {what} is at its limit of {limit:.4g} in {share:.1%} of the samples"
             found.append(Remark(RemarkKind.SATURATION, joint.name, names, text, limit))
     return found
 
@@ -230,15 +225,11 @@ def chain_joints(robot: Robot) -> tuple[str, ...]:
 
 def site_heights(robot: Robot, joints: Sequence[str], q_rad: Array) -> Array:
     """Return the height of the tool site against gravity, (n,) [m]; NaN at poses (n, n_joints) with NaN."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    places = [robot.joint(name).qpos_index for name in joints]
-    site = model.site(robot.tool_site).id
-    strength = float(np.linalg.norm(model.opt.gravity))
-    up = -model.opt.gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
+    gravity, site = robot.model.opt.gravity, robot.model.site(robot.tool_site).id
+    strength = float(np.linalg.norm(gravity))
+    up = -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
     height = np.full(q_rad.shape[0], np.nan)
-    for row in np.flatnonzero(np.isfinite(q_rad).all(axis=1)):
-        data.qpos[places] = q_rad[row]
-        mujoco.mj_kinematics(model, data)
+    for row, data in visit_poses(robot, joints, q_rad):
         height[row] = data.site_xpos[site] @ up
     return height
 
@@ -251,31 +242,21 @@ LEAST_DEPTH_M: Final = 1e-3
 
 def find_collisions(robot: Robot, motions: Sequence[Motion], rest: Rest) -> list[Remark]:
     """Return a remark for each pair of bodies that go into each other at measured poses."""
-    model, data = robot.model, mujoco.MjData(robot.model)
+    model = robot.model
     if not np.any(model.geom_contype) or not np.any(model.geom_conaffinity):
         return []
-    places = [robot.joint(name).qpos_index for name in rest.joints]
-    count: Counter[tuple[str, str]] = Counter()
-    where: dict[tuple[str, str], dict[str, None]] = {}
-    tried = range(0, rest.time_s.size, EVERY)
-    for row in tried:
-        data.qpos[places] = rest.measured[row]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
+    where: dict[tuple[str, str], list[str]] = {}
+    tried = rest.motion[::EVERY]
+    for row, data in visit_poses(robot, rest.joints, rest.measured[::EVERY]):
         mujoco.mj_collision(model, data)
         for pair in {_bodies(model, one.geom) for one in data.contact if one.dist < -LEAST_DEPTH_M}:
-            count[pair] += 1
-            where.setdefault(pair, {})[motions[int(rest.motion[row])].name] = None
-    return [
-        Remark(
-            RemarkKind.COLLISION,
-            "",
-            tuple(where[pair]),
-            f"{pair[0]} goes into {pair[1]} in {number / len(tried):.1%} of the measured poses",
-            number / len(tried),
-        )
-        for pair, number in count.most_common()
-    ]
+            where.setdefault(pair, []).append(motions[int(tried[row])].name)
+    found = []
+    for (one, other), names in sorted(where.items(), key=lambda item: -len(item[1])):
+        share = len(names) / tried.size
+        text = f"{one} goes into {other} in {share:.1%} of the measured poses"
+        found.append(Remark(RemarkKind.COLLISION, "", tuple(dict.fromkeys(names)), text, share))
+    return found
 
 
 def _bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> tuple[str, str]:

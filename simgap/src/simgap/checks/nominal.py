@@ -11,6 +11,7 @@ import numpy as np
 from simgap.arrays import Array, Flags
 from simgap.checks.records import hold, joint_samples
 from simgap.logs import JointLog, Motion
+from simgap.mjcf import place_tied
 from simgap.robot import Robot
 from simgap.simulation.compiled import compile_for, control_laws, nominal_gains
 
@@ -69,6 +70,7 @@ class NominalModel:
         is_on = np.stack([_enabled(motion.joints[one.name], tick_s) for one in joints], axis=1)
         for one in joints:
             data.qpos[one.qpos_index], data.qvel[one.dof_index] = _start(motion.joints[one.name])
+        place_tied(model, [one.dof_index for one in joints], data.qpos, data.qvel)
         qpos = [one.qpos_index for one in joints]
         actuators = [one.actuator_index for one in joints]
         path = np.full((tick_s.size, len(joints)), np.nan)

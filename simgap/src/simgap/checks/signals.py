@@ -1,7 +1,7 @@
 """Faults of single signals: turns that are lost, samples that jump away, joints that stand still."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -11,12 +11,17 @@ from simgap.arrays import Array, Flags
 from simgap.checks.records import (
     COARSE_RAD,
     STEPS,
+    Faulty,
     Remark,
     RemarkKind,
     Samples,
     encoder_step_rad,
     joint_samples,
     robust_sigma,
+    runs,
+    samples_of,
+    say_times,
+    span,
 )
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot
@@ -41,30 +46,29 @@ ROUND: Final = 0.1
 
 def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find positions and commands that jump by whole turns between two rows, and counters that did."""
-    found = [*_unwrapped(motions)]
-    for joint in (one for one in robot.joints if not one.is_slide):
-        for name in ("position", "command", "secondary"):
+    found: list[Remark] = []
+    for joint in robot.joints:
+        wraps = {one.name: one.unwrapped[joint.name] for one in motions if joint.name in one.unwrapped}
+        if wraps:
+            count = sum(wraps.values())
+            text = (
+                f"the counter wraps {say_times(count)}; it is unwrapped"
+                if count
+                else "the counter knows no whole turns; it is moved by turns to where the joint is"
+            )
+            found.append(Remark(RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count)))
+        for name in ("position", "command", "secondary") if not joint.is_slide else ():
             if name == "command" and joint.mode is not ControlMode.POSITION:
                 continue
-            count = {one.name: _count_turns(one, joint.name, name) for one in motions}
-            names = tuple(motion for motion, number in count.items() if number)
-            if names:
-                number = sum(count.values())
+            jumps = {one.name: n for one in motions if (n := _count_turns(one, joint.name, name))}
+            if jumps:
+                count = sum(jumps.values())
                 text = (
-                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {number} times: it wraps. "
-                    "Unwrap it, or give the unit count with counts_per_turn, which is unwrapped"
+                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(count)}: it "
+                    "wraps. Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
                 )
-                found.append(Remark(RemarkKind.WRAP, joint.name, names, text, float(number)))
+                found.append(Remark(RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count)))
     return found
-
-
-def _unwrapped(motions: Sequence[Motion]) -> Iterator[Remark]:
-    """Yield a remark for each joint whose counter began anew: turns were added when it was read."""
-    for joint in dict.fromkeys(name for motion in motions for name in motion.unwrapped):
-        count = {one.name: one.unwrapped[joint] for one in motions if joint in one.unwrapped}
-        number = sum(count.values())
-        text = f"the counter wraps {number} times; it is unwrapped"
-        yield Remark(RemarkKind.COUNTER, joint, tuple(count), text, float(number))
 
 
 def _count_turns(motion: Motion, joint: str, name: str) -> int:
@@ -105,26 +109,66 @@ def spike_flags(samples: Samples, step_rad: float) -> Flags:
     return flags
 
 
-def find_spikes(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
-    """Find positions that jump away for a sample or two."""
+REPEATS: Final = 3
+"""Same values in a row that count as stale; fewer are usual where a bus is read faster than its servo."""
+
+
+def stale_flags(samples: Samples, step_rad: float) -> Flags:
+    """Flag values that repeat while the joint moves on, (n,).
+
+    A value is stale if it is repeated several times, the joint moved clearly before, and jumps afterwards by
+    about what it missed. A joint that friction holds does not jump.
+    """
+    position, flags = samples.position, np.zeros(samples.position.size, np.bool_)
+    if position.size < REPEATS + 2:
+        return flags
+    step = np.diff(position)
+    for begin, end in runs(step == 0.0):
+        if end - begin < REPEATS or begin == 0 or end >= step.size:
+            continue
+        before, jump = step[begin - 1], step[end]
+        is_moving = abs(before) > STEPS * step_rad
+        missed = abs(before) * (end - begin)
+        if is_moving and abs(jump) > max(0.5 * missed, 2.0 * abs(before)):
+            flags[begin + 1 : end + 1] = True
+    return flags
+
+
+def flag_samples(motions: Sequence[Motion]) -> Faulty:
+    """Flag position samples that are no number, stale, or spikes."""
+    names = dict.fromkeys(name for motion in motions for name in motion.joints)
+    step_rad = {name: encoder_step_rad(motions, name) for name in names}
+    found: dict[tuple[str, str], dict[str, Flags]] = {}
+    for motion in motions:
+        for name, log in motion.joints.items():
+            samples, n = joint_samples(log), log.position.value.size
+            flags = {"not finite": np.ones(n, np.bool_)}
+            flags["not finite"][samples.index] = False
+            for fault, find in (("stale", stale_flags), ("spike", spike_flags)):
+                flags[fault] = np.zeros(n, np.bool_)
+                flags[fault][samples.index] = find(samples, step_rad[name])
+            found[motion.name, name] = flags
+    return found
+
+
+def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> list[Remark]:
+    """Remark positions that jump away for a sample or two."""
     found: list[Remark] = []
     for joint in robot.joints:
-        step_rad = encoder_step_rad(motions, joint.name)
-        count: dict[str, int] = {}
-        furthest = 0.0
-        for motion in motions:
-            if joint.name in motion.joints:
-                samples = joint_samples(motion.joints[joint.name])
-                flags = spike_flags(samples, step_rad)
-                count[motion.name] = int(flags.sum())
-                away = np.abs(samples.position - np.median(samples.position))[flags]
-                furthest = max(furthest, float(away.max(initial=0.0)))
-        names = tuple(name for name, number in count.items() if number)
-        if names:
+        own = samples_of(motions, joint.name)
+        spikes = {name: faulty[name, joint.name]["spike"][one.index] for name, one in own.items()}
+        away_rad = {
+            name: np.abs(one.position - np.median(one.position))[spikes[name]]
+            for name, one in own.items()
+            if np.any(spikes[name])
+        }
+        if away_rad:
+            every = np.concatenate(list(away_rad.values()))
             text = (
-                f"{sum(count.values())} positions jump away for a sample or two, to "
-                f"{joint.show(furthest, '.3g')} from the median: were they read wrongly?"
+                f"{every.size} positions jump away for a sample or two, to {joint.show(every.max(), '.3g')} "
+                "from the median: were they read wrongly?"
             )
+            names, furthest = tuple(away_rad), float(every.max())
             found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
     return found
 
@@ -134,22 +178,35 @@ SPREAD: Final = 10.0
 
 
 def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
-    """Find joints that hardly move in any motion."""
+    """Find joints that hardly move in any motion, and positions that never change while commands do."""
     found: list[Remark] = []
     for joint in robot.joints:
-        own = [motion for motion in motions if joint.name in motion.joints]
+        own = samples_of(motions, joint.name)
+        positions = [one.position for one in own.values()]
         step_rad = encoder_step_rad(motions, joint.name)
-        positions = [joint_samples(motion.joints[joint.name]).position for motion in own]
-        noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / np.sqrt(12.0)])
-        spread_rad = max([_range_rad(one) for one in positions], default=0.0)
-        if not own or spread_rad > SPREAD * noise_rad or spread_rad == 0.0:
+        noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
+        spread_rad = max([_range_rad(one) for one in positions], default=math.inf)
+        if spread_rad > SPREAD * noise_rad:
+            continue
+        place, is_constant = joint.show(positions[0][0]), span(np.concatenate(positions)) == 0.0
+        sent = {name: span(one.command) for name, one in own.items()}
+        moved = tuple(name for name, one in sent.items() if one > COARSE_RAD * joint.per_rad)
+        if is_constant and moved and joint.mode is ControlMode.POSITION:
+            text = (
+                f"the position stays at {place}, while the command spans "
+                f"{joint.show(max(sent.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
+            )
+            value = float(positions[0][0])
+            found.append(Remark(RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit))
             continue
         text = (
-            f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, their noise "
-            f"is {joint.show_small(noise_rad, '.2g')}. Nothing about this joint can be identified"
+            f"the joint never moves: its position stays at {place}"
+            if is_constant
+            else f"the joint hardly moves: its positions range over {joint.show_small(spread_rad)}, "
+            f"their noise is {joint.show_small(noise_rad, '.2g')}"
         )
-        names = tuple(motion.name for motion in own)
-        found.append(Remark(RemarkKind.STILL, joint.name, names, text, spread_rad, unit=joint.unit))
+        text += ". Nothing about this joint can be identified"
+        found.append(Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit))
     return found
 
 
@@ -160,7 +217,7 @@ def _noise_rad(position: Array) -> float:
 
 def _range_rad(position: Array) -> float:
     """Return the range of a position without the hundredth at each end."""
-    return float(np.ptp(np.quantile(position, [0.01, 0.99]))) if position.size else 0.0
+    return float(np.ptp(np.quantile(position, [0.01, 0.99])))
 
 
 BEGINS: Final = 3.0
@@ -170,13 +227,10 @@ BEGINS: Final = 3.0
 def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
     """Find joints that stand still at the start of a motion while their commands move."""
     found: list[Remark] = []
-    for joint in robot.joints:
-        late_s: dict[str, float] = {}
-        for motion in motions:
-            if joint.mode is ControlMode.POSITION and joint.name in motion.joints:
-                late = _late_start_s(joint_samples(motion.joints[joint.name]), COARSE_RAD * joint.per_rad)
-                if late:
-                    late_s[motion.name] = late
+    for joint in (one for one in robot.joints if one.mode is ControlMode.POSITION):
+        own = samples_of(motions, joint.name)
+        starts = {name: _late_start_s(one, COARSE_RAD * joint.per_rad) for name, one in own.items()}
+        late_s = {name: one for name, one in starts.items() if one}
         if late_s:
             longest = max(late_s.values())
             text = (

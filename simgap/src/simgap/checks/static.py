@@ -3,7 +3,7 @@
 A joint is in a free static position if gravity, friction and its law of control agree with it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -13,8 +13,9 @@ import numpy as np
 from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.checks.records import hold, joint_samples, robust_sigma, runs
+from simgap.checks.records import hold, joint_samples, robust_sigma, runs, span
 from simgap.logs import Motion, Signal
+from simgap.mjcf import place_tied
 from simgap.robot import ControlMode, Robot
 
 PERIOD_S: Final = 0.05
@@ -110,18 +111,26 @@ def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: F
     return Free(free, offset, friction)
 
 
-def gravity_torques(robot: Robot, joints: Sequence[str], q_rad: Array) -> Array:
-    """Return the torques that hold the arm against gravity, (n, n_joints) [N m], at (n, n_joints) [rad]."""
+def visit_poses(robot: Robot, joints: Sequence[str], q_rad: Array) -> Iterator[tuple[int, mujoco.MjData]]:
+    """Yield the row of each finite pose, (n, n_joints) [rad], and the model placed there."""
     model, data = robot.model, mujoco.MjData(robot.model)
     places = [robot.joint(name).qpos_index for name in joints]
     dofs = [robot.joint(name).dof_index for name in joints]
-    torque, held = np.zeros(q_rad.shape), np.zeros(model.nv)
-    for row, angles in enumerate(q_rad):
-        data.qpos[places] = angles
+    for row in np.flatnonzero(np.isfinite(q_rad).all(axis=1)):
+        data.qpos[places] = q_rad[row]
+        place_tied(model, dofs, data.qpos, data.qvel)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_rne(model, data, 0, held)
+        yield int(row), data
+
+
+def gravity_torques(robot: Robot, joints: Sequence[str], q_rad: Array) -> Array:
+    """Return the torques that hold the arm against gravity, (n, n_joints) [N m], at (n, n_joints) [rad]."""
+    dofs = [robot.joint(name).dof_index for name in joints]
+    torque, held = np.zeros(q_rad.shape), np.zeros(robot.model.nv)
+    for row, data in visit_poses(robot, joints, q_rad):
+        mujoco.mj_comVel(robot.model, data)
+        mujoco.mj_rne(robot.model, data, 0, held)
         torque[row] = held[dofs]
     return torque
 
@@ -141,11 +150,7 @@ def _resample(motion: Motion, joints: Sequence[str]) -> tuple[Array, Array, Arra
 def _command_motion(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[Flags, Array, Array]:
     """Return flags of slow samples, the direction of the last change, and the speed, each (n, n_joints)."""
     every = np.concatenate([command for _, _, command in parts])
-    finite = np.where(np.isfinite(every), every, np.nan)
-    with np.errstate(invalid="ignore"):
-        largest = np.max(np.where(np.isnan(finite), -np.inf, finite), axis=0, initial=-np.inf)
-        smallest = np.min(np.where(np.isnan(finite), np.inf, finite), axis=0, initial=np.inf)
-    travel = np.where(largest > smallest, largest - smallest, 0.0)
+    travel = np.array([span(one) for one in every.T])
     slow, direction, speed = [], [], []
     width = round(SETTLING_S / PERIOD_S)
     for _, _, command in parts:

@@ -10,10 +10,11 @@ from simgap.arrays import Array
 from simgap.checks.records import Remark, RemarkKind, Samples, hold, joint_samples
 from simgap.checks.signals import ROUND, TURN_RAD
 from simgap.logs import Motion
-from simgap.robot import ControlMode, Robot
+from simgap.robot import ControlMode, Robot, RobotJoint
 
 FACTORS: Final = {180.0 / math.pi: "degrees", 1000.0: "thousandths"}
 """Factors of units that are mistaken for each other, and the name of the smaller unit."""
+SLIDE_FACTORS: Final = {10.0: "cm", 1000.0: "mm"}
 CLOSE: Final = 1.5
 """A ratio is near a factor within this factor: a servo follows its command to better than that."""
 TURNS: Final = 2.0
@@ -30,21 +31,23 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         own = [motion for motion in motions if joint.name in motion.joints]
         samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         names = tuple(motion.name for motion in own)
+        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
+        ratio = math.nan
         if joint.mode is ControlMode.POSITION:
             ratio = _ratio((one.command, one.position) for one in samples)
-            found += _remark(ratio, joint.name, names, "the position", "its command")
-        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
-        found += _beyond_range(robot, joint.name, names, samples)
-    return found + _audit_velocities(speeds, tuple(motion.name for motion in motions))
+        wrong = _remark(ratio, joint, names, "the position", "its command")
+        if own:
+            found += wrong or _beyond_range(joint, robot.range_rad(joint.name), names, samples)
+    return found + _audit_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
 
-def _audit_velocities(ratios: Mapping[str, float], motions: tuple[str, ...]) -> list[Remark]:
+def _audit_velocities(robot: Robot, ratios: Mapping[str, float], motions: tuple[str, ...]) -> list[Remark]:
     """Remark velocities that are not the change of the position; if all joints agree, the times are wrong."""
     known = {name: one for name, one in ratios.items() if math.isfinite(one)}
     wrong = {name: one for name, one in known.items() if one < 0.0 or abs(math.log(one)) > math.log(CLOSE)}
     found: list[Remark] = []
     for name, ratio in wrong.items():
-        found += _remark(ratio, name, motions, "the velocity", "the change of the position")
+        found += _remark(ratio, robot.joint(name), motions, "the velocity", "the change of the position")
     middle = float(np.median(list(known.values()))) if known else math.nan
     if found or not wrong:
         return found
@@ -101,64 +104,60 @@ def _velocities(
         yield np.gradient(mean_p, mean_t), mean_v
 
 
-def _remark(ratio: float, joint: str, motions: tuple[str, ...], what: str, other: str) -> list[Remark]:
+def _remark(ratio: float, joint: RobotJoint, motions: tuple[str, ...], what: str, other: str) -> list[Remark]:
     if ratio < 0.0:
         text = f"{what} runs against {other}: is factor = -1 missing at one of them?"
-        return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
-    for factor, unit in FACTORS.items():
+        return [Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)]
+    for factor, unit in _factors(joint).items():
         for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
             if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):
                 text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
                 text += f"of {right} in the robot file wrong?"
-                return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
+                return [Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)]
     return []
 
 
+def _factors(joint: RobotJoint) -> dict[float, str]:
+    return SLIDE_FACTORS if joint.is_slide else FACTORS
+
+
 def _beyond_range(
-    robot: Robot, joint: str, motions: tuple[str, ...], samples: Sequence[Samples]
+    joint: RobotJoint, range_rad: tuple[float, float], motions: tuple[str, ...], samples: Sequence[Samples]
 ) -> list[Remark]:
     """Remark positions far beyond the range of the model that would lie within it in another unit."""
-    model, own = robot.model, robot.joint(joint)
-    index = int(model.dof_jntid[own.dof_index])
-    if not samples:
-        return []
-    if not model.jnt_limited[index]:
-        return [] if own.is_slide else _many_turns(joint, motions, samples)
-    allowed = float(np.abs(model.jnt_range[index]).max())
-    largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
-    turns = 0 if own.is_slide else _turns_off(model.jnt_range[index], samples)
+    if not math.isfinite(range_rad[1]):
+        return [] if joint.is_slide else _many_turns(joint.name, motions, samples)
+    turns = 0 if joint.is_slide else _turns_off(range_rad, samples)
     if turns:
         count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
         text = (
             f"the position lies {count} {'above' if turns > 0 else 'below'} the range of the model: add "
             f"zero_rad = {-turns * TURN_RAD:.6g} to position and command"
         )
-        return [Remark(RemarkKind.UNIT, joint, motions, text, float(turns))]
-    for factor, unit in FACTORS.items():
-        if own.is_slide and unit == "degrees":
-            continue
+        return [Remark(RemarkKind.UNIT, joint.name, motions, text, float(turns))]
+    allowed = max(map(abs, range_rad))
+    largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
+    for factor, unit in _factors(joint).items():
         if allowed * 3.0 < largest <= factor * allowed * CLOSE:
             text = (
-                f"the position reaches {own.show(largest)}, the model ends at {own.show(allowed)}: "
+                f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}: "
                 f"is the log in {unit}? That is a factor of {factor:.4g}"
             )
-            return [Remark(RemarkKind.UNIT, joint, motions, text, largest / allowed)]
+            return [Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)]
     return []
 
 
-def _turns_off(range_rad: Array, samples: Sequence[Samples]) -> int:
+def _turns_off(range_rad: tuple[float, float], samples: Sequence[Samples]) -> int:
     """Return by how many whole turns all positions lie beyond the range of the model; 0 if by none."""
     positions = np.concatenate([one.position for one in samples])
     if not positions.size:
         return 0
     low, high = np.quantile(positions, [0.01, 0.99])
-    turns = round(((low + high) / 2.0 - float(range_rad.mean())) / TURN_RAD)
-    slack = ROUND * float(np.ptp(range_rad))
-    is_inside = (
-        low - turns * TURN_RAD > range_rad[0] - slack and high - turns * TURN_RAD < range_rad[1] + slack
-    )
-    is_outside = low > range_rad[1] + slack or high < range_rad[0] - slack
-    return turns if is_inside and is_outside else 0
+    turns = round(((low + high) / 2.0 - math.fsum(range_rad) / 2.0) / TURN_RAD)
+    slack = ROUND * (range_rad[1] - range_rad[0])
+    least, most = range_rad[0] - slack, range_rad[1] + slack
+    is_inside = low - turns * TURN_RAD > least and high - turns * TURN_RAD < most
+    return turns if is_inside and (low > most or high < least) else 0
 
 
 def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:

@@ -21,11 +21,12 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import to_json
-from simgap.diagnosis import check_audit, check_motions
+from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report.page import draw_figures, figure_style, motion_document, series_figure, series_panel
 from simgap.report.traces import extreme_rows
+from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 
 READ: Final = 0.05
@@ -144,6 +145,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
     try:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
+        list_kinds(robot, logs.fit, found.usable)
     except RobotError as error:
         return str(error)
     return ""
@@ -203,7 +205,7 @@ def remark_text(remark: Remark) -> str:
 def refusal_sentence(report: CheckReport) -> str:
     """Say why a diagnosis refuses the logs, or how many rows it leaves out, and why."""
     if report.refusal:
-        return f"A diagnosis will refuse these logs: {report.refusal}."
+        return end_sentence(f"A diagnosis will refuse these logs: {report.refusal}")
     refused = report.audit.refused
     if not refused:
         return "A diagnosis will use all rows."

@@ -1,7 +1,7 @@
 """A diagnosis by logs or by poses: read robot and data, find the effects, print them and write the files."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,7 +25,7 @@ from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
-from simgap.diagnosis import diagnose
+from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.logs import Logs, Motion
@@ -262,6 +262,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     except Interrupted as error:
         error.add_note(GOES_ON)
         raise
+    result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
     patch = None if request.patch is None else make_patch(robot, *result.of_model())
     traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
     return RobotDiagnosis(request, result, traces, patch, digests)

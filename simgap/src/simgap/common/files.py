@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.interruption import defer_interrupts
@@ -94,8 +94,16 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
         raise RobotError(f"{str(path)!r}: cannot be read ({error})") from error
 
 
+FILMS: Final = (".mp4", ".png", ".jpg")
+"""Files in the folder of a data set that are large, and that no number comes from."""
+
+
 def file_sha256(path: Path) -> str:
-    """Compute the SHA-256 of a file."""
+    """Compute the SHA-256 of a file; of a folder, that of the names and digests of its files but films."""
+    if path.is_dir():
+        found = [one for one in sorted(path.rglob("*")) if one.is_file() and one.suffix not in FILMS]
+        lines = [f"{one.relative_to(path).as_posix()} {file_sha256(one)}\n" for one in found]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -87,8 +87,12 @@ def _open(path: Path, numbers: Sequence[str] | None, texts: Sequence[str], csv_t
 def _open_folder(folder: Path, numbers: Sequence[str] | None, wanted: Sequence[str] | None) -> LogFile:
     if (folder / INFO).is_file():
         return open_lerobot(folder, wanted)
-    if (folder / METADATA).is_file():
+    if (folder / METADATA).is_file() or any(folder.glob("*.mcap")):
         return open_bag(folder, numbers)
+    if any(folder.glob("*.db3")):
+        raise RobotError(
+            f"{folder}: has no {METADATA}; `ros2 bag reindex {folder}` writes it, or name one .db3 file"
+        )
     raise RobotError(
         f"{folder}: is no regular file; name a log, or the folder of a LeRobot data set with {INFO}, or of a "
         f"ROS 2 bag with {METADATA}"

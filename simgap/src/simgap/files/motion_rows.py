@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Flags
 from simgap.common.errors import RobotError
 from simgap.files.columns import Column, LogFile
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
@@ -38,13 +38,15 @@ class MotionRows:
 
     def __init__(self, log: LogFile, file: RobotFile) -> None:
         """Divide the rows by the columns that name a motion, or by windows of time."""
+        self.losses = list(log.losses)
+        """Sentences about what could not be read."""
         self._log = log
         self._file = file
         self._time_column = file.time.column or log.time_column
         self._time_unit = file.time.unit if file.time.column else "s"
         self._clocks: dict[str, Array] = {}
         self._pieces: dict[str, Pieces] = {}
-        self.names: tuple[str, ...] = (log.path.stem,)
+        self.names: tuple[str, ...] = (log.path.resolve().stem,)
         self._parts: list[Any] = [slice(None)]
         self._n_rows: int | None = None
         self._windows_s: list[tuple[float, float]] = []
@@ -80,6 +82,8 @@ class MotionRows:
     ) -> list[Signal] | None:
         """Return a signal of a joint for each motion; None if it never has a number and is not needed.
 
+        Values of a log before its first number are a loss: a driver had none yet.
+
         Raises:
             RobotError: a value is not finite, times do not increase, or a motion has no sample.
         """
@@ -88,19 +92,22 @@ class MotionRows:
             if key in NEEDED:
                 raise RobotError(f"{self._log.path}: column {one.column!r} is empty; a signal needs numbers")
             return None
+        is_there, n_before = _present(column)
+        if n_before:
+            self.losses.append(
+                f"column {one.column!r} is no number before its value {n_before + 1}; {n_before} are left out"
+            )
         found = []
         for name, (part, time_s) in zip(self.names, self._pieces_of(one, column), strict=True):
-            value = _to_si(column.value[part], one, quantity, table)
-            is_present = None if column.is_present is None else column.is_present[part]
-            if is_present is not None and not np.all(is_present):
-                time_s, value = time_s[is_present], value[is_present]
+            kept = is_there[part]
+            time_s = time_s if np.all(kept) else time_s[kept]  # signals with one clock share their times
+            value = _to_si(column.value[part][kept], one, quantity, table)
             if not value.size:
                 raise RobotError(f"{self._log.path}: column {one.column!r} has no value in motion {name!r}")
             if not np.all(np.isfinite(value)):
                 row = int(np.flatnonzero(~np.isfinite(value))[0])
-                where = (
-                    "" if column.message is None else f", message {column.message[part][row]} of its topic"
-                )
+                message = None if column.message is None else column.message[part][kept][row]
+                where = "" if message is None else f", message {message} of its topic"
                 raise RobotError(
                     f"{self._log.path}: column {one.column!r}, motion {name!r}: is no finite number at "
                     f"{time_s[row]:.6g} s{where}; leave the cell empty or remove the row"
@@ -236,6 +243,15 @@ class MotionRows:
         return [(part, time_s[part]) for part in parts]
 
 
+def _present(column: Column) -> tuple[Flags, int]:
+    """Return which cells have a value, (n,), and how many before the first number have none but NaN."""
+    is_there = np.ones(column.value.size, np.bool_) if column.is_present is None else column.is_present.copy()
+    before = np.arange(is_there.size) < int(np.argmax(is_there & ~np.isnan(column.value)))
+    n_before = int(np.sum(is_there & before))
+    is_there[before] = False
+    return is_there, n_before
+
+
 def _other_unit(share: float, unit: str) -> str:
     """Return which unit of time fits the rate of the controller, or by how much the times are wrong."""
     for ratio in (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9):
@@ -259,11 +275,16 @@ def _as_slice(rows: Any) -> Any:
 
 def _to_si(value: Array, one: SignalColumn, quantity: Quantity, table: JointTable) -> Array:
     """Convert logged values to SI units at the joint."""
-    unit = find_unit(one.unit, quantity)
     if quantity is Quantity.FLAG:
         return np.asarray(np.where(np.isnan(value), value, value != 0.0), dtype=np.float64)
-    factor = unit.factor * one.factor
-    offset = unit.offset
+    factor, offset = conversion(one, quantity, table)
+    return value * factor + offset
+
+
+def conversion(one: SignalColumn, quantity: Quantity, table: JointTable) -> tuple[float, float]:
+    """Return factor and offset that convert logged values to SI units at the joint."""
+    unit = find_unit(one.unit, quantity)
+    factor, offset = unit.factor * one.factor, unit.offset
     if one.unit in COUNTS and one.counts_per_turn is not None:
         factor /= one.counts_per_turn
     if one.unit in SHARES and one.at_0_rad is not None and one.at_1_rad is not None:
@@ -273,4 +294,4 @@ def _to_si(value: Array, one: SignalColumn, quantity: Quantity, table: JointTabl
         factor /= table.gear_ratio
     if one.side == "motor" and quantity is Quantity.TORQUE:
         factor *= table.gear_ratio
-    return value * factor + (offset + one.zero_rad)
+    return factor, offset + one.zero_rad

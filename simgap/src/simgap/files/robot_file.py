@@ -66,9 +66,9 @@ class SignalColumn(Record):
     counts_per_turn: Positive | None = None
     """Counts of a turn, for the units count and count/s."""
     at_0_rad: float | None = None
-    """Angle where the log has 0, for the units fraction and percent."""
+    """Angle where the log has 0, for the units fraction and percent; m of a slide."""
     at_1_rad: float | None = None
-    """Angle where the log has 1 or 100 %, for the units fraction and percent."""
+    """Angle where the log has 1 or 100 %, for the units fraction and percent; m of a slide."""
 
     @model_validator(mode="after")
     def _check(self) -> "SignalColumn":

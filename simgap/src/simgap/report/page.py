@@ -60,6 +60,7 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         *_base_part(diagnosis),
         *_remaining_part(diagnosis),
         *_refused_part(diagnosis),
+        *_remark_part(diagnosis),
     ]
 
 
@@ -277,6 +278,12 @@ def _refused_part(diagnosis: Diagnosis) -> list[str]:
         return []
     rows = [(one.motion, str(one.n_samples), one.reason) for one in diagnosis.refused]
     return [heading("What took no part"), table(("motion", "samples", "reason"), rows)]
+
+
+def _remark_part(diagnosis: Diagnosis) -> list[str]:
+    if not diagnosis.remarks:
+        return []
+    return [heading("Remarks on the logs"), *map(paragraph, diagnosis.remarks)]
 
 
 def _json(document: Any) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Fields
+from simgap.mjcf import place_tied
 from simgap.robot import ControlMode
 from simgap.simulation.compiled import Models, Rotors, nominal_fields, step_armature
 from simgap.simulation.periods import Acting, Periods
@@ -166,7 +167,9 @@ class Simulation:
         self._qpos = self._batch.bind("qpos")
         self._qpos[:, self._compiled.qpos] = q
         v = self._each(np.array([window.v_rad_s for window in self._windows]))
-        self._batch.bind("qvel")[:, self._compiled.dof] = v
+        speed = self._batch.bind("qvel")
+        speed[:, self._compiled.dof] = v
+        place_tied(self._robot.model, [one.dof_index for one in self._robot.joints], self._qpos, speed)
         self._rotors.start(self._batch)
 
     def positions(self) -> Array:

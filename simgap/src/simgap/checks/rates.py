@@ -1,0 +1,137 @@
+"""Rates of the logs: missing rows, pauses and an uneven period."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, joint_samples, say_times
+from simgap.logs import JointLog, Motion
+from simgap.robot import Robot
+
+GAP: Final = 2.5
+"""A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
+GAP_S: Final = 0.3
+"""A gap of this length, or a step of the clock, is worth a remark: a joint settles in it unseen."""
+JITTER_SHARE: Final = 0.25
+"""Jitter of this share of the period is worth a remark: linear interpolation is then wrong by as much."""
+REMARK_SHARE: Final = 0.01
+"""Share of missing or stale rows that is worth a remark."""
+MAX_WINDOWS: Final = 8
+"""Windows that a remark lists: more are no sentence."""
+Pauses = Mapping[str, Sequence[tuple[float, float]]]
+"""Motion -> last time before and first time after each of its pauses [s]."""
+
+
+def audit_rates(
+    robot: Robot, motions: Sequence[Motion], faulty: Faulty
+) -> tuple[tuple[SignalRate, ...], list[Remark]]:
+    """Return the rates of all joints in all motions, and remarks about them."""
+    pauses = {motion.name: _find_pauses(motion) for motion in motions}
+    rates = tuple(
+        _rate(motion.name, name, log, pauses, int(faulty[motion.name, name]["stale"].sum()))
+        for motion in motions
+        for name, log in motion.joints.items()
+    )
+    return rates, [*_describe_pauses(robot, motions, pauses), *_remarks(rates)]
+
+
+def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
+    """Find times in which no signal has a sample: there, no rows are missing, but the log rests."""
+    logs = motion.joints.values()
+    signals = [getattr(log, one.name) for log in logs for one in fields(log)]
+    clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
+    time_s = np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
+    periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
+    least_s = max(GAP_S, GAP * max(periods_s, default=0.0))
+    return [(float(time_s[k]), float(time_s[k + 1])) for k in np.flatnonzero(np.diff(time_s) > least_s)]
+
+
+def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> list[Remark]:
+    """Remark pauses, with the windows that cut a log of one motion there."""
+    names = tuple(name for name, found in pauses.items() if found)
+    if not names:
+        return []
+    every = [end_s - begin_s for found in pauses.values() for begin_s, end_s in found]
+    table = None if robot.file is None else robot.file.motion
+    advice = "end the motion there"
+    if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
+        ends = [(0.0, 0.0), *pauses[names[0]], (_end_s(motions[0]), 0.0)]
+        parts = [
+            (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
+        ]
+        shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
+        advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
+    most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
+    text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
+    return [Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")]
+
+
+def _end_s(motion: Motion) -> float:
+    return max(float(log.position.time_s[-1]) for log in motion.joints.values())
+
+
+def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:
+    samples, n = joint_samples(log), log.position.value.size
+    period = np.diff(samples.time_s)
+    n_invalid = n - samples.index.size
+    if log.command is not None:
+        n_invalid += int(np.sum(~np.isfinite(log.command.value)))
+    if period.size == 0:
+        nan = math.nan
+        return SignalRate(motion, joint, n, 0.0, nan, nan, 0, nan, n_invalid, n_stale)
+    median = float(np.median(period))
+    low, high = np.quantile(period, [0.05, 0.95])
+    rests = np.zeros(period.size, np.bool_)
+    for begin_s, end_s in pauses[motion]:
+        rests |= (samples.time_s[:-1] <= begin_s) & (samples.time_s[1:] >= end_s)
+    gaps = period[(period > GAP * median) & ~rests]
+    return SignalRate(
+        motion=motion,
+        joint=joint,
+        n_samples=n,
+        duration_s=float(samples.time_s[-1] - samples.time_s[0]),
+        rate_Hz=1.0 / median if median > 0.0 else math.nan,
+        jitter_s=float(high - low) / 2.0,
+        n_missing=int(np.sum(np.round(gaps / median) - 1.0)) if median > 0.0 else 0,
+        longest_s=float(period[~rests].max(initial=0.0)),
+        n_invalid=n_invalid,
+        n_stale=n_stale,
+    )
+
+
+def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
+    found: list[Remark] = []
+    for joint in dict.fromkeys(rate.joint for rate in rates):
+        own = [rate for rate in rates if rate.joint == joint]
+        n_samples = sum(rate.n_samples for rate in own)
+        stale = [rate for rate in own if rate.n_stale > REMARK_SHARE * rate.n_samples]
+        if stale:
+            count = sum(rate.n_stale for rate in stale)
+            text = f"{count} positions repeat an old value while the joint moves"
+            found.append(Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples))
+        gaps = [rate for rate in own if _has_gaps(rate) or rate.n_invalid]
+        if gaps:
+            missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
+            longest_s = max(r.longest_s for r in gaps)
+            parts = [f"{missing} rows are missing, {longest_s:.3g} s at once at most"] * bool(missing)
+            parts += [f"{invalid} values are no numbers"] * bool(invalid)
+            text, share = " and ".join(parts), (missing + invalid) / n_samples
+            found.append(Remark(RemarkKind.MISSING, joint, _names(gaps), text, share))
+        uneven = [rate for rate in own if rate.jitter_s * rate.rate_Hz > JITTER_SHARE]
+        if uneven:
+            worst = max(uneven, key=lambda rate: rate.jitter_s)
+            text = f"the period varies by +-{worst.jitter_s * 1e3:.1f} ms at {worst.rate_Hz:.0f} Hz"
+            found.append(Remark(RemarkKind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s"))
+    return found
+
+
+def _has_gaps(rate: SignalRate) -> bool:
+    return rate.n_missing > 0 and (rate.n_missing > REMARK_SHARE * rate.n_samples or rate.longest_s > GAP_S)
+
+
+def _names(rates: Sequence[SignalRate]) -> tuple[str, ...]:
+    return tuple(rate.motion for rate in rates)
