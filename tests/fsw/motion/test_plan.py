@@ -54,7 +54,7 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
         assert worst_limit_excess(CONFIG, plan.end.output_rad) <= 1e-9
 
 
-@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize("tool", slow_but(TOOLS, "apxs", "drt"))
 def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
     joints = joints_at()
     for command in targets(tool, 5):
