@@ -168,7 +168,7 @@ recorder.write(cycle_at(40))
 
 
 def record_on_disk(path: Path, size: int, cycles: int) -> tuple[list[str | None], int]:
-    """Record on a disk with room for so many bytes; return the errors of cycles and end, and cycles written."""
+    """Record on a disk of this size in bytes; return the errors of cycles and end, and cycles written."""
     errors = []
     with largest_file(size):
         recorder = Recorder(path, {"seed": "1", "arm": "nominal"})
