@@ -36,7 +36,7 @@ def samples(position, command=None):
 
 
 @pytest.mark.parametrize("width", [1, 2])
-@pytest.mark.parametrize("size_rad", [-3.14, 0.1])
+@pytest.mark.parametrize("size_rad", slow_but([-3.14, 0.1], 0.1))
 def test_samples_that_jump_away_are_named_and_left_out(clean, width, size_rad):
     def jump(value):
         for first in (50, 61, 300):

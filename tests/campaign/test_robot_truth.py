@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
 from validation.cases import robot_structure as structure
@@ -88,6 +89,7 @@ def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
 
 WAVES_AND_JUMP = np.concatenate([PLAN.commands[4][:, :150], PLAN.commands[0][:, :100]], axis=1)
 """Commands of waves and then of a jump, at which the torque is limited."""
+HYPOTHESES = list_hypotheses(load_robot("pendulum"), ENTRIES + OUTSIDE)
 
 
 @cache
@@ -96,9 +98,7 @@ def simulate_warm(*effects: inside.TrueEffect) -> Array:
     return plant.simulate(WAVES_AND_JUMP, PERIOD_S, 3, (25.0, 30.0))
 
 
-@pytest.mark.parametrize(
-    "one", list_hypotheses(load_robot("pendulum"), ENTRIES + OUTSIDE), ids=lambda one: one.key
-)
+@pytest.mark.parametrize("one", slow_but(HYPOTHESES, *HYPOTHESES[::3]), ids=[one.key for one in HYPOTHESES])
 def test_every_effect_moves_the_log_and_none_diverges(one) -> None:  # type: ignore[no-untyped-def]
     scene = Scene(PENDULUM, (float(WAVES_AND_JUMP.min()),), (float(WAVES_AND_JUMP.max()),), 0.0)
     effect = one.entry.kind(scene, one.place, one.entry.typical * one.scale, 0.3)

@@ -36,6 +36,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> Schedulin
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # until all is collected
     settings.load_profile("short" if config.option.markexpr == "not slow" else "repeatable")
 
 
@@ -57,5 +58,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what was collected out of later garbage collections, which would look through it each time."""
+    gc.enable()
     gc.collect()
     gc.freeze()

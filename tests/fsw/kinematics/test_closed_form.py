@@ -82,10 +82,8 @@ def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
 
 SHAPES = {"lean": (0.0, 1.2), "aside": (OFFSET_M, 0.0), "skew": (OFFSET_M, TILT_RAD)}
 OFFSET = [(tool_of_the_drawing_but(offset_m), 9, 5 * N) for offset_m in (1e-3, 0.03, 0.06, 0.15)]
-ANY_TOOL = [
-    *((skew_tool(seed, *shape), seed, N) for seed in range(12) for shape in SHAPES.values()),
-    *slow_but(OFFSET, OFFSET[1]),
-]
+SKEW = [(skew_tool(seed, *shape), seed, N) for seed in range(12) for shape in SHAPES.values()]
+ANY_TOOL = slow_but(SKEW + OFFSET, *SKEW[:12], OFFSET[1])
 
 
 @pytest.mark.parametrize(("arm", "seed", "n"), ANY_TOOL)

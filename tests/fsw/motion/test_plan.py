@@ -238,7 +238,9 @@ FALSELY_OUT_OF_REACH = [
 ]
 
 
-@pytest.mark.parametrize(("tool", "pose", "length_m"), FALSELY_OUT_OF_REACH)
+@pytest.mark.parametrize(
+    ("tool", "pose", "length_m"), slow_but(FALSELY_OUT_OF_REACH, *FALSELY_OUT_OF_REACH[:2])
+)
 def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_m):
     rig = Rig(CONFIG, start_rad=pose)
     joints, X = rig.state.joints, rig.tool_pose(tool)
