@@ -31,11 +31,11 @@ demo: $(VENV)/ready
 # A file stays in one process: what its tests share is made once.
 test: $(VENV)/ready
 	@$(call say,running the short tests in $(WORKERS) processes)
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile -m "not slow" $(ARGS)
+	@$(BIN)/python -m pytest -q -n $(WORKERS) -m "not slow" $(ARGS)
 
 test-all: $(VENV)/ready
 	@$(call say,running all tests in $(WORKERS) processes)
-	@$(BIN)/python -m pytest -q --durations 15 -n $(WORKERS) --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -q --durations 15 -n $(WORKERS) $(ARGS)
 
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)

@@ -6,7 +6,8 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from simgap import Robot, audit, diagnose, load, verdict_lines
+from simgap import Robot, Trace, audit, diagnose, load, verdict_lines
+from simgap.report.traces import trace_motions
 from simgap.simulation.compiled import HARD_IMPEDANCE
 
 MODEL = """
@@ -73,6 +74,28 @@ def record_logs(path: Path) -> None:
     np.savetxt(path, rows, "%.6g", ",", header=head, comments="")
 
 
+def draw(trace: Trace, before_mrad: float, after_mrad: float) -> None:
+    """Draw what was measured, beside the model as it is and the model with what was found."""
+    shown = (trace.time_s > 0.9) & (trace.time_s < 2.4)
+    time_s, measured = trace.time_s[shown], np.asarray(trace.measured)[shown]
+    before, after = measured - trace.nominal[shown], measured - trace.explained[shown]
+    figure, panels = plt.subplots(1, 2, figsize=(9, 4), sharey=True, layout="constrained")
+    for axes, model, colour, title in (
+        (panels[0], before, "#c1121f", f"Model as it is: error {before_mrad:.1f} mrad"),
+        (panels[1], after, "#1769c2", f"With the delay that was found: {after_mrad:.1f} mrad"),
+    ):
+        axes.fill_between(time_s, measured, model, color=colour, alpha=0.25, linewidth=0)
+        axes.plot(time_s, measured, color="0.1", linewidth=3.0, label="robot")
+        axes.plot(time_s, model, "--", color=colour, linewidth=2.0, label="model")
+        axes.set_title(title, fontsize=12, color=colour)
+        axes.set(xlabel="time [s]", xticks=(1.0, 1.5, 2.0))
+        axes.legend(loc="upper center", ncols=2, frameon=False)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set(ylabel="elbow [rad]", ylim=(-0.2, 0.27))
+    figure.suptitle("An elbow and its model get the same commands, in a motion that took no part in the fit")
+    figure.savefig("robot_diagnose.png", dpi=100)
+
+
 def main() -> None:
     """Write model, robot file and logs; diagnose them."""
     Path("model.xml").write_text(MODEL)
@@ -88,14 +111,9 @@ def main() -> None:
     result.patch(robot, "patch")
     result.report("report.html", robot, logs.judged)
 
-    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
-    place = np.arange(len(result.errors))
-    for k, kind in enumerate(("nominal", "base", "explained")):
-        axes.bar(place + 0.25 * k, [1e3 * getattr(one, kind) for one in result.errors], 0.25, label=kind)
-    axes.set_xticks(place + 0.25, [one.joint for one in result.errors])
-    axes.set(title="Error on motions that took no part", ylabel="mean absolute error [mrad]")
-    axes.legend()
-    figure.savefig("robot_diagnose.png", dpi=100)
+    elbow = next(one for one in result.errors if one.joint == "elbow")
+    motions = trace_motions(robot, logs.judged, result)
+    draw(next(one for one in motions if one.joint == "elbow"), 1e3 * elbow.nominal, 1e3 * elbow.explained)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from math import degrees
 from typing import Final, Literal, get_args
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from fsw.config import configure
 from fsw.dictionary.commands import Calibrate, MoveJoint
@@ -148,6 +147,8 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
         found = compute_hardstop_loads(_with_free_angles(params, angles), gravity_R_m_s2).torque_Nm
         error_Nm: Array = (found - wanted_Nm)[list(EQUALISED_JOINTS)]
         return error_Nm
+
+    from scipy.optimize import least_squares  # half of the time that every start of a program would take
 
     start = np.array([getattr(params.hardstop, pose)[joint] for pose, joint in FREE_ANGLES])
     low, high = [joint.soft_min_rad for joint in limits], [joint.soft_max_rad for joint in limits]

@@ -6,6 +6,7 @@ colour. Decorations (sites, contacts) and reflections are left out.
 
 import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import mujoco
@@ -34,10 +35,15 @@ class Triangles:
 
 def triangulate(model: mujoco.MjModel, geom: int) -> Triangles | None:
     """Return the triangles of a geom in its own frame, or None for a height field or a distance field."""
-    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-    kinds = mujoco.mjtGeom
-    if kind == kinds.mjGEOM_MESH:
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return _mesh(model, int(model.geom_dataid[geom]))
+    return _triangulate_shape(kind, tuple(model.geom_size[geom].tolist()))
+
+
+@lru_cache(maxsize=1024)
+def _triangulate_shape(kind: mujoco.mjtGeom, size_m: tuple[float, float, float]) -> Triangles | None:
+    kinds, size = mujoco.mjtGeom, np.array(size_m)
     if kind == kinds.mjGEOM_PLANE:
         x, y = np.where(size[:2] > 0.0, size[:2], PLANE_M)
         return join_triangles([_grid(np.array([[[-x, -y, 0], [-x, y, 0]], [[x, -y, 0], [x, y, 0]]]))])

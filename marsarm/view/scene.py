@@ -173,8 +173,8 @@ def _parts(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]) -> lis
     """Collect the visible triangles by carrier and colour."""
     found: dict[tuple[int, tuple[float, ...]], list[Triangles]] = defaultdict(list)
     for geom in range(model.ngeom):
-        triangles = triangulate(model, geom)
-        if model.geom_group[geom] >= VISIBLE_GROUPS or triangles is None:
+        triangles = triangulate(model, geom) if model.geom_group[geom] < VISIBLE_GROUPS else None
+        if triangles is None:
             continue
         weld = int(model.body_weldid[model.geom_bodyid[geom]])
         R_WG, p_W_m = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]

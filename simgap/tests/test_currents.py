@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,11 @@ CURRENT = 'current = { column = "m2", unit = "mA" }\ntorque_constant_Nm_A = 2.5'
 COMMAND = 'command = { column = "c1", unit = "deg" }\n'
 
 
+@cache
+def six_motions():
+    return [simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}") for seed in range(6)]
+
+
 def guessed(constant_Nm_A: float, true_Nm_A: float, is_known: bool):
     """Return the arm and its logs, in which torques are known as currents."""
     robot = arm()
@@ -36,8 +42,7 @@ def guessed(constant_Nm_A: float, true_Nm_A: float, is_known: bool):
         ),
     )
     motions = []
-    for seed in range(6):
-        one = simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}")
+    for one in six_motions():
         joints = {
             name: replace(log, torque=None, current=Signal(log.torque.time_s, log.torque.value / true_Nm_A))
             for name, log in one.joints.items()

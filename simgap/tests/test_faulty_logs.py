@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record, slow_logs, with_joint
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind, Samples
@@ -35,7 +36,7 @@ def samples(position, command=None):
 
 
 @pytest.mark.parametrize("width", [1, 2])
-@pytest.mark.parametrize("size_rad", [-3.14, 0.1])
+@pytest.mark.parametrize("size_rad", slow_but([-3.14, 0.1], 0.1))
 def test_samples_that_jump_away_are_named_and_left_out(clean, width, size_rad):
     def jump(value):
         for first in (50, 61, 300):
@@ -239,7 +240,7 @@ def test_a_motor_that_is_switched_on_late_is_named(clean):
     assert found.value == pytest.approx(100 / RATE_HZ)
 
 
-@pytest.mark.parametrize("factor", [0.1, 3.0, 10.0, 25.0])
+@pytest.mark.parametrize("factor", slow_but([0.1, 3.0, 10.0, 25.0], 0.1, 3.0))
 def test_times_in_another_unit_are_told_with_their_factor_by_the_velocities(clean, factor):
     def slow(log):
         speed = np.gradient(log.position.value, log.position.time_s)

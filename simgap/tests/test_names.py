@@ -30,12 +30,6 @@ def test_an_import_loads_nothing_before_a_name_is_used():
     assert run_python("-c", ask) == "[]"
 
 
-def test_neither_the_arm_of_mars_nor_a_plot_library_is_needed():
-    ask = "import sys, simgap, simgap.command.check; [getattr(simgap, name) for name in simgap.__all__]"
-    unwanted = "print([n for n in ('marsarm', 'fsw', 'sim', 'matplotlib', 'PIL') if n in sys.modules])"
-    assert run_python("-c", f"{ask}; {unwanted}") == "[]"
-
-
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'simgap' has no attribute 'Robbot'"):
         _ = simgap.Robbot

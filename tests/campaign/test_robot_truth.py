@@ -1,8 +1,11 @@
 """The simulator of the synthetic truth: energy, friction, delays, limits, noise, convergence."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
 from validation.cases import robot_structure as structure
@@ -84,19 +87,22 @@ def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
     assert both[0] == pytest.approx(both[1], abs=0.06 / 12)
 
 
-@pytest.mark.parametrize(
-    "one", list_hypotheses(load_robot("pendulum"), ENTRIES + OUTSIDE), ids=lambda one: one.key
-)
+WAVES_AND_JUMP = np.concatenate([PLAN.commands[4][:, :150], PLAN.commands[0][:, :100]], axis=1)
+"""Commands of waves and then of a jump, at which the torque is limited."""
+HYPOTHESES = list_hypotheses(load_robot("pendulum"), ENTRIES + OUTSIDE)
+
+
+@cache
+def simulate_warm(*effects: inside.TrueEffect) -> Array:
+    plant = Plant(PENDULUM, NO_NUISANCES, list(effects), 0.001)
+    return plant.simulate(WAVES_AND_JUMP, PERIOD_S, 3, (25.0, 30.0))
+
+
+@pytest.mark.parametrize("one", slow_but(HYPOTHESES, *HYPOTHESES[::3]), ids=[one.key for one in HYPOTHESES])
 def test_every_effect_moves_the_log_and_none_diverges(one) -> None:  # type: ignore[no-untyped-def]
-    # waves and then a jump, at which the torque is limited
-    commands = np.concatenate([PLAN.commands[4][:, :150], PLAN.commands[0][:, :100]], axis=1)
-    scene = Scene(PENDULUM, (float(commands.min()),), (float(commands.max()),), 0.0)
+    scene = Scene(PENDULUM, (float(WAVES_AND_JUMP.min()),), (float(WAVES_AND_JUMP.max()),), 0.0)
     effect = one.entry.kind(scene, one.place, one.entry.typical * one.scale, 0.3)
-    with_it, without = (
-        Plant(PENDULUM, NO_NUISANCES, effects, 0.001).simulate(commands, PERIOD_S, 3, (25.0, 30.0))
-        for effects in ([effect], [])
-    )
-    assert np.abs(with_it - without).max() > 1e-6
+    assert np.abs(simulate_warm(effect) - simulate_warm()).max() > 1e-6
 
 
 def test_a_quarter_of_the_step_moves_the_samples_by_less_than_a_tenth_of_the_noise() -> None:

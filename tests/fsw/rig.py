@@ -104,21 +104,20 @@ def alive(cycle: int) -> float:
 
 def quiet_sensors(encoder_count, cycle: int = 0, **other) -> Sensors:
     """Every reading as it is when nothing happens; arrays that raise if anyone writes to them."""
-    sensors = Sensors(
-        cycle=cycle,
-        encoder_count=frozen(encoder_count, np.int64),
-        resolver_rad=frozen(np.full(5, alive(cycle))),
-        current_A=frozen(np.full(5, alive(cycle))),
-        winding_C=frozen(np.full(5, -40.0)),
-        structure_C=20.0 + alive(cycle),
-        switch_closed=frozen(np.zeros(10), bool),
-        gravity_R_m_s2=frozen(MARS_R_m_s2 + alive(cycle)),
-    )
-    given = {
-        name: float(np.ravel(v)[0]) if name == "structure_C" else frozen(v, getattr(sensors, name).dtype)
-        for name, v in other.items()
-    }
-    return replace(sensors, **given)
+    noise = alive(cycle)
+    readings = {
+        "encoder_count": encoder_count,
+        "resolver_rad": np.full(5, noise),
+        "current_A": np.full(5, noise),
+        "winding_C": np.full(5, -40.0),
+        "structure_C": 20.0 + noise,
+        "switch_closed": np.zeros(10),
+        "gravity_R_m_s2": MARS_R_m_s2 + noise,
+    } | other
+    structure_C = float(np.ravel(readings.pop("structure_C"))[0])
+    types = {"encoder_count": np.int64, "switch_closed": bool}
+    arrays = {name: frozen(value, types.get(name, float)) for name, value in readings.items()}
+    return Sensors(cycle=cycle, structure_C=structure_C, **arrays)
 
 
 def all_known(config: Config) -> Reference:

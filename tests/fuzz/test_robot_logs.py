@@ -9,6 +9,6 @@ from validation.robot_logs import FORMATS, LogFormat, flip_bits
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_a_flipped_bit_changes_no_number_without_a_word(form: LogFormat, tmp_path: Path) -> None:
-    found = flip_bits(form, 40, 6, tmp_path)
+    found = flip_bits(form, 15, 6, tmp_path)
     assert found["wrong"] == []
     assert found["refused"] > 0

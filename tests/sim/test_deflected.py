@@ -14,6 +14,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
+from helpers.marks import slow_but
 from sim.frames import FLIP
 from sim.params import nominal_params
 from sim.plant import Plant
@@ -135,7 +136,7 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
             assert np.linalg.norm(truth.R_RT[tool_index(tool)] - X_RT.R) / np.sqrt(2) < NEAR_RAD
 
 
-@pytest.mark.parametrize("turret_kg", TURRETS_KG)
+@pytest.mark.parametrize("turret_kg", slow_but(TURRETS_KG, TURRETS_KG[-1]))
 @pytest.mark.parametrize("scene", SCENES)
 def test_they_are_in_all_branches_and_tilted_by_up_to_thirty_degrees(scene: str, turret_kg: float) -> None:
     drawn = [case for case in make_cases(turret_kg) if case.world.scene == scene]

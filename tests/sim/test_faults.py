@@ -232,7 +232,7 @@ TOLERATED = {
 }
 
 
-@pytest.mark.parametrize("name", TOLERATED)
+@pytest.mark.parametrize("name", slow_but(TOLERATED, *list(TOLERATED)[::2]))
 def test_what_is_tolerated_does_not_end_a_move(name):
     loop = moving().fork((replace(TOLERATED[name], at_s=now_s() + 0.25),))
     evrs = run_to_rest(loop)

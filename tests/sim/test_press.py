@@ -12,6 +12,7 @@ from fsw.dictionary.faults import ContactLost, PreloadOutside
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
+from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.clearance import tool_forces
 from sim.effects.faults import RockGone, SensorFault
@@ -30,8 +31,9 @@ PRESSED_N = 20.0
 PLACE = PlaceTool("drill", tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
 
 
-@pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
-def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
+@pytest.mark.parametrize("push", slow_but(range(3), 2))
+def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(push):
+    force_R_N = [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)][push]
     arm, pose = build_arm(nominal_params()), np.radians([-20.0, -65.0, 100.0, 30.0, 80.0])
     world = tilted_world(5.0, -8.0)
     free = load(plant(world, edit=settle_fast), pose)

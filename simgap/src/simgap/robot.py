@@ -153,7 +153,16 @@ class Robot:
         Raises:
             RobotError: the file, the model, or what the one says of the other is wrong.
         """
-        return _build_robot(Path(path))
+        return cls.from_file(read_model_file(Path(path)), Path(path))
+
+    @classmethod
+    def from_file(cls, file: RobotFile, path: Path) -> "Robot":
+        """Compile the model of a robot file that was read, or is to be written, at this path.
+
+        Raises:
+            RobotError: the model, or what the one says of the other is wrong.
+        """
+        return _build_robot(file, path)
 
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
@@ -172,8 +181,7 @@ ROUNDING: Final = 1e-3
 """Share of the largest gravity torque of the robot below which one is rounding of frames and of masses."""
 
 
-def _build_robot(path: Path) -> Robot:
-    file = read_model_file(path)
+def _build_robot(file: RobotFile, path: Path) -> Robot:
     model_path = path.parent / file.model
     xml = read_model_text(model_path)
     left_out = tuple(file.left_out)

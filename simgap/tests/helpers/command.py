@@ -8,9 +8,12 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import cache
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from unittest.mock import patch
+
+import typer
 
 from simgap.__main__ import start
 from simgap.common.interruption import END_SIGNALS
@@ -20,6 +23,9 @@ LIBRARY_WORDS = re.compile(
     r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
 )
 """Words of Python and its libraries, which tell a user nothing."""
+
+get_command = cache(typer.main.get_command)
+"""A program makes its verbs from their functions once."""
 
 
 def run_simgap(folder: Path, *words: str) -> Ran:
@@ -42,6 +48,7 @@ def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
         chdir(folder),
         patch.object(sys, "argv", ["-", *words]),
         patch.dict(os.environ),
+        patch.object(typer.main, "get_command", get_command),
         redirect_stdout(stdout),
         redirect_stderr(stderr),
         warnings.catch_warnings(),

@@ -9,14 +9,35 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
 import simgap  # noqa: F401  before pytest takes the folder simgap/ for a package
 
 # A failure must come back on the next run, on any machine, however loaded.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
-settings.load_profile("repeatable")
+settings.register_profile("short", settings.get_profile("repeatable"), max_examples=40)
 
 DATA_VARIABLE = "MARSARM_DATA"
+
+SHARING = ("tests/marsarm/calibration", "tests/marsarm/diagnosis", "tests/marsarm/view")
+"""Folders whose files share runs that are made once in a process."""
+
+
+class Scheduling(LoadFileScheduling):
+    """Give each file, and each folder whose files share runs, to one process."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return next((one for one in SHARING if nodeid.startswith(f"{one}/")), super()._split_scope(nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> Scheduling:
+    return Scheduling(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # until all is collected
+    settings.load_profile("short" if config.option.markexpr == "not slow" else "repeatable")
 
 
 @pytest.fixture(scope="session")
@@ -37,5 +58,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what was collected out of later garbage collections, which would look through it each time."""
+    gc.enable()
     gc.collect()
     gc.freeze()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from helpers.real_robots import repository_file
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 from simgap.common.errors import RobotError
@@ -92,7 +93,7 @@ def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_but(range(4), 0))
 def test_an_arm_with_errors_of_its_links_only_has_no_finding(seed):
     found = diagnose(built_with(), 200, seed)
     assert found.findings == found.remaining == ()

@@ -32,6 +32,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import HardstopMissed
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.state import Sequence
+from helpers.marks import slow_but
 from tests.fsw.executive.lab import (
     COMMANDS,
     CONFIG,
@@ -170,7 +171,7 @@ def test_a_joint_that_meets_no_hardstop_is_stopped_behind_the_place_of_it(joint)
 
 
 @pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("beyond_m", [0.001, 0.01, 0.02])
+@pytest.mark.parametrize("beyond_m", slow_but([0.001, 0.01, 0.02], 0.001))
 def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond_m):
     rig = next_to_its_stop(joint)
     lowest = CONFIG.protection.lowest_rad[joint] - beyond_m

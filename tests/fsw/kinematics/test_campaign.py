@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import limit_excess
+from helpers.marks import slow_but
 from tests.tools import TOOLS
 from validation.campaigns import Context
 from validation.kinematics import Chunk, Tally, campaign, plan_chunks, run_chunk
@@ -64,7 +65,7 @@ def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_doubl
             assert np.median(smallest_singular_value(trial, q[:, there])) < 0.01
 
 
-@by_case
+@pytest.mark.parametrize("case", slow_but(CASES, CASES[0], CASES[-1]), ids=[case.name for case in CASES])
 def test_some_vectors_are_measured_from_the_double_roots_of_the_arm_as_it_is(case):
     trial = next(trials(case, np.random.default_rng(2)))
     q, near = draw_vectors(trial, np.random.default_rng(3), 3000)

@@ -9,6 +9,7 @@ from fsw.dictionary.enums import Frame
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.chain import forward, frame_jacobian, frame_poses, joint_jacobian, spring_pose, tool_pose
 from fsw.kinematics.transforms import rotation_x, rotation_y, rotation_z, screw_exp
+from helpers.marks import slow_but
 from tests.fsw.kinematics.test_arm import drawn_interface, drawn_tool, translation, turn
 from tests.fsw.rig import config_of, in_limits, matrix
 from tests.tools import TOOLS
@@ -108,7 +109,7 @@ def displaced(arm, frame, tool, screw):
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize("tool", slow_but(TOOLS, "drill"))
 @pytest.mark.parametrize("frame", Frame)
 def test_the_jacobian_of_every_frame_agrees_with_finite_differences(name, tool, frame):
     config, rng = config_of(name), np.random.default_rng(6)

@@ -11,6 +11,7 @@ from fsw.kinematics.closed_form import closed_form, closed_form_branch, fold_dis
 from fsw.kinematics.ik import FREE_SINE
 from fsw.kinematics.statics import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
+from helpers.marks import slow_but
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS, tool_index
 from validation.kinematics_samples import draw_vectors
@@ -80,10 +81,9 @@ def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
 
 
 SHAPES = {"lean": (0.0, 1.2), "aside": (OFFSET_M, 0.0), "skew": (OFFSET_M, TILT_RAD)}
-ANY_TOOL = [
-    *((skew_tool(seed, *shape), seed, N) for seed in range(12) for shape in SHAPES.values()),
-    *((tool_of_the_drawing_but(offset_m), 9, 5 * N) for offset_m in (1e-3, 0.03, 0.06, 0.15)),
-]
+OFFSET = [(tool_of_the_drawing_but(offset_m), 9, 5 * N) for offset_m in (1e-3, 0.03, 0.06, 0.15)]
+SKEW = [(skew_tool(seed, *shape), seed, N) for seed in range(12) for shape in SHAPES.values()]
+ANY_TOOL = slow_but(SKEW + OFFSET, *SKEW[:12], OFFSET[1])
 
 
 @pytest.mark.parametrize(("arm", "seed", "n"), ANY_TOOL)

@@ -116,7 +116,7 @@ def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("force_N", [None, (30.0, -20.0, 10.0)])
+@pytest.mark.parametrize("force_N", [pytest.param(None, marks=pytest.mark.slow), (30.0, -20.0, 10.0)])
 def test_frames_and_load_of_a_batch_are_those_of_single_poses(name, force_N):
     arm, rng = config_of(name).arm, np.random.default_rng(10)
     push = None if force_N is None else ToolForce("drill", np.array(force_N))

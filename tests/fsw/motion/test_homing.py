@@ -56,7 +56,7 @@ def faulted(rig, joint, kind):
 
 
 @pytest.mark.parametrize("joint", EACH_JOINT)
-@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("calibrated", slow_but([True, False], True))
 def test_a_joint_finds_its_zero_at_its_hardstop_pressing_gently_and_moves_back_inside(joint, calibrated):
     rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=calibrated)
     evrs = rig.run(Calibrate(joint))
@@ -85,7 +85,7 @@ def test_a_joint_that_already_stands_at_its_hardstop_finds_it_too(joint):
     assert rig.state.joints.motor_rad[joint] == pytest.approx(rig.motor_rad[joint], abs=0.1e-3)
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_a_joint_that_stalls_before_its_hardstop_says_so(joint):
     window = CONFIG.params.hardstop.window_rad
     early = faulted(StopRig(CONFIG, START, stop_off_rad=1.5 * window), joint, StalledEarly)
@@ -121,7 +121,7 @@ def test_a_hardstop_is_not_to_be_elsewhere_than_it_was_found_before(joint, sign)
         assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_a_motor_that_neither_turns_nor_draws_current_is_stuck(joint):
     rig = StopRig(CONFIG, START)
     rig.dead = True

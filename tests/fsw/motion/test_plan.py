@@ -54,7 +54,7 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
         assert worst_limit_excess(CONFIG, plan.end.output_rad) <= 1e-9
 
 
-@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize("tool", slow_but(TOOLS, "apxs", "drt"))
 def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
     joints = joints_at()
     for command in targets(tool, 5):
@@ -238,7 +238,9 @@ FALSELY_OUT_OF_REACH = [
 ]
 
 
-@pytest.mark.parametrize(("tool", "pose", "length_m"), FALSELY_OUT_OF_REACH)
+@pytest.mark.parametrize(
+    ("tool", "pose", "length_m"), slow_but(FALSELY_OUT_OF_REACH, *FALSELY_OUT_OF_REACH[:2])
+)
 def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_m):
     rig = Rig(CONFIG, start_rad=pose)
     joints, X = rig.state.joints, rig.tool_pose(tool)

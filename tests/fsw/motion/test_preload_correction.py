@@ -78,7 +78,7 @@ def levers_across(rig) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stiffness", slow_but([0.8, 0.9, 1.15], 0.8))
-@pytest.mark.parametrize(("friction", "offset_Nm"), [(1.0, 0.0), (1.05, 5.0)])
+@pytest.mark.parametrize(("friction", "offset_Nm"), slow_but([(1.0, 0.0), (1.05, 5.0)], (1.05, 5.0)))
 def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, offset_Nm):
     rig = pressed(stiffness, friction, offset_Nm)
     for event in force_events(rig):

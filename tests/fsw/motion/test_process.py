@@ -12,6 +12,7 @@ from fsw.executive.poses import find_gravity_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
+from helpers.marks import slow_but
 from tests.fsw.rig import Rig, config_of, floats, in_limits
 from tests.tools import TOOLS
 
@@ -30,7 +31,9 @@ def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: s
     return R_RT.T @ gravity / np.linalg.norm(gravity)
 
 
-@pytest.mark.parametrize("arm", ["nominal", *(f"calibrated:{seed}" for seed in range(1, 9))])
+@pytest.mark.parametrize(
+    "arm", slow_but(["nominal", *(f"calibrated:{seed}" for seed in range(1, 9))], "nominal", "calibrated:3")
+)
 def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_is_square_or_not(arm):
     """Starts and gravities are random; the direction is that of another wrist and turret angle."""
     config = config_of(arm)
@@ -50,7 +53,7 @@ def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_
         assert np.all(answer <= config.arm.soft_max_rad)
 
 
-@pytest.mark.parametrize("arm", ["nominal", "calibrated:1"])
+@pytest.mark.parametrize("arm", slow_but(["nominal", "calibrated:1"], "calibrated:1"))
 def test_what_is_refused_is_out_of_reach_of_the_wrist_or_beyond_a_limit(arm):
     config = config_of(arm)
     rng = np.random.default_rng([*arm.encode(), 81])

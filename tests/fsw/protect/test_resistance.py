@@ -11,6 +11,7 @@ from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.protect.inputs import CURRENT_GAIN, UPDATE_CYCLES, compute_bounds
 from fsw.protect.resistance import CONTACT, LEAST_UPDATES, monitor_free_move
+from helpers.marks import slow_but
 from tests.fsw.protect.lab import (
     BOUNDS,
     CONFIG,
@@ -130,7 +131,7 @@ def test_the_force_is_that_which_explains_the_torques_along_the_motion_of_the_to
     assert event.force_N == pytest.approx(100.0 * seen, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_but(range(4), 0))
 def test_noise_alone_is_no_contact(seed):
     assert Turning(seed=seed).until_found(10_000)[0] is None
 

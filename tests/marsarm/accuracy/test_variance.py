@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import Array
+from helpers.marks import slow_but
 from marsarm.accuracy.confidence import estimate_accuracy
 
 CASES = {
@@ -13,6 +14,8 @@ CASES = {
     "off on the mean": ((2.0, 1.0, 1.0), (0.3, 0.3, 0.3), (1.0, 0.0, 0.0)),
     "a single component": ((1.0,), (2.0,), (0.0,)),
 }
+SHORT = ("one axis between arms", "a single component")
+"""Cases of the short tests."""
 
 
 def campaign(rng: np.random.Generator, name: str, arms: int = 50, each: int = 20) -> Array:
@@ -28,7 +31,7 @@ def true_sigmas(name: str) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", slow_but(CASES, *SHORT))
 def test_estimates_are_unbiased_and_upper_bounds_hold_as_often_as_they_say(name):
     rng, wanted, runs = np.random.default_rng(11), true_sigmas(name), 600
     found = [estimate_accuracy(campaign(rng, name)) for _ in range(runs)]
@@ -40,8 +43,8 @@ def test_estimates_are_unbiased_and_upper_bounds_hold_as_often_as_they_say(name)
         assert np.mean([s.upper >= true for s in sigmas]) > 0.92
 
 
-@pytest.mark.parametrize("arms", [2, 3])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("arms", slow_but([2, 3], 2))
+@pytest.mark.parametrize("name", slow_but(CASES, *SHORT))
 def test_upper_bounds_of_few_arms_hold_as_often_as_they_say(name, arms):
     rng, (accuracy, repeatability) = np.random.default_rng(12), true_sigmas(name)
     found = [estimate_accuracy(campaign(rng, name, arms)) for _ in range(600)]

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from helpers.marks import slow_but
 from tests.marsarm.command import ROOT, marsarm
 
 MAIN = "from marsarm.__main__ import start; start()"
@@ -17,7 +18,7 @@ def to(target, *words):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("words", [["dictionary", "--json"], ["--help"]])
+@pytest.mark.parametrize("words", slow_but([["dictionary", "--json"], ["--help"]], ["--help"]))
 def test_a_full_disk_behind_the_output_is_said(words):
     ran = to("> /dev/full", *words)
     assert ran.returncode == 2

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from helpers.marks import slow_but
 from marsarm.common.rates import estimate_rate
 from marsarm.diagnosis.diagnose import MAX_MEMBERS, map_residual
 from marsarm.diagnosis.normal_equations import build_full_whitener
@@ -136,7 +137,7 @@ def test_a_size_at_its_bound_is_no_finding(made, rng):
     assert 4 not in chosen
 
 
-@pytest.mark.parametrize("times", [1.0, 2.5])
+@pytest.mark.parametrize("times", slow_but([1.0, 2.5], 2.5))
 def test_a_nonlinear_effect_is_fitted(rng, times):
     """Within the simulated steps the parabola suffices; beyond them the simulator is needed."""
     bent = world(bent=0.8)

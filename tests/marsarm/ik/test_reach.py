@@ -78,6 +78,7 @@ def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
 
 
+@pytest.mark.slow
 def test_a_map_of_one_target_is_drawn_too(tmp_path):
     path = tmp_path / "few.png"
     report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path))

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import FileIO
 from pathlib import Path
@@ -23,6 +23,8 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
+from tests.marsarm.command import largest_file
+from tests.marsarm.telemetry.conftest import cycle_at
 from validation import broken_logs
 from validation.broken_logs import Kill
 from validation.campaigns import Context
@@ -67,21 +69,8 @@ def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
 ) -> None:
     for name, data in before.items():
         (tmp_path / name).write_bytes(data)
-    program = (
-        "import resource, sys\n"
-        "from marsarm.telemetry.errors import LogNotWritable\n"
-        "from marsarm.telemetry.recorder import Recorder\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
-        "try:\n    Recorder(sys.argv[1], {})\n"
-        "except LogNotWritable as error:\n    print(error)\n"
-    )
-    env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
-    ran = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, str(tmp_path / "run.mcap")],
-        env=env, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert "File too large" in ran.stdout
-    assert ran.stderr == ""
+    with largest_file(0), pytest.raises(LogNotWritable, match="File too large"):
+        Recorder(tmp_path / "run.mcap", {})
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
@@ -109,22 +98,25 @@ def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-BEGIN = """\
-import os, signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for background processes
-from marsarm.telemetry.recorder import Recorder
-from tests.marsarm.telemetry.conftest import cycle_at
-recorder = Recorder(sys.argv[1], {})
-for tick in range(40):
-    recorder.write(cycle_at(tick))
-"""
+def record_and_end(
+    path: Path, cycles: int, end: Callable[[Recorder], object], closed: Sequence[int] = ()
+) -> int:
+    """Record in a fork of this process, without these streams; return its wait status."""
+    child = os.fork()
+    if child == 0:
+        try:
+            for stream in closed:
+                os.close(stream)
+            recorder = Recorder(path, {})
+            for tick in range(cycles):
+                recorder.write(cycle_at(tick))
+            end(recorder)
+        finally:
+            os._exit(1)
+    return os.waitpid(child, 0)[1]
 
 
-def test_a_recorder_that_nobody_closes_is_closed_at_the_end_of_the_program(tmp_path: Path) -> None:
-    done = python(BEGIN, str(tmp_path / "run.mcap"))
-    assert (done.returncode, done.stderr) == (0, "")
-    log = read_log(tmp_path / "run.mcap")
-    assert (len(log["/joint"]), log.truncated) == (40, False)
+forks = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 
 
 def test_a_cycle_after_the_end_of_the_log_is_refused(make: Any, tmp_path: Path) -> None:
@@ -146,8 +138,14 @@ def test_a_log_goes_forward(make: Any, tmp_path: Path, tick: int) -> None:
     assert read_log(tmp_path / "run.mcap").ticks("/joint").tolist() == [3, 5]
 
 
-def test_a_forked_process_leaves_the_log_alone(tmp_path: Path) -> None:
-    program = f"""{BEGIN}
+def test_a_forked_process_leaves_a_log_alone_that_the_end_of_the_program_closes(tmp_path: Path) -> None:
+    program = """
+import os, sys
+from marsarm.telemetry.recorder import Recorder
+from tests.marsarm.telemetry.conftest import cycle_at
+recorder = Recorder(sys.argv[1], {})
+for tick in range(40):
+    recorder.write(cycle_at(tick))
 def close_and_end():
     recorder.close()
     os._exit(0)
@@ -161,7 +159,6 @@ for end in (sys.exit, close_and_end):
         end()
     os.waitpid(child, 0)
 recorder.write(cycle_at(40))
-recorder.close()
 """
     done = python(program, str(tmp_path / "run.mcap"))
     assert (done.returncode, done.stderr) == (0, "")
@@ -170,50 +167,39 @@ recorder.close()
     assert (len(log["/joint"]), log.truncated) == (41, False)
 
 
-SMALL_DISK = """\
-import resource, sys
-from marsarm.telemetry.recorder import Recorder
-from tests.marsarm.telemetry.conftest import cycle_at
-resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (int(sys.argv[2]),))
-recorder = Recorder(sys.argv[1], {"seed": "1", "arm": "nominal"})
-try:
-    for tick in range(int(sys.argv[3])):
-        recorder.write(cycle_at(tick))
-except OSError as error:
-    print("cycle:", error.strerror)
-try:
-    recorder.close()
-except OSError as error:
-    print("end:", error.strerror)
-recorder.close()
-print(recorder.written_cycles)
-"""
-"""Arguments: path, bytes that fit on the disk, cycles to record."""
+def record_on_disk(path: Path, size: int, cycles: int) -> tuple[list[str | None], int]:
+    """Record on a disk of this size in bytes; return the errors of cycles and end, and cycles written."""
+    errors = []
+    with largest_file(size):
+        recorder = Recorder(path, {"seed": "1", "arm": "nominal"})
+        for work in (lambda: [recorder.write(cycle_at(tick)) for tick in range(cycles)], recorder.close):
+            try:
+                work()
+                errors.append(None)
+            except OSError as error:
+                errors.append(error.strerror)
+        recorder.close()
+    return errors, recorder.written_cycles
 
 
 def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    done = python(SMALL_DISK, str(path), "300000", "100000")
-    assert (done.returncode, done.stderr) == (0, "")
-    *errors, written = done.stdout.splitlines()
-    assert errors == ["cycle: File too large", "end: File too large"]
-    log = read_log(path)
+    errors, written = record_on_disk(tmp_path / "run.mcap", 300_000, 100_000)
+    assert errors == ["File too large", "File too large"]
+    log = read_log(tmp_path / "run.mcap")
     assert log.truncated
-    assert len(log["/joint"]) == int(written) > 0
+    assert len(log["/joint"]) == written > 0
 
 
 def test_a_disk_that_is_full_at_the_end_is_reported_by_close(make: Any, tmp_path: Path) -> None:
     whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
-    done = python(SMALL_DISK, str(tmp_path / "run.mcap"), str(whole - 10), "1")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == ["end: File too large", "1"]
+    assert record_on_disk(tmp_path / "run.mcap", whole - 10, 1) == ([None, "File too large"], 1)
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (1, True)
 
 
+@forks
 def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
-    done = python(BEGIN.replace("40", "150") + "os.kill(os.getpid(), 9)\n", str(tmp_path / "run.mcap"))
-    assert done.stderr == ""
+    assert record_and_end(tmp_path / "run.mcap", 150, lambda _: os.kill(os.getpid(), 9)) == 9
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (128, True)
 
@@ -242,12 +228,11 @@ def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(
     assert (len(log["/joint"]), log.truncated) == (1, True)
 
 
-@pytest.mark.parametrize("closed", [(1,), pytest.param((0, 1, 2), marks=pytest.mark.slow)], ids=str)
+@forks
+@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)], ids=str)
 def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, closed: Sequence[int]) -> None:
     """The first file that such a run opens has the number of a standard stream."""
-    closing = "".join(f"os.close({one})\n" for one in closed)
-    imports, rest = BEGIN.split("recorder =")
-    python(f"{imports}{closing}recorder ={rest}recorder.close()\nos._exit(0)\n", str(tmp_path / "run.mcap"))
+    record_and_end(tmp_path / "run.mcap", 40, Recorder.close, closed)
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (40, False)
 

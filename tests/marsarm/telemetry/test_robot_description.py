@@ -11,6 +11,7 @@ import pytest
 
 from fsw.config import configure
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
+from helpers.marks import slow_but
 from marsarm.telemetry.robot_description import draw_scene, visuals_of
 from marsarm.telemetry.ros_messages import RosEncoder
 from sim.arm_model.load import arm_names
@@ -88,8 +89,9 @@ def test_the_joints_are_those_of_joint_states(urdf: Urdf) -> None:
 
 
 @pytest.mark.parametrize("name", arm_names())
-@pytest.mark.parametrize("angles_rad", ANGLES_RAD)
-def test_every_visible_geom_is_drawn_where_mujoco_has_it(name: str, angles_rad: Any) -> None:
+@pytest.mark.parametrize("draw", slow_but(range(3), 0))
+def test_every_visible_geom_is_drawn_where_mujoco_has_it(name: str, draw: int) -> None:
+    angles_rad = ANGLES_RAD[draw]
     world, arm = World(surface=FACE), arm_named(f"{name}/nominal")
     urdf = Urdf(description_of(world, f"{name}/nominal"))
     plant = Plant(build(world, arm.model, for_pictures=True).compile())
@@ -148,7 +150,7 @@ def test_the_face_of_the_rock_is_where_the_world_has_it(urdf: Urdf) -> None:
     assert X_RV.p[2] + 0.5 * sizes[1] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("world", [World(), World("earth"), World(surface=FACE)])
+@pytest.mark.parametrize("world", slow_but([World(), World("earth"), World(surface=FACE)], World("earth")))
 def test_the_ground_is_as_high_as_the_world_has_it(world: World) -> None:
     urdf = Urdf(description_of(world, "nominal"))
     (shape, sizes, X_GV), *_ = urdf.shapes("ground")

@@ -93,22 +93,55 @@ def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: F
     """
     free, offset = np.full_like(rest.measured, np.nan), np.zeros_like(rest.measured)
     friction = np.zeros(len(rest.joints))
-    for k, name in enumerate(rest.joints):
-        joint = robot.joint(name)
-        gain = np.array([motion.gain.get(name, 1.0) for motion in motions])[rest.motion]
-        known = np.isfinite(rest.command[:, k]) & (gain > 0.0)
-        use = known & rest.is_slow[:, k] & ~is_held[:, k]
-        if joint.mode is not ControlMode.POSITION or use.sum() < LEAST_SLOW:
+    for k in range(len(rest.joints)):
+        law = fit_static_law(robot, motions, rest, k, is_held[:, k])
+        if law is None:
             continue
-        gain = np.where(known, gain, 1.0)
-        load = rest.gravity_Nm[:, k] / gain * joint.is_loaded_by_gravity
-        terms = [load, np.ones(load.size), rest.direction[:, k] / gain, rest.speed[:, k]]
-        columns = np.stack(terms, axis=1)
-        weight = _fit_absolute(columns[use], (rest.command - rest.measured)[use, k])
-        free[known, k] = rest.command[known, k] - columns[known] @ weight
-        offset[known, k] = columns[known, :2] @ weight[:2]
-        friction[k] = abs(weight[2]) / float(np.median(gain[use]))
+        free[law.known, k] = rest.command[law.known, k] - law.columns[law.known] @ law.weight
+        offset[law.known, k] = law.columns[law.known, :2] @ law.weight[:2]
+        friction[k] = abs(law.weight[2]) / law.gain
     return Free(free, offset, friction)
+
+
+@dataclass(frozen=True, slots=True)
+class StaticLaw:
+    """Command less position of a joint at rest, in proportion to some terms."""
+
+    known: Flags
+    """Samples with a command, (n,)."""
+    columns: Array
+    """Gravity torque, 1, direction and speed, (n, 4); the first and third over the gain column."""
+    weight: Array
+    """(4,); the first is one over the gain [rad/(N m)]."""
+    gain: float
+    """Median of the gain column."""
+    error: Array
+    """Command less position at the samples that were fitted."""
+    load_Nm: Array
+    """Gravity torque over the gain column there."""
+
+
+def fit_static_law(
+    robot: Robot, motions: Sequence[Motion], rest: Rest, k: int, is_held: Flags
+) -> StaticLaw | None:
+    """Fit the law of a joint to its slow samples; None if it has too few, or no position command.
+
+    Args:
+        k: Place of the joint in `rest`.
+        is_held: Samples that something is known to hold back, (n,); the fit leaves them out.
+    """
+    joint = robot.joint(rest.joints[k])
+    gain = np.array([motion.gain.get(joint.name, 1.0) for motion in motions])[rest.motion]
+    known = np.isfinite(rest.command[:, k]) & (gain > 0.0)
+    use = known & rest.is_slow[:, k] & ~is_held
+    if joint.mode is not ControlMode.POSITION or use.sum() < LEAST_SLOW:
+        return None
+    gain = np.where(known, gain, 1.0)
+    load = rest.gravity_Nm[:, k] / gain * joint.is_loaded_by_gravity
+    columns = np.stack([load, np.ones(load.size), rest.direction[:, k] / gain, rest.speed[:, k]], axis=1)
+    error = (rest.command - rest.measured)[use, k]
+    weight = _fit_absolute(columns[use], error)
+    return StaticLaw(known, columns, weight, float(np.median(gain[use])), error, load[use])
 
 
 def visit_poses(robot: Robot, joints: Sequence[str], q_rad: Array) -> Iterator[tuple[int, mujoco.MjData]]:

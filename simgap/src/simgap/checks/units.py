@@ -31,7 +31,7 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         own = [motion for motion in motions if joint.name in motion.joints]
         samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         names = tuple(motion.name for motion in own)
-        speeds[joint.name] = _ratio(_velocities(own, samples, joint.name))
+        speeds[joint.name] = speed_ratio(own, joint.name)
         ratio = math.nan
         if joint.mode is ControlMode.POSITION:
             ratio = _ratio((one.command, one.position) for one in samples)
@@ -64,6 +64,12 @@ def _audit_velocities(robot: Robot, ratios: Mapping[str, float], motions: tuple[
         Remark(RemarkKind.UNIT, name, motions, f"the velocity is {ratio:.3g} {what}", ratio)
         for name, ratio in wrong.items()
     ]
+
+
+def speed_ratio(motions: Sequence[Motion], joint: str) -> float:
+    """Return the ratio of the logged velocity of a joint to the change of its position; NaN if unknown."""
+    samples = [joint_samples(motion.joints[joint]) for motion in motions]
+    return _ratio(_velocities(motions, samples, joint))
 
 
 def _ratio(pairs: Iterator[tuple[Array, Array]]) -> float:

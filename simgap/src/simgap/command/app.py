@@ -1,11 +1,27 @@
 """Command line `simgap`: its verbs."""
 
-from simgap.command.request import CheckRequest, DiagnoseRequest
+from simgap.command.request import CheckRequest, DiagnoseRequest, InitRequest
 from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, verb
 
 app = make_app("simgap", "Find why a robot and its MuJoCo model differ: where, by which effect, and how far.")
+
+
+@app.command()
+@verb
+def init(request: InitRequest, progress: Progress) -> VerbResult:
+    """Write a first robot file from a model and logs.
+
+    It finds which column is which joint, by names, order and units. Each guess stands in the file with its
+    reason, each doubt as a question. docs/simgap.md says what it looks at.
+
+    Example: simgap init model.xml log.csv --out robot.toml
+    """
+    from simgap.command.first_file import first_file_json, print_first_file, write_first_file
+
+    made = write_first_file(request, progress)
+    return VerbResult(first_file_json(made), lambda: print_first_file(made))
 
 
 @app.command()

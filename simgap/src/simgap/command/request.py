@@ -35,6 +35,17 @@ class CheckRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class InitRequest:
+    """Request for a first robot file."""
+
+    model: Annotated[Path, Option("The model of the robot.", "MODEL.xml", is_argument=True, is_read=True)]
+    logs: LogsArgument = ()
+    out: Annotated[Path, Option("Robot file that is written.", "ROBOT.toml", suffixes=(".toml",))] = Path(
+        "robot.toml"
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class DiagnoseRequest:
     """Request for a diagnosis, by logs or by poses that a tracker measured."""
 

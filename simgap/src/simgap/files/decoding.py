@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 from rosbags.serde import SerdeError
@@ -19,6 +20,7 @@ class BadMessage(Exception):
     """A definition or a message cannot be read."""
 
 
+@lru_cache(maxsize=64)  # Rosbags writes and compiles a program for each definition.
 def make_decoder(encoding: str, schema_encoding: str, name: str, definition: bytes) -> Decoder | None:
     """Return the decoder of messages; None for an encoding that is not known.
 

@@ -226,7 +226,7 @@ def _where(diagnosis: Diagnosis) -> str:
 
 def _what(diagnosis: Diagnosis) -> str:
     if diagnosis.is_base_only:
-        return f"{_base_words(diagnosis.base)[2:] or 'fitted base parameters agree'}."
+        return f"{_base_words(diagnosis.base)[2:] or 'no base parameter differs'}."
     if not diagnosis.findings:
         explains = " explains it" if diagnosis.remaining else ""
         return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."

@@ -6,6 +6,7 @@ import pytest
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import Fault, MotorStalled, NotSettled
+from helpers.marks import slow_but
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -32,7 +33,7 @@ def lag_rad(rig, joint):
 
 
 @pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("cycles", [1, 10, 30, 60, 90, 120])
+@pytest.mark.parametrize("cycles", slow_but([1, 10, 30, 60, 90, 120], 1, 60))
 def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow_it_was(joint, cycles):
     goal = START + 0.05 * (np.arange(5) == joint)
     rig = Rig(CONFIG, start_rad=START)
@@ -54,7 +55,7 @@ def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow
     assert braked(rig)
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", slow_but(Joint, Joint.ELBOW, Joint.TURRET))
 def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
     """From the very start of the motion to its end, and on the way to a contact."""
     commands = (MoveJoints(floats(START + 0.02)), MoveJoints(floats(START)))

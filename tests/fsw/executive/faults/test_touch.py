@@ -9,6 +9,7 @@ from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, F
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, NoContact
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
+from helpers.marks import slow_but
 from tests.fsw.executive.faults.lab import (
     CONFIG,
     REFUSED,
@@ -32,7 +33,7 @@ def test_a_contact_in_free_space_faults_at_once(switch):
     assert braked(rig)
 
 
-@pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
+@pytest.mark.parametrize("tool", slow_but([tool for tool in TOOLS if TOOL_SWITCHES[tool]], "apxs", "drill"))
 def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
     for switch in TOOL_SWITCHES[tool]:
         rig = in_guarded_motion(tool)

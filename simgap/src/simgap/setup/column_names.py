@@ -1,0 +1,186 @@
+"""Names of columns, taken apart: the joint, the signal, and its unit."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from simgap.units import UNITS, Quantity
+
+WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+COMMAND: Final = _words(
+    "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
+)
+"""Words of a signal that was sent to the robot."""
+SIGNAL_WORDS: Final = {
+    "enabled": _words("enable enabled"),
+    "gain": _words("kp gain"),
+    "velocity": _words("velocity velocities vel speed qvel qd dq v"),
+    "torque": _words("torque torques tau effort efforts trq force"),
+    "current": _words("current currents cur i"),
+    "voltage": _words("voltage"),
+    "temperature": _words("temperature temp"),
+    "position": _words(
+        "position positions pos angle angles qpos q p state act actual present measured meas encoder"
+    ),
+}
+"""Words of each signal; those of a position come last, as they are the least sure."""
+SECONDARY: Final = _words("secondary se second output link")
+TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
+MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
+UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
+"""Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""
+UNIT_WORDS: Final = {
+    "degrees": "deg",
+    "degree": "deg",
+    "radians": "rad",
+    "radian": "rad",
+    "counts": "count",
+    "ticks": "count",
+    "amps": "a",
+    "volts": "v",
+    "seconds": "s",
+    "secs": "s",
+    "sec": "s",
+    "nanoseconds": "ns",
+}
+SIGNAL_OF: Final = {
+    Quantity.ANGLE: "position",
+    Quantity.LENGTH: "position",
+    Quantity.SPEED: "velocity",
+    Quantity.LINEAR_SPEED: "velocity",
+    Quantity.TORQUE: "torque",
+    Quantity.FORCE: "torque",
+    Quantity.CURRENT: "current",
+    Quantity.VOLTAGE: "voltage",
+    Quantity.TEMPERATURE: "temperature",
+    Quantity.TIME: "time",
+}
+"""Signal that a unit of a quantity belongs to."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnName:
+    """Name of a column, taken apart."""
+
+    name: str
+    joint: str
+    """Joint of the model that stands in it; empty if none does."""
+    group: str
+    """Its other words and numbers, with the last number, if no joint stands in it, as #."""
+    index: int
+    """That number; -1 if there is none."""
+    signal: str
+    """Signal, such as "position"; empty if no word says it."""
+    is_command: bool
+    key: str
+    """Key of a joint in the robot file that such a column may have; empty for none."""
+    unit: str
+    """Unit that stands at the end; empty if none does."""
+
+
+def split_words(name: str) -> tuple[str, ...]:
+    """Return the words and numbers of a name, in small letters."""
+    return tuple(word.lower() for word in WORD.findall(name))
+
+
+def _unit_forms() -> dict[tuple[str, ...], str]:
+    """Return each way in which a unit may stand in a name, as words."""
+    forms: dict[tuple[str, ...], str] = {}
+    for unit, one in UNITS.items():
+        if one.quantity in SIGNAL_OF and unit != "h":
+            parts = tuple(part.lower() for part in re.split("[/ ]", unit))
+            for form in (parts, ("".join(parts),), split_words(unit)):
+                forms.setdefault(form, unit)
+            if "/" in unit:
+                forms.setdefault((parts[0], "per", *parts[1:]), unit)
+    return forms
+
+
+UNIT_FORMS: Final = _unit_forms()
+
+
+def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
+    """Take the name of a column of a robot with these joints apart."""
+    words = split_words(name)
+    joint, rest = take_joint(words, joints)
+    number = max((k for k, word in enumerate(rest) if word.isdecimal()), default=-1)
+    index = -1
+    if not joint and number >= 0:
+        index, rest = int(rest[number]), (*rest[:number], "#", *rest[number + 1 :])
+    own = [UNIT_WORDS.get(word, word) for word in rest if word != "#"]
+    size, unit = _find_unit(own)
+    there = own[: len(own) - size]
+    signal = _find_signal(there)
+    if unit:
+        of_unit = SIGNAL_OF[UNITS[unit].quantity]
+        if signal != of_unit and len(unit) == 1:
+            unit, there = "", own  # a single letter is more often part of a name
+            signal = _find_signal(there)
+        else:
+            signal = of_unit
+    is_command = bool(COMMAND & set(there))
+    signal = signal or ("position" if is_command else "")
+    key = "command" if is_command else signal
+    if key == "position" and SECONDARY & set(there):
+        key = "secondary"
+    if (
+        UNCLEAR & set(own)
+        or signal == "time"
+        or (is_command and signal in ("gain", "enabled", "temperature"))
+    ):
+        key = ""
+    return ColumnName(name, joint, " ".join(rest), index, signal, is_command, key, unit)
+
+
+def take_joint(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Take the words of a joint out of those of a name.
+
+    Words that all joints share, such as "joint", may be missing, if more than a number is left.
+
+    Returns:
+        The joint with the longest part in the name, empty if there is none or no single one; and the other
+        words.
+    """
+    every = [set(split_words(joint)) for joint in joints]
+    shared = set.intersection(*every) if len(every) > 1 else set()
+    found: dict[str, tuple[int, int]] = {}
+    for joint in joints:
+        own = split_words(joint)
+        short = tuple(word for word in own if word not in shared and word != "joint")
+        for form in (own, *([short] if any(not word.isdecimal() for word in short) else [])):
+            at = [k for k in range(len(words)) if form and words[k : k + len(form)] == form]
+            if at:
+                found[joint] = (at[-1], len(form))
+                break
+    longest = max((size for _, size in found.values()), default=0)
+    best = [joint for joint, (_, size) in found.items() if size == longest]
+    if len(best) != 1:
+        return "", words
+    first, size = found[best[0]]
+    return best[0], words[:first] + words[first + size :]
+
+
+def _find_signal(words: Sequence[str]) -> str:
+    """Return the signal that words name; a word says more than a letter."""
+    for is_long in (True, False):
+        there = {word for word in words if (len(word) > 1) == is_long}
+        found = next((signal for signal, known in SIGNAL_WORDS.items() if known & there), "")
+        if found or (COMMAND & there and is_long):
+            return found
+    return ""
+
+
+def _find_unit(words: Sequence[str]) -> tuple[int, str]:
+    """Return how many words at the end are a unit, and which; at least one word stands before them."""
+    for size in (3, 2, 1):
+        unit = UNIT_FORMS.get(tuple(words[len(words) - size :])) if size < len(words) else None
+        if unit is not None:
+            return size, unit
+    return 0, ""

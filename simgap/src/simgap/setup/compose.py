@@ -1,0 +1,275 @@
+"""Composition of a robot file from a model and logs: each guess with its reason, each doubt as a question."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from simgap.checks.audit import audit
+from simgap.checks.records import REFUSED, RemarkKind
+from simgap.checks.units import speed_ratio
+from simgap.common.errors import RobotError
+from simgap.common.progress import Progress
+from simgap.common.toml import parse_record
+from simgap.files.columns import ColumnInfo, LogFile
+from simgap.files.log_file import open_log, open_whole
+from simgap.files.robot_file import CsvTable, RobotFile
+from simgap.loading import load
+from simgap.logs import Logs
+from simgap.mjcf import joint_name, read_model_text, tied_joints
+from simgap.robot import Robot
+from simgap.setup.column_names import split_words
+from simgap.setup.draft import Draft
+from simgap.setup.gains import ask_about_torques, estimate_gain, set_unknown_gains
+from simgap.setup.matching import Match, match_columns
+from simgap.setup.times import Times, find_times
+from simgap.setup.units import (
+    UnitGuess,
+    describe_values,
+    fits_speed,
+    guess_position_units,
+    guess_speed_unit,
+    si_unit,
+)
+
+JITTER: Final = 0.005
+"""Share by which the rate of a log may be off that of its loop: a round number within it is taken."""
+LONGEST_STEP_s: Final = 0.005
+"""Longest time step that is taken from a model: servos are stiff."""
+TOOL_WORDS: Final = frozenset(
+    ("gripper", "gripperframe", "tool", "tcp", "flange", "attachment", "ee", "pinch")
+)
+SIGNALS: Final = ("command", "position", "secondary", "velocity", "torque", "current", "voltage")
+KEYS: Final = (*SIGNALS, "temperature", "enabled")
+"""Keys of a joint with a column, in the order of the file."""
+
+
+def draft_robot_file(model_path: Path, log_paths: Sequence[Path], path: Path, progress: Progress) -> Draft:
+    """Draft the robot file that is to be written at a path.
+
+    Raises:
+        RobotError: model or logs cannot be read, no column fits a joint, or the draft does not read the logs.
+    """
+    progress(0, 4, "reading the model")
+    model = _compile(model_path)
+    names = [model.joint(k).name for k in _moving(model)]
+    progress(1, 4, "reading the logs")
+    opened = [open_whole(one) for one in log_paths]
+    columns = _common_columns(opened)
+    times = find_times(opened[0], columns)
+    matches = match_columns(columns, names, _driven(model), (times.column, *times.motions))
+    if not matches.by_joint:
+        there = ", ".join(one.name for one in columns if one.kind == "number")
+        raise RobotError(
+            f"{log_paths[0]}: no column is a position of {', '.join(names)} by its name; it has {there}"
+        )
+    draft = Draft()
+    _write_head(draft, model_path, path, model, times)
+    for question in matches.questions:
+        draft.ask(question, "joints")
+    draft.content["joints"] = {joint: _mode_of(draft, joint, own) for joint, own in matches.by_joint.items()}
+    _write_columns(draft, log_paths, model, matches.by_joint)
+    _leave_out(draft, model)
+    unknown = set_unknown_gains(draft, model, path)
+    progress(2, 4, "comparing signals")
+    robot, logs = _read(draft, path, log_paths)
+    _settle_speeds(draft, robot, logs, matches.by_joint)
+    for joint in unknown:
+        estimate_gain(draft, robot, logs, joint)
+    ask_about_torques(draft, robot, logs)
+    progress(3, 4, "checking the logs")
+    robot, logs = _read(draft, path, log_paths)
+    for one in audit(robot, logs).remarks:
+        if one.kind in (*REFUSED, RemarkKind.PAUSE):
+            draft.ask(f"the check says: {one.kind}: {one.text}", "joints", *filter(None, [one.joint]))
+    return draft
+
+
+def _compile(path: Path) -> mujoco.MjModel:
+    try:
+        model = mujoco.MjModel.from_xml_string(read_model_text(path))
+    except ValueError as error:
+        raise RobotError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+    if not _moving(model):
+        raise RobotError(
+            f"{path}: has no hinge and no slide with a name; give each joint of the robot a name"
+        )
+    return model
+
+
+def _moving(model: mujoco.MjModel) -> list[int]:
+    """Return the hinges and slides that have names."""
+    kinds = [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)]
+    return [int(k) for k in np.flatnonzero(np.isin(model.jnt_type, kinds)) if model.joint(int(k)).name]
+
+
+def _driven(model: mujoco.MjModel) -> list[str]:
+    """Return the joints that an actuator drives, in the order of the actuators."""
+    by_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return [model.joint(int(k)).name for k in dict.fromkeys(model.actuator_trnid[by_joint, 0].tolist())]
+
+
+def _name_of(model: mujoco.MjModel) -> str:
+    """Return the name of a model; empty if it has that which MuJoCo gives."""
+    name = model.names[: model.names.index(b"\0")].decode()
+    return "" if name == "MuJoCo Model" else name
+
+
+def _common_columns(logs: Sequence[LogFile]) -> list[ColumnInfo]:
+    """Return the columns of the first log that all others have too."""
+    names = [{one.name for one in log.describe()} for log in logs]
+    common = [one for one in logs[0].describe() if all(one.name in own for own in names)]
+    if not common:
+        raise RobotError(f"logs: {logs[1].path} has no column of {logs[0].path}; give logs of one kind")
+    return common
+
+
+def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjModel, times: Times) -> None:
+    """Write the keys before those of the joints."""
+    rate_Hz = float(f"{times.rate_Hz:.2g}")
+    if abs(rate_Hz - times.rate_Hz) > JITTER * times.rate_Hz:
+        rate_Hz = float(f"{times.rate_Hz:.3g}")
+    n_steps = math.ceil(1.0 / rate_Hz / min(float(model.opt.timestep), LONGEST_STEP_s) - 1e-6)
+    name = _name_of(model) or model_path.stem
+    draft.content = {
+        "name": name,
+        "model": os.path.relpath(model_path, path.parent),
+        "time_step_s": float(f"{1.0 / rate_Hz / n_steps:.9g}"),
+        "control_rate_Hz": rate_Hz,
+    }
+    draft.reasons["time_step_s",] = f"the control period in {n_steps} steps, by the time step of the model"
+    draft.reasons["control_rate_Hz",] = "the rate of the log"
+    draft.ask(
+        "does the loop that computes torques run faster than the log? Write its rate", "control_rate_Hz"
+    )
+    sites = [model.site(k).name for k in range(model.nsite)]
+    tools = [one for one in sites if set(split_words(one)) & TOOL_WORDS]
+    if tools:
+        draft.content["tool_site"] = tools[-1]
+        draft.reasons["tool_site",] = "by its name; where it stops at one height, the tool touches a table"
+    if times.column:
+        draft.content["time"] = {"column": times.column, "unit": times.unit}
+        draft.reasons["time",] = times.reasons["time"]
+    if times.motions:
+        draft.content["motion"] = {"columns": [*times.motions]}
+        draft.reasons["motion",] = times.reasons["motion"]
+
+
+def _mode_of(draft: Draft, joint: str, own: Mapping[str, Match]) -> dict[str, Any]:
+    """Return the first key of a joint: what is commanded."""
+    command = own.get("command")
+    if command is None:
+        draft.ask("no command was found; is the joint told a position?", "joints", joint, "mode")
+        return {"mode": "position"}
+    draft.reasons["joints", joint, "mode"] = f"the command {command.info.name} is a {command.name.signal}"
+    return {"mode": command.name.signal}
+
+
+def _write_columns(
+    draft: Draft,
+    paths: Sequence[Path],
+    model: mujoco.MjModel,
+    by_joint: Mapping[str, Mapping[str, Match]],
+) -> None:
+    """Write the columns of all joints with their units."""
+    slides = {joint: model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE for joint in by_joint}
+    values = {}
+    names = [own["position"].info.name for own in by_joint.values()]
+    logs = [open_log(path, names, (), CsvTable()) for path in paths]
+    for joint, name in zip(by_joint, names, strict=True):
+        value = np.concatenate([log.numbers(name).value for log in logs])
+        known = model.joint(joint)
+        limits = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
+        values[joint] = describe_values(value, (float(limits[0]), float(limits[1])), slides[joint])
+    positions = guess_position_units(values)
+    for joint, own in by_joint.items():
+        table = draft.joint(joint)
+        gain = own.get("gain")
+        if gain is not None and gain.info.lowest != gain.info.highest and table["mode"] == "position":
+            table |= {"gain_column": gain.info.name, "kp_Nm_rad": 1.0}
+            draft.reasons["joints", joint, "gain_column"] = "by its name"
+        for key in KEYS:
+            is_constant = key in own and own[key].info.lowest == own[key].info.highest
+            if key in own and not (key == "secondary" and is_constant):
+                signal = table["mode"] if key == "command" else "position" if key == "secondary" else key
+                guess = _unit_of(own[key], signal, positions[joint], own["position"], slides[joint])
+                table[key] = {"column": own[key].info.name, "unit": guess.unit, **guess.keys}
+                draft.reasons["joints", joint, key] = f"{own[key].reason}; {guess.unit}: {guess.reason}"
+                if key == "position":
+                    draft.ask(guess.question, "joints", joint, key)
+
+
+def _unit_of(one: Match, signal: str, position: UnitGuess, measured: Match, is_slide: bool) -> UnitGuess:
+    """Return the unit of a column: of its name, of the file, or a guess."""
+    if one.name.unit and one.name.unit != "count":
+        return UnitGuess(one.name.unit, "it stands in the name")
+    if one.info.unit:
+        return UnitGuess(one.info.unit, "the file says so")
+    if signal == "position":
+        of_position = measured.name.unit or measured.info.unit
+        if of_position and of_position != "count":
+            return UnitGuess(of_position, "as the position")
+        return position
+    return si_unit(signal, is_slide)
+
+
+def _leave_out(draft: Draft, model: mujoco.MjModel) -> None:
+    """Leave out joints that commands drive, or that are free, and that no column shows."""
+    named = draft.content["joints"]
+    free = [k for k in range(model.njnt) if model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE]
+    silent = [model.joint(name).id for name in _driven(model) if name not in named]
+    names = dict.fromkeys(
+        [joint_name(model, k) for k in free] + [name for k in silent for name in tied_joints(model, k)]
+    )
+    out = [name for name in names if name not in named]
+    if out:
+        draft.content = {"left_out": out, **draft.content}
+        draft.content = {key: draft.content[key] for key in ("name", "model", "left_out")} | draft.content
+        draft.reasons["left_out",] = "no column shows them: they stand where the model has them"
+
+
+def _read(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:
+    robot = Robot.from_file(parse_record(RobotFile, draft.content, path), path)
+    return robot, load(robot, logs)
+
+
+def _settle_speeds(
+    draft: Draft, robot: Robot, logs: Logs, by_joint: Mapping[str, Mapping[str, Match]]
+) -> None:
+    """Set the unit of velocities by the change of the positions, or leave them away where none fits."""
+    ratios = {
+        joint: speed_ratio(logs.motions, joint)
+        for joint, own in by_joint.items()
+        if "velocity" in own and not (own["velocity"].name.unit or own["velocity"].info.unit)
+    }
+    for is_slide in (False, True):
+        own = {joint: one for joint, one in ratios.items() if robot.joint(joint).is_slide == is_slide}
+        unit = guess_speed_unit(list(own.values()), is_slide)
+        for joint, ratio in own.items():
+            match, table = by_joint[joint]["velocity"], draft.joint(joint)
+            if math.isnan(ratio) or fits_speed(ratio, unit):
+                table["velocity"]["unit"] = unit
+                draft.reasons["joints", joint, "velocity"] = (
+                    f"{match.reason}; {unit} fits the change of positions"
+                )
+                continue
+            del table["velocity"]
+            draft.ask(
+                f"{match.info.name} is {ratio:.3g} times the change of the position, if it is in {unit}: has "
+                f"the position another unit{_ask_fraction(robot, logs, joint)}? Until then the velocity is "
+                "left away",
+                *("joints", joint, "position"),
+            )
+
+
+def _ask_fraction(robot: Robot, logs: Logs, joint: str) -> str:
+    """Return the keys of a position that is a share of the range; empty if it cannot be one."""
+    values = np.concatenate([motion.joints[joint].position.value for motion in logs.motions])
+    low, high = robot.range_rad(joint)
+    if values.min() < 0.0 or values.max() > 1.0 or not math.isfinite(high):
+        return ""
+    return f', such as unit = "fraction", at_0_rad = {low:.6g}, at_1_rad = {high:.6g}'

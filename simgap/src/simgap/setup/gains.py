@@ -1,0 +1,123 @@
+"""Gains, limits and torque constants that neither model nor robot file gives: estimates and questions."""
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from simgap.checks.static import find_rest, fit_static_law
+from simgap.common.toml import parse_record
+from simgap.drives import read_drive
+from simgap.files.robot_file import RobotFile
+from simgap.logs import Logs
+from simgap.robot import Robot, gravity_amplitudes
+from simgap.setup.draft import Draft
+
+BANDWIDTH_Hz: Final = 5.0
+"""Natural frequency of a position loop of which nothing is known: arms have 2 to 10 Hz."""
+SHOWS_SAG: Final = 0.5
+"""Least correlation of the error at rest with the gravity torque for which it gives a gain."""
+MOTOR_SIDE: Final = 10.0
+"""Gravity torque of the model over a logged torque from which it may be that of a motor before its gear."""
+
+
+def set_unknown_gains(draft: Draft, model: mujoco.MjModel, path: Path) -> list[str]:
+    """Set a gain of 1 where positions are compared and the model has none; return these joints."""
+    file = parse_record(RobotFile, draft.content, path)
+    if all(table.command is None or table.torque is not None for table in file.joints.values()):
+        return []
+    unknown = []
+    for joint, table in file.joints.items():
+        drive = read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
+        own = draft.joint(joint)
+        if table.mode == "position" and (drive.kp_Nm_rad == 0.0 or table.gain_column):
+            own["kp_Nm_rad"] = 1.0
+            unknown.append(joint)
+        elif table.mode == "velocity" and drive.kd_Nms_rad == 0.0:
+            own["kd_Nms_rad"] = _inertia(model, joint) * 2.0 * math.pi * BANDWIDTH_Hz
+            draft.ask(
+                "what is the gain of the velocity loop? This is a guess, for 5 Hz",
+                "joints",
+                joint,
+                "kd_Nms_rad",
+            )
+        elif table.mode == "position":
+            draft.ask(
+                f"is {drive.kp_Nm_rad:.4g} N m/rad, the gain of the model, that of the robot? "
+                "kp_Nm_rad says another",
+                *("joints", joint, "mode"),
+            )
+    return unknown
+
+
+def _inertia(model: mujoco.MjModel, joint: str) -> float:
+    """Return the inertia of the model about a joint at its zero, with the rotor [kg m^2]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    dof = int(model.joint(joint).dofadr[0])
+    return float(full[dof, dof])
+
+
+def estimate_gain(draft: Draft, robot: Robot, logs: Logs, joint: str) -> None:
+    """Estimate the gain of a position loop by its sag under gravity; else guess it by the inertia."""
+    rest = find_rest(robot, logs.motions)
+    place = rest.joints.index(joint) if joint in rest.joints else -1
+    none_held = np.zeros(rest.time_s.size, np.bool_)
+    law = fit_static_law(robot, logs.motions, rest, place, none_held) if place >= 0 else None
+    table, key = draft.joint(joint), ("joints", joint, "kp_Nm_rad")
+    unit = "N/m" if robot.joint(joint).is_slide else "N m/rad"
+    of_column = " for a gain of 1" if "gain_column" in table else ""
+    shows = law is not None and law.weight[0] > 0.0 and _correlation(law.error, law.load_Nm) > SHOWS_SAG
+    if law is not None and shows:
+        table["kp_Nm_rad"] = float(f"{1.0 / law.weight[0]:.3g}")
+        draft.reasons[key] = f"by how far the joint sags under gravity{of_column}"
+        draft.ask(f"is this the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
+        return
+    gains = [motion.gain.get(joint, 1.0) for motion in logs.motions]
+    inertia, rate = _inertia(robot.model, joint), 2.0 * math.pi * BANDWIDTH_Hz
+    table["kp_Nm_rad"] = float(f"{inertia * rate**2 / float(np.median(gains)):.3g}")
+    draft.reasons[key] = f"a guess{of_column}: {BANDWIDTH_Hz:g} Hz with the inertia of the model"
+    draft.ask(f"what is the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
+    if not of_column:
+        table["kd_Nms_rad"] = float(f"{2.0 * inertia * rate:.3g}")
+        draft.reasons["joints", joint, "kd_Nms_rad"] = "a guess: critical damping"
+
+
+def _correlation(first: Any, second: Any) -> float:
+    return float(np.corrcoef(first, second)[0, 1]) if min(np.ptp(first), np.ptp(second)) > 0.0 else 0.0
+
+
+def ask_about_torques(draft: Draft, robot: Robot, logs: Logs) -> None:
+    """Ask for torque limits, torque constants, and whether a small torque is that of the motor."""
+    gravity_Nm, shares = gravity_amplitudes(robot.model), {}
+    for joint in robot.joints:
+        table, unit = draft.joint(joint.name), joint.effort_unit
+        by_torque = "torque" in table
+        if not by_torque and joint.mode.value == "position" and math.isinf(joint.torque_limit_Nm):
+            draft.ask(
+                f"what is the largest torque of the motor? torque_limit_Nm = .. [{unit}]",
+                "joints",
+                joint.name,
+            )
+        if "current" in table and not by_torque and math.isnan(joint.torque_constant_Nm_A):
+            draft.ask(
+                f"what {unit} at the joint is 1 A? torque_constant_Nm_A = .. lets torques be compared; "
+                "torque_constant_is_known = false fits it",
+                *("joints", joint.name, "current"),
+            )
+        if by_torque and joint.is_loaded_by_gravity:
+            own = [motion.joints[joint.name].torque for motion in logs.motions]
+            largest = max((float(np.abs(one.value).max()) for one in own if one is not None), default=0.0)
+            if largest > 0.0 and gravity_Nm[joint.dof_index] > MOTOR_SIDE * largest:
+                shares[joint.name] = float(gravity_Nm[joint.dof_index]) / largest
+    if shares:
+        draft.ask(
+            f"gravity takes up to {max(shares.values()):.3g} times as much as the torques of "
+            f"{', '.join(shares)}: are they those of the motors, before their gears? Write "
+            'gear_ratio = .. at each joint, and side = "motor" at its torque',
+            "joints",
+        )

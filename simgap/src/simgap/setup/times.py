@@ -1,0 +1,122 @@
+"""Times and motions of a log without a robot file, from names and from where the time begins anew."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.common.errors import RobotError
+from simgap.files.columns import ColumnInfo, LogFile
+from simgap.setup.column_names import MOTIONS, TIMES, parse_name, split_words
+from simgap.units import UNITS
+
+USUAL_Hz: Final = 100.0
+"""Logs of robots have 3 to 3000 samples a second: a factor of 1000, as between units of time, so that one
+unit fits."""
+MAX_MOTIONS: Final = 0.2
+"""Largest share of distinct values in a column that names motions: a motion has several samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Times of a log, and how it is cut into motions."""
+
+    column: str
+    """Empty if the file knows its times itself."""
+    unit: str
+    motions: tuple[str, ...]
+    """Columns that name the motions; empty: the whole file is one, or the file knows them itself."""
+    rate_Hz: float
+    reasons: dict[str, str]
+    """Reasons by key of the robot file: "time" and "motion"."""
+
+
+def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
+    """Find the times of a log and the columns that name its motions.
+
+    Raises:
+        RobotError: no column has times, or they begin anew and no column says where.
+    """
+    if log.time_column:
+        rate_Hz = next((one.rate_Hz for one in columns if one.rate_Hz), None) or math.nan
+        return Times("", "s", (), rate_Hz, {})
+    rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
+    if rates:  # messages, which have their own times
+        return Times("", "s", (), float(np.median(rates)), {})
+    named = [one for one in columns if one.kind in ("number", "time") and _is_time(one.name)]
+    clocks = {one.name: log.numbers(one.name).value for one in named}
+    clocks = {name: clock for name, clock in clocks.items() if clock.size > 2 and _usual_step(clock) > 0.0}
+    if not clocks:
+        there = ", ".join(one.name for one in columns)
+        raise RobotError(
+            f"{log.path}: no column is a time by its name (such as t, time_s or timestamp); it has {there}"
+        )
+    name = min(clocks, key=len)
+    clock = clocks[name]
+    unit = parse_name(name, ()).unit
+    unit, said = (
+        (unit, f"its name ends in {unit}")
+        if unit in ("s", "ms", "us", "ns")
+        else _fit_unit(_usual_step(clock), next(one.kind for one in named if one.name == name))
+    )
+    motions, why = _find_motions(log, columns, name, clock)
+    rate_Hz = 1.0 / (_usual_step(clock) * UNITS[unit].factor)
+    reasons = {"time": said} | ({"motion": why} if motions else {})
+    return Times(name, unit, motions, rate_Hz, reasons)
+
+
+def _is_time(name: str) -> bool:
+    return any(word in TIMES for word in split_words(name))
+
+
+def _usual_step(clock: Array) -> float:
+    """Return the median of the steps forward; 0 without any."""
+    steps = np.diff(clock)
+    steps = steps[steps > 0.0]
+    return float(np.median(steps)) if 2 * steps.size > clock.size else 0.0
+
+
+def _fit_unit(step: float, kind: str) -> tuple[str, str]:
+    """Return the unit of time in which the rate of the log is most usual, and why."""
+    if kind == "time":
+        return "s", "dates are read as seconds"
+    rates = {unit: 1.0 / (step * UNITS[unit].factor) for unit in ("s", "ms", "us", "ns")}
+    unit = min(rates, key=lambda one: abs(math.log(rates[one] / USUAL_Hz)))
+    return unit, f"so that the log has {rates[unit]:.4g} samples a second"
+
+
+def _find_motions(
+    log: LogFile, columns: Sequence[ColumnInfo], time: str, clock: Array
+) -> tuple[tuple[str, ...], str]:
+    """Return the columns whose values together name a motion, and why."""
+    restarts = np.flatnonzero(np.diff(clock) <= 0.0) + 1
+    texts = {}
+    for one in columns:
+        is_label = one.kind == "text" or (one.kind in ("number", "flag") and one.name != time)
+        if is_label and one.n_samples == clock.size:
+            text = log.texts(one.name)
+            n_values = np.unique(text).size
+            if 1 < n_values <= max(2.0, MAX_MOTIONS * clock.size):
+                texts[one.name] = np.flatnonzero(text[1:] != text[:-1]) + 1
+    by_name = [name for name in texts if set(split_words(name)) & set(MOTIONS)]
+    if not restarts.size:
+        name = min(by_name, key=lambda one: texts[one].size, default="")
+        return ((name,), "by its name") if name else ((), "")
+    inside = {name: at for name, at in texts.items() if np.isin(at, restarts).all() and at.size}
+    ranked = sorted(inside, key=lambda name: (-inside[name].size, name not in by_name, len(name)))
+    chosen: list[str] = []
+    left = restarts
+    for name in ranked:
+        if np.isin(left, inside[name]).any():
+            chosen.append(name)
+            left = np.setdiff1d(left, inside[name])
+    if left.size:
+        row = int(left[0]) + 1
+        raise RobotError(
+            f"{log.path}: the time {time!r} begins anew at row {row}, and no column says which motion that "
+            "is; add a column that names the motions, or give each motion a file of its own"
+        )
+    return tuple(chosen), f"where the time begins anew ({restarts.size} times), it changes"

@@ -1,0 +1,268 @@
+"""`simgap init`: columns are matched to joints, units are found, and each doubt is a question."""
+
+import json
+import os
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.command import run_simgap, snapshot
+from helpers.message_logs import rows, write_mcap
+from helpers.real_robots import repository_file
+from simgap.command.check import check_robot
+from simgap.command.request import CheckRequest
+from simgap.robot import Robot
+from simgap.setup.column_names import parse_name
+
+MODEL = """
+<mujoco model="two links">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" range="-2 2" limited="true" damping="1" armature="0.1"/>
+      <inertial pos="0.2 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
+      <body name="lower" pos="0.4 0 0">
+        <joint name="elbow" axis="0 1 0" range="-2.5 2.5" limited="true" damping="1" armature="0.1"/>
+        <inertial pos="0.15 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+        <site name="tcp"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>
+</mujoco>
+"""
+TIME_s = np.arange(0.0, 20.0, 0.01)
+POSITION_rad = np.column_stack([0.5 * np.sin(2.0 * TIME_s), 0.4 * np.sin(3.0 * TIME_s + 1.0)])
+VELOCITY_rad_s = np.gradient(POSITION_rad, TIME_s, axis=0)
+COMMAND_rad = np.column_stack([0.5 * np.sin(2.0 * TIME_s + 0.1), 0.4 * np.sin(3.0 * TIME_s + 1.15)])
+
+
+def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ",") -> Path:
+    (folder / "model.xml").write_text(MODEL)
+    table = [separator.join(columns)]
+    table += [separator.join(f"{one:.8g}" for one in row) for row in zip(*columns.values(), strict=True)]
+    path = folder / "log.csv"
+    path.write_text("\n".join(table) + "\n")
+    return path
+
+
+def start(folder: Path, log: str = "log.csv") -> tuple[dict, dict]:
+    """Run `init`; return the robot file and the JSON document. The file passes the check."""
+    done = run_simgap(folder, "init", "model.xml", log, "--json")
+    assert done.returncode == 0, done.stdout
+    Robot.from_toml(folder / "robot.toml")
+    checked = run_simgap(folder, "check", "robot.toml", log, "--json")
+    assert checked.returncode == 0, checked.stdout
+    return tomllib.loads((folder / "robot.toml").read_text()), json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "key", "unit"),
+    [
+        ("act_pos_se_deg_a1", "a1", "secondary", "deg"),
+        ("act_vel_mot_deg_per_s_a1", "a1", "velocity", "deg/s"),
+        ("act_torque_abs_nm_a2", "a2", "torque", "N m"),
+        ("ref_pos_deg_a2", "a2", "command", "deg"),
+        ("torque_enable", "", "enabled", ""),
+        ("temperature_degC", "", "temperature", "degC"),
+        ("gain_kp", "", "gain", ""),
+        ("current_raw_a1", "a1", "", ""),
+        ("length_m", "", "", ""),
+        ("observation.state[a1.pos]", "a1", "position", ""),
+        ("/joint_command.position[a2]", "a2", "command", ""),
+        ("dof_pos_target[3]", "", "command", ""),
+        ("dq_a2", "a2", "velocity", ""),
+        ("motor_current_mA_a1", "a1", "current", "mA"),
+    ],
+)
+def test_a_name_says_joint_signal_and_unit(name, joint, key, unit):
+    found = parse_name(name, ["a1", "a2"])
+    assert (found.joint, found.key, found.unit) == (joint, key, unit)
+
+
+def test_words_that_all_joints_share_may_be_missing():
+    joints = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
+    assert parse_name("actual_q_shoulder_lift", joints).joint == "shoulder_lift_joint"
+    assert parse_name("joint_states.position", joints).joint == ""
+
+
+def test_units_come_from_names_and_velocities_from_the_change_of_positions(tmp_path):
+    write_csv(
+        tmp_path,
+        {
+            "time_ms": 1e3 * TIME_s,
+            **{
+                f"{name}_deg_actual": np.degrees(POSITION_rad[:, k])
+                for k, name in enumerate(("shoulder", "elbow"))
+            },
+            **{
+                f"{name}_target": np.degrees(COMMAND_rad[:, k])
+                for k, name in enumerate(("shoulder", "elbow"))
+            },
+            **{
+                f"{name}_speed": VELOCITY_rad_s[:, k] * 30.0 / np.pi
+                for k, name in enumerate(("shoulder", "elbow"))
+            },
+        },
+        ";",
+    )
+    file, document = start(tmp_path)
+    assert file["time"] == {"column": "time_ms", "unit": "ms"}
+    assert file["control_rate_Hz"] == pytest.approx(100.0)
+    assert file["tool_site"] == "tcp"
+    elbow = file["joints"]["elbow"]
+    assert elbow["position"] == {"column": "elbow_deg_actual", "unit": "deg"}
+    assert elbow["command"] == {"column": "elbow_target", "unit": "deg"}
+    assert elbow["velocity"]["unit"] == "rpm"
+    assert any("kp_Nm_rad" in one for one in document["questions"])
+
+
+def test_degrees_and_percent_are_a_question(tmp_path):
+    columns = {"t": TIME_s}
+    for k, name in enumerate(("shoulder", "elbow")):
+        columns |= {
+            f"state_{name}": np.degrees(POSITION_rad[:, k]),
+            f"action_{name}": np.degrees(COMMAND_rad[:, k]),
+        }
+    write_csv(tmp_path, columns)
+    file, document = start(tmp_path)
+    assert file["joints"]["elbow"]["position"]["unit"] == "deg"
+    assert any('unit = "percent", at_0_rad = 0, at_1_rad = 2.5' in one for one in document["questions"])
+
+
+def test_counts_of_a_servo_are_seen(tmp_path):
+    columns = {"t": TIME_s}
+    for k, name in enumerate(("shoulder", "elbow")):
+        columns |= {
+            f"present_{name}": np.round(2048 + POSITION_rad[:, k] * 4096 / (2 * np.pi)),
+            f"goal_{name}": np.round(2048 + COMMAND_rad[:, k] * 4096 / (2 * np.pi)),
+        }
+    write_csv(tmp_path, columns)
+    file, _ = start(tmp_path)
+    assert file["joints"]["elbow"]["position"]["unit"] == "count"
+    assert file["joints"]["elbow"]["position"]["counts_per_turn"] == 4096
+
+
+def test_arrays_are_taken_in_the_order_of_the_model_which_is_asked(tmp_path):
+    (tmp_path / "model.xml").write_text(MODEL)
+    np.savez(
+        tmp_path / "log.npz",
+        time=TIME_s,
+        dof_pos=POSITION_rad,
+        dof_pos_target=COMMAND_rad,
+        dof_vel=VELOCITY_rad_s,
+        applied_torque=np.cos(POSITION_rad),
+    )
+    file, document = start(tmp_path, "log.npz")
+    assert file["joints"]["elbow"]["torque"] == {"column": "applied_torque[1]", "unit": "N m"}
+    assert "kp_Nm_rad" not in file["joints"]["elbow"]  # torques are compared
+    (asked,) = (one for one in document["questions"] if "order of the joints" in one)
+    assert asked.startswith("joints: is shoulder, elbow the order of the joints in")
+
+
+def test_messages_are_matched_by_the_names_in_them(tmp_path):
+    (tmp_path / "model.xml").write_text(MODEL)
+    messages = [
+        (topic, time_ns, content | {"position": [0.01 * one for one in content["position"]]})
+        for topic, time_ns, content in rows(60)
+    ]
+    write_mcap(tmp_path / "log.mcap", messages)
+    file, _ = start(tmp_path, "log.mcap")
+    assert file["joints"]["elbow"]["position"]["column"] == "/joint_states.position[elbow]"
+    assert file["joints"]["elbow"]["command"]["column"] == "/joint_command.position[elbow]"
+    assert "time" not in file
+
+
+def test_a_gain_is_estimated_by_the_sag_under_gravity(tmp_path):
+    kp_Nm_rad = (60.0, 25.0)
+    time_s = np.arange(0.0, 60.0, 0.02)
+    command = np.column_stack([np.sin(0.2 * time_s), 1.2 * np.sin(0.3 * time_s + 1.0)])
+    # at rest the loop holds gravity: kp (command - position) = torque, solved by iteration
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data, position = mujoco.MjData(model), command.copy()
+    for _ in range(50):
+        for row, q in enumerate(position):
+            data.qpos[:] = q
+            mujoco.mj_forward(model, data)
+            position[row] = command[row] - data.qfrc_bias / kp_Nm_rad
+    columns = {"t": time_s}
+    for k, name in enumerate(("shoulder", "elbow")):
+        columns |= {f"position_{name}": position[:, k], f"command_{name}": command[:, k]}
+    write_csv(tmp_path, columns)
+    file, _ = start(tmp_path)
+    for name, kp in zip(("shoulder", "elbow"), kp_Nm_rad, strict=True):
+        assert file["joints"][name]["kp_Nm_rad"] == pytest.approx(kp, rel=0.05)
+
+
+def test_a_velocity_that_fits_no_unit_is_left_away_and_asked(tmp_path):
+    columns = {"t": TIME_s}
+    for k, name in enumerate(("shoulder", "elbow")):
+        share = (POSITION_rad[:, k] + 0.5) if name == "elbow" else POSITION_rad[:, k]
+        columns |= {f"position_{name}": share, f"velocity_{name}": VELOCITY_rad_s[:, k] * (3.0 if k else 1.0)}
+        columns |= {f"command_{name}": COMMAND_rad[:, k] + (0.5 if name == "elbow" else 0.0)}
+    write_csv(tmp_path, columns)
+    file, document = start(tmp_path)
+    assert "velocity" in file["joints"]["shoulder"]
+    assert "velocity" not in file["joints"]["elbow"]
+    assert any(
+        "velocity_elbow is " in one and "times the change of the position" in one
+        for one in document["questions"]
+    )
+
+
+def test_motions_begin_where_the_time_begins_anew(tmp_path):
+    columns = {"trial": np.repeat([0, 1], 1000), "t": np.tile(TIME_s[:1000], 2)}
+    for k, name in enumerate(("shoulder", "elbow")):
+        columns |= {f"q_{name}": POSITION_rad[:, k], f"q_des_{name}": COMMAND_rad[:, k]}
+    write_csv(tmp_path, columns)
+    file, _ = start(tmp_path)
+    assert file["motion"] == {"columns": ["trial"]}
+    del columns["trial"]
+    write_csv(tmp_path, columns)
+    os.remove(tmp_path / "robot.toml")
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert done.returncode == 2
+    assert "begins anew at row 1001" in " ".join(done.stderr.split())
+
+
+def test_bad_input_writes_nothing(tmp_path):
+    write_csv(tmp_path, {"t": TIME_s, "temperature": TIME_s, "x": TIME_s})
+    (tmp_path / "bad.xml").write_text("no model")
+    before = snapshot(tmp_path)
+    for words, said in {
+        ("model.xml", "log.csv"): "no column is a position of shoulder, elbow by its name",
+        ("model.xml",): "none is given",
+        ("bad.xml", "log.csv"): "is not XML",
+        ("model.xml", "none.csv"): "there is no such log",
+        ("model.xml", "log.csv", "--out", "robot.txt"): "must end in .toml",
+    }.items():
+        done = run_simgap(tmp_path, "init", *words)
+        assert done.returncode == 2, words
+        assert said in " ".join(done.stderr.split())
+    assert snapshot(tmp_path) == before
+    (tmp_path / "robot.toml").write_text("mine")
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert done.returncode == 2
+    assert "is there already" in " ".join(done.stderr.split())
+    assert (tmp_path / "robot.toml").read_text() == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("model", "log", "n_questions"),
+    [
+        ("so101/so101.xml", "so101/so101.parquet", 4),
+        ("kr300/kr300.xml", "kr300/kr300_A.parquet", 2),
+        ("models/robots/pendulum/model.xml", "xl330/xl330.parquet", 2),
+    ],
+)
+def test_first_files_of_measured_robots_pass_the_check(real_data, tmp_path, model, log, n_questions):
+    path = repository_file(model) if model.startswith("models") else real_data / model
+    done = run_simgap(tmp_path, "init", str(path), str(real_data / log), "--json")
+    assert len(json.loads(done.stdout)["questions"]) <= n_questions
+    report = check_robot(CheckRequest(tmp_path / "robot.toml", (real_data / log,)))
+    assert not report.refusal
