@@ -39,7 +39,8 @@ def test_four_lines_say_where_what_how_far_and_next():
         "Where: lift.",
         "What: Coulomb friction at lift (0.44 N m), 95 % sure: no other effect explains it.",
         "How far: on 2 motions that took no part, the error of lift is 25.5 mrad; with base parameters "
-        "12 mrad; with the findings 2.4 mrad (noise: 2 mrad). The findings take 80 % of what base parameters left.",
+        "12 mrad; with the findings 2.4 mrad (noise: 2 mrad). The findings take 80 % of what base "
+        "parameters left.",
         "Next: nothing; these motions leave no question open.",
     )
 
