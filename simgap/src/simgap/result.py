@@ -198,7 +198,7 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What changed between two sets of logs, and what may have changed unseen."""
+    """Changes between two sets of logs, and limits of those that were not seen."""
 
     found: Diagnosis
     """Its findings are changes; its errors are those with one model for both, and with the changes."""
