@@ -120,7 +120,7 @@ def _find_motions(
     if left.size:
         row = int(left[0]) + 1
         raise RobotError(
-            f"{log.path}: the time {time!r} begins anew at row {row}, and no column says which motion that "
-            "is; add a column that names the motions, or give each motion a file of its own"
+            f"{log.path}: the time {time!r} does not increase at row {row}, and no column says that a motion "
+            "begins there; add a column that names the motions, or give each motion a file of its own"
         )
     return tuple(chosen), repeat, f"where the time begins anew ({restarts.size} times), it changes"
