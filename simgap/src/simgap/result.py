@@ -183,3 +183,23 @@ class Diagnosis:
         from simgap.report.traces import trace_motions
 
         save_diagnosis_page(self, trace_motions(robot, motions, self), Path(path))
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Change of a base parameter that these logs cannot exclude."""
+
+    place: str
+    name: str
+    low: float
+    """Ends of its 90 % interval, where all base parameters of the joint may change."""
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Changes between two sets of logs, and limits of those that were not seen."""
+
+    found: Diagnosis
+    """Its findings are changes; its errors are those with one model for both, and with the changes."""
+    limits: tuple[Limit, ...]

@@ -214,18 +214,22 @@ def test_a_velocity_that_fits_no_unit_is_left_away_and_asked(tmp_path):
 
 
 def test_motions_begin_where_the_time_begins_anew(tmp_path):
-    columns = {"trial": np.repeat([0, 1], 1000), "t": np.tile(TIME_s[:1000], 2)}
+    columns = {
+        "trial": np.repeat([0, 1, 2], 600),
+        "repeat": np.repeat([1, 0, 1], 600),
+        "t": np.tile(TIME_s[:600], 3),
+    }
     for k, name in enumerate(("shoulder", "elbow")):
-        columns |= {f"q_{name}": POSITION_rad[:, k], f"q_des_{name}": COMMAND_rad[:, k]}
+        columns |= {f"q_{name}": POSITION_rad[:1800, k], f"q_des_{name}": COMMAND_rad[:1800, k]}
     write_csv(tmp_path, columns)
     file, _ = start(tmp_path)
-    assert file["motion"] == {"columns": ["trial"]}
-    del columns["trial"]
+    assert file["motion"] == {"columns": ["trial"], "repeat_column": "repeat"}
+    del columns["trial"], columns["repeat"]
     write_csv(tmp_path, columns)
     os.remove(tmp_path / "robot.toml")
     done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
     assert done.returncode == 2
-    assert "begins anew at row 1001" in " ".join(done.stderr.split())
+    assert "does not increase at row 601" in " ".join(done.stderr.split())
 
 
 def test_bad_input_writes_nothing(tmp_path):
@@ -255,9 +259,9 @@ def test_bad_input_writes_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("model", "log", "n_questions"),
     [
-        ("so101/so101.xml", "so101/so101.parquet", 4),
+        ("so101/so101.xml", "so101/so101.parquet", 5),
         ("kr300/kr300.xml", "kr300/kr300_A.parquet", 2),
-        ("models/robots/pendulum/model.xml", "xl330/xl330.parquet", 2),
+        ("models/robots/pendulum/model.xml", "xl330/xl330.parquet", 3),
     ],
 )
 def test_first_files_of_measured_robots_pass_the_check(real_data, tmp_path, model, log, n_questions):

@@ -1,6 +1,6 @@
 """Command line `simgap`: its verbs."""
 
-from simgap.command.request import CheckRequest, DiagnoseRequest, InitRequest
+from simgap.command.request import CheckRequest, CompareRequest, DiagnoseRequest, InitRequest
 from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, verb
@@ -65,6 +65,23 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     return VerbResult(
         diagnosis_json(made), lambda: print_diagnosis(made), save=lambda: save_diagnosis_files(made)
     )
+
+
+@app.command()
+@verb
+def compare(request: CompareRequest, progress: Progress) -> VerbResult:
+    """Find what changed in a robot between two logs: Monday and Friday, before and after a repair, two units.
+
+    Base parameters and effects are found for both logs together. Then changes of all of them compete to
+    explain what differs. It also says which changes these logs cannot show.
+
+    Example: simgap compare robot.toml monday.parquet friday.parquet
+    """
+    from simgap.command.comparison import compare_logs, print_comparison
+    from simgap.report.comparison import comparison_document
+
+    made = compare_logs(request, progress)
+    return VerbResult(comparison_document(made), lambda: print_comparison(made))
 
 
 def main() -> None:

@@ -81,3 +81,13 @@ class DiagnoseRequest:
         Option("Write the patched model, and the runtime file for what MuJoCo cannot express.", "FOLDER"),
     ] = None
     report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class CompareRequest:
+    """Request for a comparison of two sets of logs of one robot."""
+
+    robot: RobotArgument
+    before: Annotated[Path, Option("Log before the change.", "BEFORE", is_argument=True, is_read=True)]
+    after: Annotated[Path, Option("Log after the change.", "AFTER", is_argument=True, is_read=True)]
+    seed: Annotated[int, Option("Seed of the parts into which motions are put.", within=(0, None))] = 1

@@ -33,6 +33,7 @@ SIGNAL_WORDS: Final = {
 """Words of each signal; those of a position come last, as they are the least sure."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
+REPEATS: Final = _words("repeat repeats repetition repeated")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
 UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
 """Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""

@@ -156,6 +156,10 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
         draft.reasons["time",] = times.reasons["time"]
     if times.motions:
         draft.content["motion"] = {"columns": [*times.motions]}
+        if times.repeat:
+            draft.content["motion"]["repeat_column"] = times.repeat
+        else:
+            draft.ask("does a column say which motions repeat one another? They show the noise", "motion")
         draft.reasons["motion",] = times.reasons["motion"]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.columns import ColumnInfo, LogFile
-from simgap.setup.column_names import MOTIONS, TIMES, parse_name, split_words
+from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 
 USUAL_Hz: Final = 100.0
@@ -29,6 +29,8 @@ class Times:
     unit: str
     motions: tuple[str, ...]
     """Columns that name the motions; empty: the whole file is one, or the file knows them itself."""
+    repeat: str
+    """Column that is the same in motions that repeat one another; empty: none is known."""
     rate_Hz: float
     reasons: dict[str, str]
     """Reasons by key of the robot file: "time" and "motion"."""
@@ -42,10 +44,10 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     """
     if log.time_column:
         rate_Hz = next((one.rate_Hz for one in columns if one.rate_Hz), None) or math.nan
-        return Times("", "s", (), rate_Hz, {})
+        return Times("", "s", (), "", rate_Hz, {})
     rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
     if rates:  # messages, which have their own times
-        return Times("", "s", (), float(np.median(rates)), {})
+        return Times("", "s", (), "", float(np.median(rates)), {})
     named = [one for one in columns if one.kind in ("number", "time") and _is_time(one.name)]
     clocks = {one.name: log.numbers(one.name).value for one in named}
     clocks = {name: clock for name, clock in clocks.items() if clock.size > 2 and _usual_step(clock) > 0.0}
@@ -62,10 +64,10 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
         if unit in ("s", "ms", "us", "ns")
         else _fit_unit(_usual_step(clock), next(one.kind for one in named if one.name == name))
     )
-    motions, why = _find_motions(log, columns, name, clock)
+    motions, repeat, why = _find_motions(log, columns, name, clock)
     rate_Hz = 1.0 / (_usual_step(clock) * UNITS[unit].factor)
     reasons = {"time": said} | ({"motion": why} if motions else {})
-    return Times(name, unit, motions, rate_Hz, reasons)
+    return Times(name, unit, motions, repeat, rate_Hz, reasons)
 
 
 def _is_time(name: str) -> bool:
@@ -90,8 +92,8 @@ def _fit_unit(step: float, kind: str) -> tuple[str, str]:
 
 def _find_motions(
     log: LogFile, columns: Sequence[ColumnInfo], time: str, clock: Array
-) -> tuple[tuple[str, ...], str]:
-    """Return the columns whose values together name a motion, and why."""
+) -> tuple[tuple[str, ...], str, str]:
+    """Return the columns whose values together name a motion, that of their repeats, and why."""
     restarts = np.flatnonzero(np.diff(clock) <= 0.0) + 1
     texts = {}
     for one in columns:
@@ -104,8 +106,10 @@ def _find_motions(
     by_name = [name for name in texts if set(split_words(name)) & set(MOTIONS)]
     if not restarts.size:
         name = min(by_name, key=lambda one: texts[one].size, default="")
-        return ((name,), "by its name") if name else ((), "")
+        return ((name,), "", "by its name") if name else ((), "", "")
     inside = {name: at for name, at in texts.items() if np.isin(at, restarts).all() and at.size}
+    repeat = next((name for name in inside if set(split_words(name)) & REPEATS), "")
+    inside.pop(repeat, None)
     ranked = sorted(inside, key=lambda name: (-inside[name].size, name not in by_name, len(name)))
     chosen: list[str] = []
     left = restarts
@@ -116,7 +120,7 @@ def _find_motions(
     if left.size:
         row = int(left[0]) + 1
         raise RobotError(
-            f"{log.path}: the time {time!r} begins anew at row {row}, and no column says which motion that "
-            "is; add a column that names the motions, or give each motion a file of its own"
+            f"{log.path}: the time {time!r} does not increase at row {row}, and no column says that a motion "
+            "begins there; add a column that names the motions, or give each motion a file of its own"
         )
-    return tuple(chosen), f"where the time begins anew ({restarts.size} times), it changes"
+    return tuple(chosen), repeat, f"where the time begins anew ({restarts.size} times), it changes"

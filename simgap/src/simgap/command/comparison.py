@@ -1,0 +1,52 @@
+"""The verb that compares two logs of one robot."""
+
+from dataclasses import replace
+
+from simgap.checks.audit import audit
+from simgap.command.request import CompareRequest
+from simgap.common.console import plain_console
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
+from simgap.compare import compare
+from simgap.diagnosis import check_audit
+from simgap.loading import load
+from simgap.report.comparison import comparison_details, comparison_lines
+from simgap.result import Comparison
+from simgap.robot import Robot
+
+STEPS = 1000
+"""Parts of the progress that is shown."""
+
+
+def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> Comparison:
+    """Read both logs and compare them.
+
+    Raises:
+        RobotError: A file is wrong, or the check refuses a log.
+    """
+    check_options(request)
+    robot = Robot.from_toml(request.robot)
+    whole = replace(
+        robot, file=robot.file and robot.file.model_copy(update={"split": ""})
+    )  # all motions count
+    sets = [load(whole, [path]) for path in (request.before, request.after)]
+    progress(0, STEPS, "checking the logs")
+    audits = [audit(robot, logs) for logs in sets]
+    for found, logs in zip(audits, sets, strict=True):
+        check_audit(found, logs.motions)
+    before, after = (logs.motions for logs in sets)
+    return compare(
+        robot,
+        before,
+        after,
+        audits=audits,
+        seed=request.seed,
+        progress=lambda share, text: progress(round(STEPS * share), STEPS, text),
+    )
+
+
+def print_comparison(made: Comparison) -> None:
+    """Print the four lines, and a sentence for each change and each limit."""
+    console = plain_console()
+    for line in (*comparison_lines(made), *comparison_details(made)):
+        console.print(line, soft_wrap=False)
