@@ -6,12 +6,14 @@ from scipy.stats import binom
 
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from simgap import assemble
 from simgap.assemble import (
     describe_finding,
     explains_too_little,
     find_inflation,
     find_interval,
     list_remainders,
+    select_sure,
     simulate_models,
 )
 from simgap.residuals.residuals import root_weight
@@ -23,7 +25,12 @@ from simgap.selection.joint_fits import fit_base, fit_joints
 from simgap.selection.screening import adjust
 from simgap.selection.selection import list_again, select_effects
 from simgap.selection.sharing import Sharing, share_nothing
-from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+from simgap.selection.verdict import (
+    find_confidence_sets,
+    separating_motion,
+    size_intervals,
+    unexplained_dependence,
+)
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
@@ -69,6 +76,25 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
 
 
+def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn() -> None:
+    selection = select_effects(draw_toy(1, {"near: square": 0.1, "far: sine": 0.05}), BASE, CATALOGUE, seed=1)
+    sure, sets, rejected = select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
+    assert [one.effect.key for one in sets] == ["far: sine"]
+    assert [effect.key for effect in sure.chosen.effects] == ["far: sine"]
+    ((place, name, reason),) = [(one.place, one.effect, one.reason) for one in rejected]
+    assert (place, name) == ("near", "toy")
+    assert reason.startswith("it makes near worse on motions that took no part: ")
+
+
+def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    assert select_sure(selection, None)[2] == []
+    monkeypatch.setattr(assemble, "find_interval", lambda *_: (-1.0, 1.0))
+    sure, sets, (rejected,) = select_sure(selection, None)
+    assert (sure.chosen.effects, sets) == ((), [])
+    assert rejected.reason == "its 90 % interval holds 0"
+
+
 def test_variance_inflation_is_the_ratio_of_variances_with_and_without_the_other_effect() -> None:
     model = draw_toy(1, {"near: square": 0.1})
     near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
@@ -110,6 +136,7 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
     (one_set,) = find_confidence_sets(selection)
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+    assert separating_motion(selection.context, one_set) == ""  # they differ by less than the noise
 
 
 def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it() -> None:

@@ -5,6 +5,7 @@ indices, (n_rows,).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,15 +13,19 @@ import numpy as np
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.actuation import CurrentScale, GainError
 from simgap.effects.effect import READING_HOOKS, Effect
+from simgap.report.sentences import quantity
 from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
-from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Remainder
+from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
-from simgap.selection.acceptance import improvement_share, knows_noise
+from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection
-from simgap.selection.joint_fits import MIN_MOTIONS
+from simgap.selection.fit import select_rows
+from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
+from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (
     ConfidenceSet,
+    find_confidence_sets,
     list_members,
     separating_motion,
     size_intervals,
@@ -79,6 +84,77 @@ def assemble(
         method=context.model.method,
         effect_kinds=(context.model.kind,) * len(effects),
     )
+
+
+def select_sure(
+    selection: Selection, held_out: ResidualModel | None
+) -> tuple[Selection, list[ConfidenceSet], list[Rejected]]:
+    """Withdraw findings that harm a joint of motions that took no part, or whose intervals all hold 0.
+
+    Args:
+        held_out: Residuals of motions that took no part; None if there are none.
+
+    Returns:
+        The selection without them, the confidence sets of the others, and what was withdrawn.
+    """
+    rejected: list[Rejected] = []
+    while held_out is not None and (harm := find_harmful(selection, held_out)) is not None:
+        rejected.append(Rejected(harm[0].place, harm[0].name, harm[1]))
+        selection = drop_finding(selection, harm[0])
+    while True:
+        sets = find_confidence_sets(selection)
+        idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
+        if idle is None:
+            return selection, sets, rejected
+        rejected.append(Rejected(idle.place, idle.name, "its 90 % interval holds 0"))
+        selection = drop_finding(selection, idle)
+
+
+def drop_finding(selection: Selection, effect: Effect) -> Selection:
+    """Refit without a finding, and without those that were needed beside it alone."""
+    context = selection.context
+    chosen, left_out = drop_needless(context, leave_out(context, selection.chosen, [effect]))
+    return replace(selection, chosen=chosen, left_out=left_out)
+
+
+def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceSet]) -> bool:
+    """Check whether the intervals of all sizes of a finding hold 0, which is no effect."""
+    context = selection.context
+    columns = context.union.columns([effect])
+    ends = [find_interval(context, selection.chosen, sets, int(column)) for column in columns]
+    return all(low <= 0.0 <= high for low, high in ends)
+
+
+def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
+    """Find the finding that makes a joint of held-out motions worse than base parameters alone, and why.
+
+    At the joint that is worse by the largest ratio, beyond MAX_WORSE, it is the finding that is needed least.
+    """
+    context, chosen = selection.context, selection.chosen
+    if not chosen.effects:
+        return None
+    rows = np.abs(simulate_models(context, held_out, [selection.base.sizes, chosen.sizes]))
+    worst, found = 1.0 + MAX_WORSE, None
+    for j, name in enumerate(held_out.joints):
+        here = held_out.joint_of == j
+        base, after = (float(np.mean(one[here])) for one in rows) if here.any() else (0.0, 0.0)
+        own = [one for one in chosen.effects if one.place == name]
+        own = own or [one for one in chosen.effects if one.place not in held_out.joints]
+        if own and base > 0.0 and after / base > worst:
+            worst = after / base
+            unit = held_out.units[j]
+            words = f"{quantity(base, unit)} to {quantity(after, unit)}"
+            reason = f"it makes {name} worse on motions that took no part: {words}"
+            found = min(own, key=lambda one: _left_out_gain(selection, one)), reason
+    return found
+
+
+def _left_out_gain(selection: Selection, effect: Effect) -> float:
+    """Return the share of what can be explained that goes with a finding in left-out motions."""
+    context = selection.context
+    without = next(model for layer, model in selection.left_out if effect in layer)
+    rows = select_rows(context.model, context.joint_of(effect))
+    return improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
 
 
 def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:

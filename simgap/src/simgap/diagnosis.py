@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from simgap.assemble import assemble
+from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.commands import count_foreign_commands
 from simgap.checks.records import COARSE_RAD, REFUSED, Audit, Remark, joint_samples
@@ -20,7 +20,6 @@ from simgap.result import Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
 from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
 from simgap.selection.selection import select_effects
-from simgap.selection.verdict import find_confidence_sets
 
 FOREIGN_SHARE: Final = 0.25
 """Share of motions that follow another command from which commands count as mixed up.
@@ -82,8 +81,9 @@ def diagnose(
             selection = select_effects(
                 fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
             )
-            part = assemble(robot, fitted, selection, find_confidence_sets(selection), judge)
-            parts.append(replace(part, rejected=(*part.rejected, *rejected)))
+            selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
+            part = assemble(robot, fitted, selection, sets, judge)
+            parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
     return replace(
         join_parts(parts),

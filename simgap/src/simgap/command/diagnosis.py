@@ -30,8 +30,9 @@ from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
-from simgap.report.sentences import detail_lines, to_document, verdict_lines
+from simgap.report.sentences import detail_lines, verdict_lines
 from simgap.report.traces import Trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot

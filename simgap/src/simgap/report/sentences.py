@@ -1,15 +1,13 @@
-"""Sentences and JSON document of a diagnosis."""
+"""Sentences of a diagnosis."""
 
 import math
 from collections.abc import Sequence
 from enum import StrEnum
 from math import isfinite
-from typing import Any, Final
+from typing import Final
 
-from simgap.common.report import to_json
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
-from simgap.selection.acceptance import MAX_WORSE
 
 MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
@@ -26,7 +24,9 @@ GAINS: Final = {
     "torque_constant_N_A": "the force constant",
 }
 """Base parameters to which others are known as ratios where gravity gives no scale, by their names."""
-NOT_LOCATED: Final = "something small, not located"
+NOT_LOCATED: Final = "something that is not located"
+MUCH: Final = 2.0
+"""Error over noise from which the first line says what is left: half of it or more is no noise."""
 FAMILY_WORDS: Final[dict[StrEnum, str]] = {
     Family.FRICTION: "friction",
     Family.TRANSMISSION: "transmission",
@@ -209,7 +209,7 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 def _where(diagnosis: Diagnosis) -> str:
     if diagnosis.is_base_only:
         return "no effect was looked for."
-    located = [finding for finding in diagnosis.findings if level(finding) != "none"]
+    located = [finding for finding in _ranked(diagnosis) if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
         words.append(NOT_LOCATED)
@@ -218,10 +218,33 @@ def _where(diagnosis: Diagnosis) -> str:
         if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
             return "nowhere; without repeated motions nobody knows if what remains is more than noise."
         return "nowhere; robot and model agree once the base parameters are fitted."
+    much = _much_left(diagnosis.errors)
     if not words:
-        return f"{join_words(elsewhere, 'and')}."
-    more = f" Something more remains at {join_words(elsewhere, 'and')}." if elsewhere else ""
+        return f"{join_words(elsewhere, 'and')}{much}."
+    more = f" Something more remains at {join_words(elsewhere, 'and')}{much}." if elsewhere else ""
     return f"{join_words(words, 'and')}.{more}"
+
+
+def _much_left(errors: Sequence[JointError]) -> str:
+    """Return the joint whose error is the most times its noise, if over twice."""
+    known = [one for one in errors if one.noise_floor > 0.0]
+    worst = max(known, key=lambda one: one.explained / one.noise_floor, default=None)
+    if worst is None or worst.explained <= MUCH * worst.noise_floor:
+        return ""
+    left = quantity(worst.explained, worst.unit)
+    return f", {left} at {worst.joint}, which is {worst.explained / worst.noise_floor:.2g} times the noise"
+
+
+def _ranked(diagnosis: Diagnosis) -> list[Finding]:
+    """Return the findings, first that which explains the most of the largest error."""
+    errors = {one.joint: one.base for one in diagnosis.errors}
+    largest = max(errors.values(), default=0.0)
+
+    def weight(one: Finding) -> float:
+        share = one.share if isfinite(one.share) else 0.0
+        return share * errors.get(one.place, largest)
+
+    return sorted(diagnosis.findings, key=weight, reverse=True)
 
 
 def _what(diagnosis: Diagnosis) -> str:
@@ -230,9 +253,18 @@ def _what(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
         explains = " explains it" if diagnosis.remaining else ""
         return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
-    texts = [f"{finding_words(one)}, {_certainty(one)}" for one in diagnosis.findings[:MAX_MEMBERS]]
-    rest = len(diagnosis.findings) - MAX_MEMBERS
-    return "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
+    ranked = _ranked(diagnosis)
+    shown = ranked[:MAX_MEMBERS]
+    groups: dict[str, list[str]] = {}
+    for one in shown:
+        groups.setdefault(_certainty(one), []).append(finding_words(one))
+    texts = [
+        f"{'; '.join(words)}, {'each ' if len(words) > 1 else ''}{certainty}"
+        for certainty, words in groups.items()
+    ]
+    rest = len(ranked) - len(shown)
+    first = "mainly " if rest > 0 else ""
+    return first + "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
 
 
 def _base_words(base: Sequence[Base]) -> str:
@@ -274,40 +306,34 @@ def _effects_words(keys: Sequence[str]) -> str:
 
 
 def _how_far(diagnosis: Diagnosis) -> str:
+    """Return the error of the joint with the largest one, with and without findings, beside its noise."""
     if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
     motions = count(len(diagnosis.judged_motions), "motion")
-    best = max(diagnosis.errors, key=_fall)
-    numbers = f"{quantity(best.nominal, best.unit)} to {quantity(best.explained, best.unit)}"
-    fall = f"on {motions} that took no part, the error of {best.joint} goes from {numbers}"
-    fall += _worse(diagnosis.errors)
-    if not has_floor(diagnosis):
-        return f"{fall}; the noise floor is unknown without repeats, so no share is given."
-    if diagnosis.closure is None:
-        return f"{fall}; all of it is noise."
-    if diagnosis.closure < 0.0:
-        return f"{fall}; the explainable error of all joints grows by {percent(-diagnosis.closure)}."
-    return f"{fall}; {percent(min(diagnosis.closure, 1.0))} of the explainable error is gone."
-
-
-def _worse(errors: Sequence[JointError]) -> str:
-    """Return the joint that the findings make worse most, beside its base parameters alone."""
-    one = max(errors, key=lambda each: each.explained / each.base if each.base > 0.0 else 0.0)
-    if one.explained <= (1.0 + MAX_WORSE) * one.base:
-        return ""
-    numbers = f"{quantity(one.base, one.unit)} to {quantity(one.explained, one.unit)}"
-    return f", but the findings make {one.joint} worse than base parameters alone: {numbers}"
-
-
-def _fall(one: JointError) -> float:
-    """Return the fall of an error as a share, so that joints with different units compare."""
-    return (one.nominal - one.explained) / one.nominal if one.nominal > 0 else 0.0
+    one = max(diagnosis.errors, key=lambda each: each.nominal)
+    known = one.noise_floor > 0.0
+    noise = f"noise: {quantity(one.noise_floor, one.unit)}" if known else "noise: not known without repeats"
+    steps = f"{quantity(one.nominal, one.unit)}; with base parameters {quantity(one.base, one.unit)}"
+    found = bool(diagnosis.findings)
+    steps += f"; with the findings {quantity(one.explained, one.unit)}" if found else ""
+    far = f"on {motions} that took no part, the error of {one.joint} is {steps} ({noise})"
+    if not found or not one.base > 0.0:
+        return f"{far}."
+    share = 1.0 - one.explained / one.base
+    verb = "take" if share >= 0.0 else "add"
+    return f"{far}. The findings {verb} {percent(abs(share))} of what base parameters left."
 
 
 def _next(diagnosis: Diagnosis) -> str:
     wanted = next((one.next_motion for one in diagnosis.findings if one.next_motion), "")
     if wanted:
         return f"record {wanted}."
+    pairs = [one.effects for one in diagnosis.findings if level(one) == "effect" and len(one.effects) > 1]
+    if pairs:
+        return (
+            f"no recorded motion tells {_effects_words(pairs[0])} apart above the noise; record one that is "
+            "faster, slower or with another load."
+        )
     if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
     if diagnosis.is_base_only:
@@ -320,81 +346,3 @@ def _next(diagnosis: Diagnosis) -> str:
             return f"write an effect of your own at {one.joint} that depends on {one.depends_on}."
         return f"log more of {one.joint}, such as torque, temperature or a second encoder."
     return "nothing; these motions leave no question open."
-
-
-FORMAT: Final = "diagnosis 1"
-"""Name and version of the document."""
-
-
-def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis as a document that JSON can hold; unknown numbers are null."""
-    return {
-        "format": FORMAT,
-        "robot": diagnosis.robot,
-        "kind": diagnosis.kind,
-        "method": diagnosis.method,
-        "remarks": list(diagnosis.remarks),
-        "seed": diagnosis.seed,
-        "verdict": verdict_word(diagnosis),
-        "lines": list(verdict_lines(diagnosis)),
-        "details": detail_lines(diagnosis),
-        "closure_share": diagnosis.closure,
-        "findings": [_finding(one) for one in diagnosis.findings],
-        "base": [_base(one) for one in diagnosis.base],
-        "errors": to_json(diagnosis.errors),
-        "remaining": to_json(diagnosis.remaining),
-        "refused": to_json(diagnosis.refused),
-        "rejected": to_json(diagnosis.rejected),
-        "fitted_motions": list(diagnosis.fitted_motions),
-        "judged_motions": list(diagnosis.judged_motions),
-        "effects": [
-            {
-                "key": effect.key,
-                "kind": kind,
-                "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
-            }
-            for kind in diagnosis.kinds
-            for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
-        ],
-    }
-
-
-def number(value: float) -> float | str | None:
-    """Return a number as JSON can hold it: NaN is null, infinity a text."""
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return float(value) if isfinite(value) else None
-
-
-def _finding(one: Finding) -> dict[str, Any]:
-    sizes = zip(one.size_names, one.size, one.interval, strict=True)
-    return {
-        "place": one.place,
-        "family": str(one.family),
-        "effect": one.effect,
-        "text": one.text,
-        "sizes": [
-            {"name": name, "value": number(size), "low_90": number(low), "high_90": number(high)}
-            for name, size, (low, high) in sizes
-        ],
-        "share": number(one.share),
-        "not_excluded": {
-            "places": list(one.places),
-            "families": [str(family) for family in one.families],
-            "effects": list(one.effects),
-        },
-        "next_motion": one.next_motion,
-    }
-
-
-def _base(one: Base) -> dict[str, Any]:
-    low, high = one.interval
-    return {
-        "place": one.place,
-        "name": one.name,
-        "nominal": number(one.nominal),
-        "value": number(one.value),
-        "low_90": number(low),
-        "high_90": number(high),
-        "is_identifiable": one.is_identifiable,
-    }

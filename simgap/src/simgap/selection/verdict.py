@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import cut_rows
+from simgap.residuals.noise import count_independent, cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
 from simgap.selection.chance import alternative_p
@@ -187,7 +187,12 @@ def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array)
 
 
 def separating_motion(context: Context, found: ConfidenceSet) -> str:
-    """Say in which recorded motion the first two members of a set differ most; empty if one is left."""
+    """Say in which recorded motion the first two members of a set differ most.
+
+    Returns:
+        Empty if one member is left, or if one more motion like it would not exclude the wrong one at EXCLUDED
+        with a power as high: the difference is compared with independent residuals of that motion.
+    """
     if len(found.alternatives) < 2:
         return ""
     first, second = found.alternatives[:2]
@@ -197,7 +202,11 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
     motion = _strongest(difference, model.motion_of, len(model.motions))
     joint = _strongest(difference, model.joint_of, len(model.joints))
     inside = (model.motion_of == motion) & (model.joint_of == joint)
-    change = np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2))
+    change = float(np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2)))
+    left = rows[0][inside]
+    n = count_independent(model, np.flatnonzero(inside), left)
+    if change * np.sqrt(n) < 2.0 * norm.ppf(1.0 - EXCLUDED) * float(np.sqrt(np.mean(left**2))):
+        return ""
     return (
         f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
         f'"{second.effect.name}" differ by {change:.2g} {model.units[joint]} (RMS)'
