@@ -92,7 +92,7 @@ def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
     return np.asarray(found.y[0])
 
 
-@pytest.mark.parametrize("kind", slow_but(KINDS, *KINDS[::3]))
+@pytest.mark.parametrize("kind", slow_but(KINDS, *KINDS[::6]))
 def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind: type[JointEffect]) -> None:
     robot = pendulum(limit_Nm=0.6)
     heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))

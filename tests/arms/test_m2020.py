@@ -107,6 +107,7 @@ def test_calibration_brings_the_error_at_held_out_poses_to_a_fifth() -> None:
     assert rms_m(found.held_out_error) < 0.2 * before
 
 
+@pytest.mark.slow
 def test_equal_runs_have_equal_bits() -> None:
     one, other = (prepare_homing(arm_named(NAME), Joint.TURRET, MARS, seed=5) for _ in range(2))
     for first, second, _ in zip(one, other, range(200), strict=False):

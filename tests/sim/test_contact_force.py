@@ -76,10 +76,9 @@ DEAD = [
     *((tool, (switch,), 50.0) for tool in TOUCHING for switch in TOOL_SWITCHES[tool]),
     *((tool, TOOL_SWITCHES[tool], 100.0) for tool in TOUCHING),
 ]
-SHORT = ("apxs", TOOL_SWITCHES["apxs"][:1], 50.0), ("apxs", TOOL_SWITCHES["apxs"], 100.0)
 
 
-@pytest.mark.parametrize(("tool", "dead", "most_N"), slow_but(DEAD, *SHORT))
+@pytest.mark.parametrize(("tool", "dead", "most_N"), slow_but(DEAD, ("apxs", TOOL_SWITCHES["apxs"], 100.0)))
 def test_a_guarded_tool_meets_a_rock_with_little_force_whichever_of_its_switches_are_dead(tool, dead, most_N):
     peak, evrs = run_without_switches(tool, dead)
     felt = ContactMade | PreloadOutside if len(dead) < len(TOOL_SWITCHES[tool]) else PreloadOutside

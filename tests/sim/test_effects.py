@@ -9,6 +9,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
+from helpers.marks import slow_but
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
 from sim.effects.geometry import FrameError
@@ -133,7 +134,7 @@ SAGGING = [
 ]
 
 
-@pytest.mark.parametrize(("effect", "least_m", "most_m"), SAGGING)
+@pytest.mark.parametrize(("effect", "least_m", "most_m"), slow_but(SAGGING, *SAGGING[::3]))
 def test_an_arm_of_other_stiffness_or_mass_sags_otherwise_as_flight_software_then_says(
     effect, least_m, most_m
 ):

@@ -8,6 +8,7 @@ import pytest
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.executive.poses import homing_start_poses
+from helpers.marks import slow_but
 from sim.arm_check import (
     EQUALISED_JOINTS,
     HARDSTOP_CLEARANCE_M,
@@ -53,7 +54,7 @@ def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and
 
 
 @EACH_PLACE
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", slow_but(Joint, Joint.ELEVATION, Joint.ELBOW))
 def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, arm, world):
     space, most = ClearanceModel(arm.params, world, arm.model), arm.params.hardstop.pose_tolerance_rad
     rng = np.random.default_rng([15, joint])

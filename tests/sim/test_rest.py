@@ -5,7 +5,6 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import CommandCompleted
-from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
@@ -23,8 +22,9 @@ WORLDS = {"mars": World(), "mars, 25 deg": lab.tilted_world(20, -15), "earth": W
 POSES = {"straight": lab.STRAIGHT_RAD, "ready": lab.READY_RAD, "stowed": lab.STOWED_RAD, "left": lab.LEFT_RAD}
 
 
-@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
-@pytest.mark.parametrize("pose", slow_but(POSES, "stowed"))
+@pytest.mark.slow
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("pose", POSES)
 def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
     coarse, fine = (lab.load(lab.plant(world, step_s), POSES[pose]) for step_s in (None, FINE_S))
     assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J

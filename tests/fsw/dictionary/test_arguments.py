@@ -6,7 +6,7 @@ from typing import get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fsw.dictionary.commands import (
@@ -187,7 +187,6 @@ anything = st.recursive(
 )
 
 
-@settings(max_examples=100)
 @given(
     st.sampled_from(get_args(Command)).flatmap(lambda kind: st.builds(kind, *[anything] * len(fields(kind))))
 )

@@ -295,7 +295,6 @@ def test_an_unreachable_target_is_eight_sentences_and_no_exception(name, gravity
     assert_sentences(arm, result)
 
 
-@settings(max_examples=60)
 @given(
     st.integers(0, 2**32 - 1), st.sampled_from(list(GRAVITIES)), st.sampled_from(["nominal", "calibrated:3"])
 )

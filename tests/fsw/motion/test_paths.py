@@ -235,7 +235,6 @@ def test_no_joint_is_above_its_speed_where_the_line_crosses_a_gap_close_to_a_sin
         assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9))
 def test_no_joint_is_above_its_speed_on_any_knots(seed, count):
     rng = np.random.default_rng(seed)

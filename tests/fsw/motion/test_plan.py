@@ -93,7 +93,7 @@ def test_out_of_reach_is_refused_with_the_nearest_branch_and_the_missing_metres(
     assert 5.5 < float(match[2]) < 7.0
 
 
-@pytest.mark.parametrize("name", BRANCHES)
+@pytest.mark.parametrize("name", slow_but(BRANCHES, *BRANCHES[::3]))
 def test_a_named_branch_is_refused_for_its_own_reason(name):
     joints = joints_at()
     refused = 0

@@ -27,6 +27,7 @@ def test_frames_are_where_the_kinematics_of_the_rigid_arm_place_them(name):
     json.dumps(to_json(layout_document(layout)), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_the_picture_is_a_png_and_a_second_one_is_the_same(tmp_path):
     layout = show_arm(ArmRequest())
     for name in ("a.png", "b.png"):

@@ -31,6 +31,7 @@ def test_a_reader_that_has_enough_ends_it_quietly():
     assert ran.returncode in (0, 141)  # 0 where all of it fits into the pipe
 
 
+@pytest.mark.slow
 def test_all_of_it_arrives(tmp_path):
     piped = to("| cat", "dictionary", "--json")
     assert (piped.returncode, piped.stderr) == (0, "")

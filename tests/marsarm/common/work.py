@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
-
 
 def square(x: int) -> int:
     return x * x
@@ -46,6 +44,8 @@ def interrupted_after(seconds: float) -> Iterator[None]:
 
     def interrupt(*_: object) -> None:
         raise Stop
+
+    import pytest  # which every worker would load
 
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -78,7 +78,7 @@ def test_friction_of_an_output_is_paid_by_the_motor(joint, times):
     assert costs_Nm == pytest.approx(5.0 * times, rel=5e-3)
 
 
-@pytest.mark.parametrize("speed", [0.5, 1.0])
+@pytest.mark.parametrize("speed", slow_but([0.5, 1.0], 0.5))
 @TIMES
 def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
     joint = Joint.AZIMUTH
@@ -88,7 +88,7 @@ def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
     )
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("speed", slow_but([0.1, 0.5, 1.0], 0.1))
 @TIMES
 def test_stribeck_friction_falls_with_the_speed(speed, times):
     joint, knee = Joint.AZIMUTH, 0.01
@@ -129,7 +129,7 @@ def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(fact
     assert with_it == pytest.approx((1 - factor) * gear_load_Nm(joint, helps), rel=0.04)
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.25])
+@pytest.mark.parametrize("factor", slow_but([0.8, 1.25], 0.8))
 def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor):
     """Added friction loads the motor."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
@@ -138,7 +138,7 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
     assert more_A == pytest.approx(20.0 / (factor * bench.TORQUE_CONSTANT_NM_A[joint]), rel=1e-3)
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", slow_but([0.7, 1.3], 1.3))
 def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor):
     joint = Joint.AZIMUTH
     effect = ColdFriction(joint, factor)

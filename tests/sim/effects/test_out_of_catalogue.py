@@ -75,7 +75,6 @@ LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5, "gravity_R
 EACH = pytest.mark.parametrize("name", KINDS)
 FEW = pytest.mark.parametrize("name", slow_but(KINDS, "ChurningGrease", "SwayingRover"))
 FILES = pytest.mark.parametrize("file", FOUND)
-EACH_SENSOR = pytest.mark.parametrize("name", SENSORS)
 
 
 def hypothesis_at(name: str) -> EffectHypothesis:
@@ -138,7 +137,7 @@ def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
     assert all(value == 0.0 for value in differences(again, with_it).values())
 
 
-@EACH_SENSOR
+@pytest.mark.parametrize("name", slow_but(SENSORS, *SENSORS[::2]))
 def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
     """Flight software may react to wrong readings later; before the move all else is unchanged."""
     with_it, without = record_session(hypothesis_at(name).typical()), record_session()

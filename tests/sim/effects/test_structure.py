@@ -8,6 +8,7 @@ from fsw.kinematics.arm import build_arm, transform6_to_pose
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
+from helpers.marks import slow_but
 from sim.effects.effect import Effect
 from sim.effects.geometry import (
     WIDTH_M,
@@ -163,9 +164,10 @@ def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, 
     np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
-@pytest.mark.parametrize(
-    "effect", [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, ThermalGradient(Frame.ARM3, "z", 20.0)], ids=str
-)
+TOLD = [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, ThermalGradient(Frame.ARM3, "z", 20.0)]
+
+
+@pytest.mark.parametrize("effect", slow_but(TOLD, *TOLD[::3]), ids=str)
 def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect) -> None:
     plant, _ = bench.build_arm(effect, world=TILTED, calm=True)
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
