@@ -228,7 +228,8 @@ def _joint_table(report: CheckReport) -> Table:
     title = f"{report.robot.name}: {pluralize(len(motions), 'motion')}{held_out}"
     shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
     for name in JOINT_HEAD:
-        shown.add_column(name, justify="left" if name == "joint" else "right", no_wrap=True)
+        is_name = name == "joint"  # the name alone may take two lines
+        shown.add_column(name, justify="left" if is_name else "right", no_wrap=not is_name, overflow="fold")
     for one in summarize_joints(report):
         shown.add_row(*joint_cells(one))
     return shown
