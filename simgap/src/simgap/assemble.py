@@ -281,10 +281,16 @@ def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows
             continue
         here = np.abs(rows[:, held_out.joint_of == j])
         nominal, base, chosen = np.mean(here, axis=1).tolist()
-        noise = noise_residuals(raw, fitted, j)
+        noise = _find_noise(raw, fitted, held_out, rows[2], j)
         level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
         found.append(JointError(name, held_out.units[j], nominal, base, chosen, level, held_out.kind))
     return found
+
+
+def _find_noise(raw: ResidualModel, fitted: Array, held_out: ResidualModel, judged: Array, j: int) -> Array:
+    """Return what noise alone leaves at a joint, (n_noise,): by repeats that were fitted, else by others."""
+    found = noise_residuals(raw, fitted, j)
+    return found if len(found) else noise_residuals(held_out, judged, j)
 
 
 def list_remainders(
@@ -302,7 +308,7 @@ def list_remainders(
             continue
         error = float(np.mean(np.abs(residuals[rows])))
         variable, share = find_dependence(held_out, rows, residuals[rows])
-        noise = noise_residuals(raw, fitted, j)
+        noise = _find_noise(raw, fitted, held_out, residuals, j)
         above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
         if above or (not len(noise) and variable):
             regime = find_regime(held_out.explain("velocity")[rows], residuals[rows])
