@@ -39,7 +39,7 @@ def write_first_file(request: InitRequest, progress: Progress = no_progress) -> 
         raise BadRequest("logs: none is given; name at least one log after the model")
     if request.out.exists():
         raise BadRequest(f"out {request.out}: is there already; name another file, or remove it")
-    draft = draft_robot_file(request.model, request.logs, request.out, progress)
+    draft = draft_robot_file(request.model, request.logs, request.out, request.unit, progress)
     text = robot_file_text(draft, f"{request.model.name} and {', '.join(one.name for one in request.logs)}")
     with atomic_write(request.out, "out") as file:
         file.write(text.encode())

@@ -15,7 +15,8 @@ def _words(text: str) -> frozenset[str]:
 
 
 COMMAND: Final = _words(
-    "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
+    "command commands cmd commanded goal target targets desired des ref reference setpoint action actions "
+    "ctrl control c u"
 )
 """Words of a signal that was sent to the robot."""
 SIGNAL_WORDS: Final = {
@@ -33,6 +34,8 @@ SIGNAL_WORDS: Final = {
 """Words of each signal; those of a position come last, as they are the least sure."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
+NANOSECONDS: Final = _words("nanosec nanosecs nsec nsecs")
+"""Words of the part of a stamp below a second, which is no time of its own."""
 REPEATS: Final = _words("repeat repeats repetition repeated")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
 UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
@@ -78,7 +81,7 @@ class ColumnName:
     index: int
     """That number; -1 if there is none."""
     signal: str
-    """Signal, such as "position"; empty if no word says it."""
+    """Signal, such as "position"; empty if no word says it, as in `action`."""
     is_command: bool
     key: str
     """Key of a joint in the robot file that such a column may have; empty for none."""
@@ -127,7 +130,6 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
         else:
             signal = of_unit
     is_command = bool(COMMAND & set(there))
-    signal = signal or ("position" if is_command else "")
     key = "command" if is_command else signal
     if key == "position" and SECONDARY & set(there):
         key = "secondary"

@@ -12,6 +12,12 @@ MODES: Final = ("position", "velocity", "torque", "current", "voltage")
 """Signals that may be commanded; where a log has several, the first is what the outer loop was told."""
 
 
+MOVING: Final = ("secondary", "velocity", "torque", "current")
+"""Signals that are absent where they are constant: drivers fill their columns with zeros."""
+FREE_BASE: Final = (6, 7)
+"""Numbers of a free base before those of the joints: of its velocity and its position."""
+
+
 @dataclass(frozen=True, slots=True)
 class Match:
     """Column that is taken for a signal of a joint."""
@@ -45,6 +51,8 @@ def match_columns(
         name = parse_name(info.name, joints)
         if info.name in others or info.kind not in ("number", "flag") or not name.key:
             continue
+        if name.key in MOVING and info.lowest == info.highest:
+            continue
         if name.joint:
             found[name.joint, name.key].append(Match(info, name, "by name"))
         elif len(joints) == 1:
@@ -55,7 +63,10 @@ def match_columns(
     ordered: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for group in numbered.values():
         group.sort(key=lambda pair: pair[1].index)
-        order = driven if len(group) == len(driven) else joints
+        if len(group) - len(joints) in FREE_BASE:
+            group = group[-len(joints) :]
+        by_actuator = group[0][1].key == "command" or len(group) != len(joints)
+        order = driven if by_actuator and len(group) == len(driven) else joints
         if len(group) != len(order):
             questions[_count_question(group[0][0].name, len(group), joints)] = None
         if len(group) > len(order):
@@ -78,7 +89,7 @@ def match_columns(
 
 def _rank(one: Match) -> tuple[int, int, int]:
     """Order columns of one key: what the outer loop was told first, then sure names, then short ones."""
-    order = MODES.index(one.name.signal) if one.name.key == "command" else 0
+    order = (*MODES, "").index(one.name.signal) if one.name.key == "command" else 0
     return order, ("by name", "the model has one joint", "by order").index(one.reason), len(one.info.name)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.columns import ColumnInfo, LogFile
-from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
+from simgap.setup.column_names import MOTIONS, NANOSECONDS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 
 USUAL_Hz: Final = 100.0
@@ -54,7 +54,8 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     if not clocks:
         there = ", ".join(one.name for one in columns)
         raise RobotError(
-            f"{log.path}: no column is a time by its name (such as t, time_s or timestamp); it has {there}"
+            f"{log.path}: no column is a time by its name (such as t, time_s or timestamp) that increases; "
+            f"it has {there}. Where a stamp is in two columns, sec and nanosec, add them up in one"
         )
     name = min(clocks, key=len)
     clock = clocks[name]
@@ -71,7 +72,8 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
 
 
 def _is_time(name: str) -> bool:
-    return any(word in TIMES for word in split_words(name))
+    words = set(split_words(name))
+    return bool(words & set(TIMES)) and not words & NANOSECONDS
 
 
 def _usual_step(clock: Array) -> float:
