@@ -26,6 +26,7 @@ from simgap.robot import Robot
 from simgap.setup.column_names import split_words
 from simgap.setup.draft import Draft
 from simgap.setup.gains import ask_about_gains, ask_about_torques, estimate_gain, sag_gains, set_unknown_gains
+from simgap.setup.loops import loop_gains
 from simgap.setup.matching import Match, match_columns
 from simgap.setup.times import Times, find_times
 from simgap.setup.units import (
@@ -94,7 +95,7 @@ def draft_robot_file(
     _settle_speeds(draft, robot, logs, by_joint)
     if unknown is not None:
         sags = sag_gains(robot, logs)
-        ask_about_gains(draft, robot, sags)
+        ask_about_gains(draft, robot, loop_gains(robot, logs.motions) | sags)
         for joint in unknown:
             estimate_gain(draft, robot, logs, joint, sags.get(joint))
     ask_about_torques(draft, robot, logs)

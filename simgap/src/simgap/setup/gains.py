@@ -73,23 +73,23 @@ def sag_gains(robot: Robot, logs: Logs) -> dict[str, float]:
     return found
 
 
-def ask_about_gains(draft: Draft, robot: Robot, sags: Mapping[str, float]) -> None:
-    """Ask about gains of the model, but where the sag under gravity agrees with them.
+def ask_about_gains(draft: Draft, robot: Robot, shown: Mapping[str, float]) -> None:
+    """Ask about gains of the model, but where the logs agree with them.
 
     Args:
-        sags: Gains that the sag shows, by joint [N m/rad].
+        shown: Gains that the logs show, by joint [N m/rad].
     """
-    for gain in dict.fromkeys(joint.kp_Nm_rad for joint in robot.joints):
-        own = [one for one in robot.joints if one.kp_Nm_rad == gain and one.mode is ControlMode.POSITION]
-        own = [one for one in own if "kp_Nm_rad" not in draft.joint(one.name)]
-        seen = {one.name: sags[one.name] for one in own if one.name in sags}
-        far = {name: sag for name, sag in seen.items() if max(sag / gain, gain / sag) > FAR}
-        shown = ", ".join(f"{sag:.2g} ({name})" for name, sag in far.items())
-        said = f"; by the sag under gravity it is about {shown}" if far else ""
-        for one in own:
-            if far or one.name not in seen:
-                text = f"is {gain:.4g} {one.effort_unit}/{one.unit}, the gain of the model, that of the robot"
-                draft.ask(f"{text}{said}? kp_Nm_rad says another", "joints", one.name, "mode")
+    own = [one for one in robot.joints if one.mode is ControlMode.POSITION]
+    own = [one for one in own if "kp_Nm_rad" not in draft.joint(one.name)]
+    for gain in dict.fromkeys(one.kp_Nm_rad for one in own):
+        same = [one for one in own if one.kp_Nm_rad == gain]
+        seen = {one.name: shown[one.name] for one in same if one.name in shown}
+        far = {name: kp for name, kp in seen.items() if max(kp / gain, gain / kp) > FAR}
+        listed = ", ".join(f"{kp:.2g} ({name})" for name, kp in far.items())
+        said = f"; the logs look like {listed}" if far else ""
+        for one in same if far or not seen else ():
+            text = f"is {gain:.4g} {one.effort_unit}/{one.unit}, the gain of the model, that of the robot"
+            draft.ask(f"{text}{said}? kp_Nm_rad says another", "joints", one.name, "mode")
 
 
 def estimate_gain(draft: Draft, robot: Robot, logs: Logs, joint: str, sag: float | None) -> None:

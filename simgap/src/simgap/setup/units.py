@@ -111,9 +111,7 @@ def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
     if not _fits(every, UNITS["deg"].factor):
         reason = "no unit fits the range of the model"
     inside = max(max(abs(one.low), abs(one.high)) for one in every) <= PERCENT
-    asked = (
-        "are these degrees, or percent of the range? For the latter, write the file anew with --unit percent"
-    )
+    asked = "are these degrees, or percent of the range? For percent, write the file anew with --unit percent"
     return dict.fromkeys(values, UnitGuess("deg", reason, question=asked if inside else ""))
 
 
