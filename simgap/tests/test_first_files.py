@@ -7,7 +7,6 @@ import pytest
 
 from helpers.first_logs import JOINTS, MODEL, MOTORS, run, write_columns, write_lerobot, write_model
 from simgap.checks.audit import audit
-from simgap.common.errors import RobotError
 from simgap.common.progress import no_progress
 from simgap.loading import load
 from simgap.robot import Robot
@@ -98,10 +97,3 @@ def test_what_never_changes_is_no_signal(tmp_path):
     joints, asked, _ = make(tmp_path, log)
     assert set(joints["lift"]) == {"mode", "command", "position"}
     assert "is lift, elbow the order of the joints" in asked
-
-
-def test_a_stamp_in_two_columns_is_no_time(tmp_path):
-    stamp = {"stamp.sec": np.floor(run().clock_s), "stamp.nanosec": 1e9 * (run().clock_s % 1.0)}
-    log = write_columns(tmp_path / "log.csv", **stamp, **by_name(t_s=None, motion=None))
-    with pytest.raises(RobotError, match="sec and nanosec, add them up in one"):
-        make(tmp_path, log)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.checks.records import Remark, RemarkKind, Samples, hold, joint_samples
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples
 from simgap.checks.signals import ROUND, TURN_RAD
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
@@ -37,7 +37,10 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
             ratio = _ratio((one.command, one.position) for one in samples)
         wrong = _remark(ratio, joint, names, "the position", "its command")
         if own:
-            found += wrong or _beyond_range(joint, robot.range_rad(joint.name), names, samples)
+            wrong = wrong or _beyond_range(joint, robot.range_rad(joint.name), names, samples)
+        if ratio > 0.0 and not wrong:
+            wrong = _beside_command(joint, names, samples)
+        found += wrong
     return found + _audit_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
 
@@ -121,6 +124,23 @@ def _remark(ratio: float, joint: RobotJoint, motions: tuple[str, ...], what: str
                 text += f"of {right} in the robot file wrong?"
                 return [Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)]
     return []
+
+
+def _beside_command(joint: RobotJoint, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
+    """Remark positions that follow a command, but farther beside it than it goes: another zero.
+
+    Gravity holds a servo off its command by less than it moves, or nothing could be done with it.
+    """
+    pairs = [(one.command, one.position) for one in samples]
+    command, position = (np.concatenate(one) for one in zip(*pairs, strict=True))
+    known = np.isfinite(position) & np.isfinite(command)
+    if not known.any():
+        return []
+    off = float(np.median((position - command)[known]))
+    if abs(off) <= max(float(np.ptp(command[known])), COARSE_RAD * joint.per_rad):
+        return []
+    text = f"the position lies {joint.show(off)} beside its command: is zero_rad missing at one of them?"
+    return [Remark(RemarkKind.UNIT, joint.name, motions, text, off)]
 
 
 def _factors(joint: RobotJoint) -> dict[float, str]:

@@ -27,15 +27,13 @@ SIGNAL_WORDS: Final = {
     "current": _words("current currents cur i"),
     "voltage": _words("voltage"),
     "temperature": _words("temperature temp"),
-    "position": _words(
-        "position positions pos angle angles qpos q p state act actual present measured meas encoder"
-    ),
+    "position": _words("position positions pos angle angles qpos q p encoder"),
 }
-"""Words of each signal; those of a position come last, as they are the least sure."""
+"""Words of each signal."""
+MEASURED: Final = _words("state act actual present measured meas")
+"""Words of a position, if no other word and no letter says a signal."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
-NANOSECONDS: Final = _words("nanosec nanosecs nsec nsecs")
-"""Words of the part of a stamp below a second, which is no time of its own."""
 REPEATS: Final = _words("repeat repeats repetition repeated")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
 UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
@@ -177,7 +175,7 @@ def _find_signal(words: Sequence[str]) -> str:
         found = next((signal for signal, known in SIGNAL_WORDS.items() if known & there), "")
         if found or (COMMAND & there and is_long):
             return found
-    return ""
+    return "position" if MEASURED & set(words) else ""
 
 
 def _find_unit(words: Sequence[str]) -> tuple[int, str]:

@@ -10,12 +10,13 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.columns import ColumnInfo, LogFile
-from simgap.setup.column_names import MOTIONS, NANOSECONDS, REPEATS, TIMES, parse_name, split_words
+from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 
 USUAL_Hz: Final = 100.0
 """Logs of robots have 3 to 3000 samples a second: a factor of 1000, as between units of time, so that one
 unit fits."""
+NANOSECONDS: Final = frozenset(("nanosec", "nanoseconds", "nsec", "nsecs"))
 MAX_MOTIONS: Final = 0.2
 """Largest share of distinct values in a column that names motions: a motion has several samples."""
 
@@ -52,10 +53,12 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     clocks = {one.name: log.numbers(one.name).value for one in named}
     clocks = {name: clock for name, clock in clocks.items() if clock.size > 2 and _usual_step(clock) > 0.0}
     if not clocks:
-        there = ", ".join(one.name for one in columns)
+        raise RobotError(f"{log.path}: {_why_no_clock(columns)}")
+    halves = [one for one in clocks if set(split_words(one)) & NANOSECONDS]
+    if halves and len(clocks) < len(named):
         raise RobotError(
-            f"{log.path}: no column is a time by its name (such as t, time_s or timestamp) that increases; "
-            f"it has {there}. Where a stamp is in two columns, sec and nanosec, add them up in one"
+            f"{log.path}: the time is in two columns, {' and '.join(one.name for one in named)}; write one, "
+            "seconds plus 1e-9 nanoseconds"
         )
     name = min(clocks, key=len)
     clock = clocks[name]
@@ -71,9 +74,28 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     return Times(name, unit, motions, repeat, rate_Hz, reasons)
 
 
+def _why_no_clock(columns: Sequence[ColumnInfo]) -> str:
+    """Return why no column is taken for the time, and what would be right."""
+    named = [one for one in columns if _is_time(one.name) and one.kind in ("number", "time")]
+    texts = [one for one in columns if _is_time(one.name) and one.kind == "text"]
+    if named:
+        return (
+            f"the time {named[0].name!r} stands still in most rows: are rows twice, or has it too few "
+            "digits, as seconds since 1970 in single precision?"
+        )
+    if texts:
+        return (
+            f"the time {texts[0].name!r} holds texts: remove rows that are no numbers, such as one of units, "
+            "or write seconds"
+        )
+    if all(one.name.startswith("column[") for one in columns):
+        return "its columns have no names; write them in the first row, such as t and position_elbow"
+    there = ", ".join(one.name for one in columns)
+    return f"no column is a time by its name (such as t, time_s or timestamp); it has {there}"
+
+
 def _is_time(name: str) -> bool:
-    words = set(split_words(name))
-    return bool(words & set(TIMES)) and not words & NANOSECONDS
+    return any(word in TIMES for word in split_words(name))
 
 
 def _usual_step(clock: Array) -> float:

@@ -13,8 +13,9 @@ from simgap.units import UNITS
 TURN_RAD: Final = 2.0 * math.pi
 COUNTS: Final = 4096
 """Counts of a turn of most bus servos."""
-WHOLE: Final = 500.0
-"""Whole numbers beyond this are counts: in degrees no joint goes so far."""
+WHOLE: Final = 30.0
+"""Range of whole numbers from which they are counts: a log in whole degrees shows no error of a servo."""
+TOLD: Final = "as --unit says"
 PERCENT: Final = 100.5
 """Largest position in percent of a range, with rounding."""
 SPEEDS: Final = ("rad/s", "deg/s", "rpm", "turn/s")
@@ -52,15 +53,6 @@ class UnitGuess:
     question: str = ""
 
 
-COUNT: Final = UnitGuess(
-    "count",
-    "whole numbers",
-    {"counts_per_turn": COUNTS, "zero_rad": round(-math.pi, 6)},
-    f"is a turn {COUNTS} counts, and is the zero of the model in the middle? zero_rad and factor = -1 say "
-    "another zero and direction",
-)
-
-
 def guess_position_units(
     values: Mapping[str, Values], unit: str = "", grippers: Sequence[str] = ()
 ) -> dict[str, UnitGuess]:
@@ -74,7 +66,9 @@ def guess_position_units(
     found = {joint: _percent(values[joint], 0.0, "LeRobot has grippers in percent") for joint in grippers}
     for is_slide in (False, True):
         own = {joint: one for joint, one in values.items() if one.is_slide == is_slide and joint not in found}
-        if own and unit and not is_slide:
+        if own and unit == "count" and not is_slide:
+            found |= dict.fromkeys(own, _counts(tuple(own.values()), TOLD))
+        elif own and unit and not is_slide:
             found |= {joint: _told(one, unit) for joint, one in own.items()}
         elif own:
             found |= _guess_slides(own) if is_slide else _guess_hinges(own)
@@ -82,10 +76,16 @@ def guess_position_units(
 
 
 def _told(one: Values, unit: str) -> UnitGuess:
-    """Return the unit that the user gives."""
-    if unit == "percent":
-        return _percent(one, -100.0, "as --unit says")
-    return COUNT if unit == "count" else UnitGuess(unit, "as --unit says")
+    """Return the unit that the user gives, which is no count."""
+    return _percent(one, -100.0, TOLD) if unit == "percent" else UnitGuess(unit, TOLD)
+
+
+def _counts(values: Sequence[Values], reason: str) -> UnitGuess:
+    """Return counts of a turn; where none is below 0, the zero of the model is in the middle."""
+    is_signed = min(one.low for one in values) < 0.0
+    keys = {"counts_per_turn": COUNTS} | ({} if is_signed else {"zero_rad": round(-math.pi, 6)})
+    asked = f"is a turn {COUNTS} counts? zero_rad and factor = -1 say another zero and direction"
+    return UnitGuess("count", reason, keys, asked)
 
 
 def _percent(one: Values, lowest: float, reason: str) -> UnitGuess:
@@ -105,8 +105,8 @@ def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
         return dict.fromkeys(
             values, UnitGuess("rad", "all positions lie within the range of the model in rad")
         )
-    if all(one.are_whole for one in every) and max(one.high for one in every) > WHOLE:
-        return dict.fromkeys(values, COUNT)
+    if all(one.are_whole for one in every) and max(one.high - one.low for one in every) > WHOLE:
+        return dict.fromkeys(values, _counts(every, "whole numbers"))
     reason = "all positions lie within the range of the model in degrees, and beyond it in rad"
     if not _fits(every, UNITS["deg"].factor):
         reason = "no unit fits the range of the model"
