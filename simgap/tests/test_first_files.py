@@ -90,6 +90,14 @@ def test_states_of_mujoco_with_a_free_base_have_commands_in_the_order_of_actuato
     assert columns == ["qpos[7]", "qvel[6]", f"ctrl[{order.index(0)}]"]
 
 
+def test_commanded_currents_without_a_constant_are_asked(tmp_path):
+    currents = {f"current_cmd_{joint}": run().torque[:, j] for j, joint in enumerate(JOINTS)}
+    columns = by_name(**currents, command_lift=None, command_elbow=None)
+    joints, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **columns))
+    assert (joints["lift"]["mode"], joints["lift"]["torque_constant_Nm_A"]) == ("current", 1.0)
+    assert "what torque at the joint is 1 A?" in asked
+
+
 def test_what_never_changes_is_no_signal(tmp_path):
     zeros = {f"/joint_states/effort/{j}": np.zeros(800) for j in (0, 1)}
     names = {"/joint_states/position/{}": run().position, "/joint_command/position/{}": run().command}

@@ -241,7 +241,10 @@ def _follows(path: Path, command: str, position: str) -> bool:
     """Return whether a position stays near a command: within half of its scatter."""
     log = open_log(path, (command, position), (), CsvTable())
     sent, found = log.numbers(command).value, log.numbers(position).value
-    return bool(sent.size == found.size and np.nanstd(sent - found) < NEAR * np.nanstd(sent))
+    if sent.size != found.size:
+        return False
+    use = np.isfinite(sent) & np.isfinite(found)
+    return bool(use.any() and np.std(sent[use] - found[use]) < NEAR * np.std(sent[use]))
 
 
 def _write_columns(

@@ -27,12 +27,18 @@ MOTOR_SIDE: Final = 10.0
 
 
 def set_unknown_gains(draft: Draft, model: mujoco.MjModel, path: Path) -> list[str] | None:
-    """Set a gain of 1 where positions are compared and the model has none.
+    """Set a torque constant that is needed, and a gain of 1 where positions are compared and none is known.
 
     Returns:
         These joints; None where torques are compared.
     """
     file = parse_record(RobotFile, draft.content, path)
+    for joint, table in file.joints.items():
+        drive = read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
+        if table.mode == "current" and drive.torque_constant_Nm_A is None:
+            draft.joint(joint)["torque_constant_Nm_A"] = 1.0
+            key = ("joints", joint, "torque_constant_Nm_A")
+            draft.ask("what torque at the joint is 1 A? The model has none, and 1 is no guess", *key)
     if all(table.command is None or table.torque is not None for table in file.joints.values()):
         return None
     unknown = []
