@@ -109,6 +109,7 @@ class MessageLog:
     places: Mapping[str, Mapping[int, Sequence[str]]]
     """Name of a list -> index -> the names that stood there, first to last."""
     start_ns: int
+    topics: Sequence[str]
     losses: Sequence[str] = ()
     time_column: str = ""
     motion_column: str = ""
@@ -119,9 +120,7 @@ class MessageLog:
         Raises:
             RobotError: no message has it, it is no number, or the clock steps back.
         """
-        one = self.fields.get(name) or _parse(
-            self.path, name, [other.topic for other in self.fields.values()]
-        )
+        one = self.fields.get(name) or _parse(self.path, name, self.topics)
         series = self._series(one)
         back = next(
             (k for k in range(1, len(series.values)) if series.times_ns[k] < series.times_ns[k - 1]), 0
@@ -222,7 +221,8 @@ def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
     empty = next((topic for topic, n in counts.items() if n == 0), None)
     if empty is not None and names is not None:
         raise RobotError(f"{file.path}: topic {empty!r} has no messages; name a topic that was recorded")
-    return MessageLog(file.path, chosen, reader.series, reader.places, start_ns or 0, tuple(file.losses))
+    told = tuple(file.losses)
+    return MessageLog(file.path, chosen, reader.series, reader.places, start_ns or 0, file.topics, told)
 
 
 @dataclass(frozen=True, slots=True)

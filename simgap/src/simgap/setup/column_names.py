@@ -7,7 +7,8 @@ from typing import Final
 
 from simgap.units import UNITS, Quantity
 
-WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_A-Za-z]+")
+"""Words in camel case, numbers, and letters of other alphabets."""
 
 
 def _words(text: str) -> frozenset[str]:
@@ -35,7 +36,9 @@ SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
 REPEATS: Final = _words("repeat repeats repetition repeated")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
-UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
+UNCLEAR: Final = _words(
+    "raw rel simple load error err kd ki std header acceleration accelerations accel acc ddq qdd qacc jerk"
+)
 """Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""
 UNIT_WORDS: Final = {
     "degrees": "deg",

@@ -12,7 +12,7 @@ from simgap.common.toml import parse_record
 from simgap.drives import read_drive
 from simgap.files.robot_file import RobotFile
 from simgap.logs import Logs
-from simgap.robot import Robot, gravity_amplitudes
+from simgap.robot import Robot, gravity_amplitudes, has_torque
 from simgap.setup.draft import Draft
 
 BANDWIDTH_Hz: Final = 5.0
@@ -26,23 +26,22 @@ MOTOR_SIDE: Final = 10.0
 def set_unknown_gains(draft: Draft, model: mujoco.MjModel, path: Path) -> list[str]:
     """Set a gain of 1 where positions are compared and the model has none; return these joints."""
     file = parse_record(RobotFile, draft.content, path)
-    if all(table.command is None or table.torque is not None for table in file.joints.values()):
+    drives = {
+        joint: read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
+        for joint, table in file.joints.items()
+    }
+    if all(has_torque(table, drives[joint]) for joint, table in file.joints.items()):
         return []
     unknown = []
     for joint, table in file.joints.items():
-        drive = read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
-        own = draft.joint(joint)
+        drive, own = drives[joint], draft.joint(joint)
         if table.mode == "position" and (drive.kp_Nm_rad == 0.0 or table.gain_column):
             own["kp_Nm_rad"] = 1.0
             unknown.append(joint)
         elif table.mode == "velocity" and drive.kd_Nms_rad == 0.0:
-            own["kd_Nms_rad"] = _inertia(model, joint) * 2.0 * math.pi * BANDWIDTH_Hz
-            draft.ask(
-                "what is the gain of the velocity loop? This is a guess, for 5 Hz",
-                "joints",
-                joint,
-                "kd_Nms_rad",
-            )
+            own["kd_Nms_rad"] = float(f"{_inertia(model, joint) * 2.0 * math.pi * BANDWIDTH_Hz:.3g}")
+            question = f"what is the gain of the velocity loop? This is a guess, for {BANDWIDTH_Hz:g} Hz"
+            draft.ask(question, "joints", joint, "kd_Nms_rad")
         elif table.mode == "position":
             draft.ask(
                 f"is {drive.kp_Nm_rad:.4g} N m/rad, the gain of the model, that of the robot? "

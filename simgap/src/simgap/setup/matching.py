@@ -43,8 +43,8 @@ def match_columns(
     numbered: dict[str, list[tuple[ColumnInfo, ColumnName]]] = defaultdict(list)
     for info in columns:
         name = parse_name(info.name, joints)
-        if info.name in others or info.kind not in ("number", "flag") or not name.key:
-            continue
+        if info.name in others or info.lowest is None or info.kind == "time" or not name.key:
+            continue  # a column that never has a number is one that a driver does not fill
         if name.joint:
             found[name.joint, name.key].append(Match(info, name, "by name"))
         elif len(joints) == 1:
