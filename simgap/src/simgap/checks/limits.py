@@ -212,7 +212,7 @@ def find_plane(
 
 
 def chain_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints between the world and the tool site, without those that cannot raise it."""
+    """Return the joints of the robot between the world and the tool site."""
     model = robot.model
     if not robot.tool_site:
         return ()

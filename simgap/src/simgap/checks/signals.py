@@ -39,7 +39,6 @@ def _usual_steps(value: Array) -> Array:
     return np.asarray(percentile_filter(np.abs(np.diff(value)), 75, WINDOW, mode="nearest"))
 
 
-TURN_RAD: Final = 2.0 * np.pi
 ROUND: Final = 0.1
 """Share of a turn, or of a range, by which whole turns may be missed: a joint moves by less in a row."""
 
@@ -79,9 +78,9 @@ def _count_turns(motion: Motion, joint: str, name: str) -> int:
     if value.size < 2:
         return 0
     step, usual = np.abs(np.diff(value)), SURE * _usual_steps(value)
-    whole = np.round(step / TURN_RAD)
-    rest = np.abs(step - whole * TURN_RAD)
-    is_turn = (whole >= 1.0) & (step > usual) & (rest <= np.minimum(usual, ROUND * TURN_RAD) + 1e-9)
+    whole = np.round(step / math.tau)
+    rest = np.abs(step - whole * math.tau)
+    is_turn = (whole >= 1.0) & (step > usual) & (rest <= np.minimum(usual, ROUND * math.tau) + 1e-9)
     return int(np.sum(is_turn))
 
 

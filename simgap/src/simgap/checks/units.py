@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.checks.records import Remark, RemarkKind, Samples, hold, joint_samples
-from simgap.checks.signals import ROUND, TURN_RAD
+from simgap.checks.signals import ROUND
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -138,7 +138,7 @@ def _beyond_range(
         count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
         text = (
             f"the position lies {count} {'above' if turns > 0 else 'below'} the range of the model: add "
-            f"zero_rad = {-turns * TURN_RAD:.6g} to position and command"
+            f"zero_rad = {-turns * math.tau:.6g} to position and command"
         )
         return [Remark(RemarkKind.UNIT, joint.name, motions, text, float(turns))]
     allowed = max(map(abs, range_rad))
@@ -159,17 +159,17 @@ def _turns_off(range_rad: tuple[float, float], samples: Sequence[Samples]) -> in
     if not positions.size:
         return 0
     low, high = np.quantile(positions, [0.01, 0.99])
-    turns = round(((low + high) / 2.0 - math.fsum(range_rad) / 2.0) / TURN_RAD)
+    turns = round(((low + high) / 2.0 - math.fsum(range_rad) / 2.0) / math.tau)
     slack = ROUND * (range_rad[1] - range_rad[0])
     least, most = range_rad[0] - slack, range_rad[1] + slack
-    is_inside = low - turns * TURN_RAD > least and high - turns * TURN_RAD < most
+    is_inside = low - turns * math.tau > least and high - turns * math.tau < most
     return turns if is_inside and (low > most or high < least) else 0
 
 
 def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
     """Remark positions of a joint without limits that go over many turns, as degrees would."""
     positions = np.concatenate([one.position for one in samples])
-    if np.ptp(positions) <= 2.0 * math.pi * TURNS:
+    if np.ptp(positions) <= math.tau * TURNS:
         return []
     low, high = float(positions.min()), float(positions.max())
     text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"

@@ -70,8 +70,6 @@ def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], giv
     if form.separator == " ":  # aligned columns have several spaces
         data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
     there = form.header or [f"{PLACE}[{k}]" for k in range(form.n_columns)]
-    if wanted is not None and form.header is None and (wrong := [one for one in wanted if one not in there]):
-        raise missing_column(path, wrong[0], there)
     chosen = there if wanted is None else _exact(path, wanted, there)
     bad: list[pacsv.InvalidRow] = []
 
@@ -205,5 +203,7 @@ def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
         try:
             columns[name] = pa.array([row.get(name) for row in rows])
         except (pa.ArrowException, OverflowError) as error:
-            raise RobotError(f"{path}: {name!r}: has values of several kinds: {error}") from error
+            raise RobotError(
+                f"{path}: {name!r} has values of several kinds; give it numbers or texts alone"
+            ) from error
     return open_table(path, columns, wanted or (), losses=losses)

@@ -15,8 +15,8 @@ from simgap.checks.units import speed_ratio
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
 from simgap.common.toml import parse_record
-from simgap.files.columns import ColumnInfo, LogFile
-from simgap.files.log_file import open_whole
+from simgap.files.columns import ColumnInfo
+from simgap.files.log_file import LogFile, open_whole
 from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
@@ -141,7 +141,7 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
     name = _name_of(model) or model_path.stem
     draft.content = {
         "name": name,
-        "model": os.path.relpath(model_path, path.parent),
+        "model": Path(os.path.relpath(model_path, path.parent)).as_posix(),
         "time_step_s": float(f"{1.0 / rate_Hz / n_steps:.9g}"),
         "control_rate_Hz": rate_Hz,
     }

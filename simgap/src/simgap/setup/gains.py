@@ -39,7 +39,7 @@ def set_unknown_gains(draft: Draft, model: mujoco.MjModel, path: Path) -> list[s
             own["kp_Nm_rad"] = 1.0
             unknown.append(joint)
         elif table.mode == "velocity" and drive.kd_Nms_rad == 0.0:
-            own["kd_Nms_rad"] = float(f"{_inertia(model, joint) * 2.0 * math.pi * BANDWIDTH_Hz:.3g}")
+            own["kd_Nms_rad"] = float(f"{_inertia(model, joint) * math.tau * BANDWIDTH_Hz:.3g}")
             question = f"what is the gain of the velocity loop? This is a guess, for {BANDWIDTH_Hz:g} Hz"
             draft.ask(question, "joints", joint, "kd_Nms_rad")
         elif table.mode == "position":
@@ -77,7 +77,7 @@ def estimate_gain(draft: Draft, robot: Robot, logs: Logs, joint: str) -> None:
         draft.ask(f"is this the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
         return
     gains = [motion.gain.get(joint, 1.0) for motion in logs.motions]
-    inertia, rate = _inertia(robot.model, joint), 2.0 * math.pi * BANDWIDTH_Hz
+    inertia, rate = _inertia(robot.model, joint), math.tau * BANDWIDTH_Hz
     table["kp_Nm_rad"] = float(f"{inertia * rate**2 / float(np.median(gains)):.3g}")
     draft.reasons[key] = f"a guess{of_column}: {BANDWIDTH_Hz:g} Hz with the inertia of the model"
     draft.ask(f"what is the gain of the servo in {unit}{of_column}, and what is its damping?", *key)

@@ -9,7 +9,8 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import ColumnInfo, Kind, LogFile, median_rate_Hz
+from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz
+from simgap.files.log_file import LogFile
 from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 

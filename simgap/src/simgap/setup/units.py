@@ -10,7 +10,6 @@ import numpy as np
 from simgap.checks.units import CLOSE
 from simgap.units import UNITS
 
-TURN_RAD: Final = 2.0 * math.pi
 COUNTS: Final = 4096
 """Counts of a turn of most bus servos."""
 WHOLE: Final = 500.0
@@ -107,7 +106,7 @@ def _fits(values: Sequence[Values], factor: float) -> bool:
     """Return whether values lie within the ranges of the model, and a hinge without limits within a turn."""
     for one in values:
         ends = [abs(end) for end in one.range_rad]
-        allowed = max(ends) if math.isfinite(max(ends)) else TURN_RAD
+        allowed = max(ends) if math.isfinite(max(ends)) else math.tau
         if max(abs(one.low), abs(one.high)) * factor > CLOSE * allowed:
             return False
     return True
