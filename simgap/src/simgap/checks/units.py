@@ -43,7 +43,7 @@ def _compare_velocities(
 ) -> Iterator[Remark]:
     """Remark velocities that are not the change of the position; if all joints agree, the times are wrong."""
     known = {name: one for name, one in ratios.items() if math.isfinite(one)}
-    wrong = {name: one for name, one in known.items() if not _is_near(one, 1.0)}
+    wrong = {name: one for name, one in known.items() if not is_near(one, 1.0)}
     what, other = "the velocity", "the change of the position"
     by_unit = [
         remark
@@ -54,7 +54,7 @@ def _compare_velocities(
     if by_unit or not wrong:
         return
     middle = float(np.median(list(known.values())))
-    if len(wrong) == len(known) > 1 and all(_is_near(one, middle) for one in wrong.values()):
+    if len(wrong) == len(known) > 1 and all(is_near(one, middle) for one in wrong.values()):
         text = (
             f"the velocities of all joints are {middle:.3g} times the change of the positions: are the times "
             f"too {'long' if middle > 1.0 else 'short'} by {max(middle, 1.0 / middle):.3g}?"
@@ -66,7 +66,8 @@ def _compare_velocities(
         yield Remark(RemarkKind.UNIT, name, motions, text, ratio)
 
 
-def _is_near(ratio: float, factor: float) -> bool:
+def is_near(ratio: float, factor: float) -> bool:
+    """Return whether a ratio is a factor within CLOSE."""
     return ratio > 0.0 and abs(math.log(ratio / factor)) < math.log(CLOSE)
 
 
@@ -123,7 +124,7 @@ def _compare(
         yield Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)
     for factor, unit in _factors(joint).items():
         for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
-            if _is_near(ratio, signed):
+            if is_near(ratio, signed):
                 text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
                 text += f"of {right} in the robot file wrong?"
                 yield Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)

@@ -23,16 +23,7 @@ MAX_BYTES: Final = (1 << 31) - 1
 SAMPLE_BYTES: Final = 1 << 20
 N_SAMPLE: Final = 50
 """Rows by which the separator is found: a few suffice, but the first ones may have empty cells."""
-FORMS: Final = (
-    (",", "."),
-    (";", "."),
-    ("\t", "."),
-    ("|", "."),
-    (" ", "."),
-    (";", ","),
-    ("\t", ","),
-    (" ", ","),
-)
+FORMS: Final = (*((one, ".") for one in ",;\t| "), *((one, ",") for one in ";\t "))
 """Separators and decimal characters that are tried; of those that fit alike the first is taken."""
 NUMBER: Final = re.compile(
     r"\s*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|nan|inf)\s*", re.IGNORECASE

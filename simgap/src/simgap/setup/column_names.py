@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from simgap.files.robot_file import SIGNALS
 from simgap.units import UNITS, Quantity
 
 WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_A-Za-z]+")
@@ -54,18 +55,8 @@ UNIT_WORDS: Final = {
     "sec": "s",
     "nanoseconds": "ns",
 }
-SIGNAL_OF: Final = {
-    Quantity.ANGLE: "position",
-    Quantity.LENGTH: "position",
-    Quantity.SPEED: "velocity",
-    Quantity.LINEAR_SPEED: "velocity",
-    Quantity.TORQUE: "torque",
-    Quantity.FORCE: "torque",
-    Quantity.CURRENT: "current",
-    Quantity.VOLTAGE: "voltage",
-    Quantity.TEMPERATURE: "temperature",
-    Quantity.TIME: "time",
-}
+MEASURED: Final = ("position", "velocity", "torque", "current", "voltage", "temperature")
+SIGNAL_OF: Final = {quantity: key for key in MEASURED for quantity in SIGNALS[key]} | {Quantity.TIME: "time"}
 """Signal that a unit of a quantity belongs to."""
 
 

@@ -23,7 +23,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Columns by joint and key, the names of all columns that could be a signal, and doubts."""
+    """Columns by joint and key, and doubts."""
 
     by_joint: Mapping[str, Mapping[str, Match]]
     questions: tuple[str, ...]

@@ -7,7 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from simgap.checks.units import CLOSE
+from simgap.checks.units import CLOSE, is_near
+from simgap.files.robot_file import SIGNALS
 from simgap.units import UNITS
 
 COUNTS: Final = 4096
@@ -16,15 +17,6 @@ WHOLE: Final = 500.0
 """Whole numbers beyond this are counts: in degrees no joint goes so far."""
 SPEEDS: Final = ("rad/s", "deg/s", "rpm", "turn/s")
 LINEAR_SPEEDS: Final = ("m/s", "mm/s")
-SI: Final = {
-    "velocity": ("rad/s", "m/s"),
-    "torque": ("N m", "N"),
-    "current": ("A", "A"),
-    "voltage": ("V", "V"),
-    "temperature": ("degC", "degC"),
-    "enabled": ("flag", "flag"),
-}
-"""Units of a hinge and of a slide that are taken where nothing says another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +114,14 @@ def guess_speed_unit(ratios: Sequence[float], is_slide: bool) -> str:
 
 def fits_speed(ratio: float, unit: str) -> bool:
     """Return whether a logged velocity in a unit is this ratio times the true one."""
-    return ratio > 0.0 and abs(math.log(ratio * UNITS[unit].factor)) < math.log(CLOSE)
+    return is_near(ratio * UNITS[unit].factor, 1.0)
 
 
 def si_unit(key: str, is_slide: bool) -> UnitGuess:
-    """Return the unit that is taken for a signal where nothing says another."""
-    return UnitGuess(SI[key][is_slide], "nothing in the log says another unit")
+    """Return the unit that is taken for a signal where nothing says another: the first of its quantity."""
+    quantity = SIGNALS[key][-1 if is_slide else 0]
+    unit = next(name for name, one in UNITS.items() if one.quantity is quantity)
+    return UnitGuess(unit, "nothing in the log says another unit")
 
 
 def describe_values(value: np.ndarray[Any, Any], range_rad: tuple[float, float], is_slide: bool) -> Values:
