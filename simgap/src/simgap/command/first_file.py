@@ -1,5 +1,6 @@
 """The verb that writes a first robot file from a model and logs."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,5 @@ def print_first_file(made: FirstFile) -> None:
         console.print(f"left out: {', '.join(made.left_out)}")
     for number, question in enumerate(made.questions, 1):
         console.print(f"{number}. {question}")
-    logs = " ".join(str(one) for one in made.logs)
-    console.print(
-        f"{made.path} is written; answer the questions in it, then: simgap check {made.path} {logs}"
-    )
+    console.print(f"{made.path} is written; answer the questions in it, then:")
+    console.print(shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]), soft_wrap=True)
