@@ -59,7 +59,8 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     table = None if robot.file is None else robot.file.motion
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
-        ends = [(0.0, 0.0), *pauses[names[0]], (_end_s(motions[0]), 0.0)]
+        end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
+        ends = [(0.0, 0.0), *pauses[names[0]], (end_s, 0.0)]
         parts = [
             (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
         ]
@@ -68,10 +69,6 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
-
-
-def _end_s(motion: Motion) -> float:
-    return max(float(log.position.time_s[-1]) for log in motion.joints.values())
 
 
 def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:

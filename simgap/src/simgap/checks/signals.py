@@ -179,7 +179,8 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
         positions = [one.position for one in own.values()]
         step_rad = encoder_step_rad(motions, joint.name)
         noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
-        spread_rad = max([_range_rad(one) for one in positions], default=math.inf)
+        ranges_rad = [float(np.ptp(np.quantile(one, [0.01, 0.99]))) for one in positions]  # without outliers
+        spread_rad = max(ranges_rad, default=math.inf)
         if spread_rad > SPREAD * noise_rad:
             continue
         place, is_constant = joint.show(positions[0][0]), span(np.concatenate(positions)) == 0.0
@@ -206,11 +207,6 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
 def _noise_rad(position: Array) -> float:
     """Return the standard deviation of white noise, whose second differences have six times its variance."""
     return robust_sigma(np.diff(position, 2)) / math.sqrt(6.0)
-
-
-def _range_rad(position: Array) -> float:
-    """Return the range of a position without the hundredth at each end."""
-    return float(np.ptp(np.quantile(position, [0.01, 0.99])))
 
 
 BEGINS: Final = 3.0

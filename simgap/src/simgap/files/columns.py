@@ -91,11 +91,15 @@ def place_in_list(step: str, names: Sequence[str] | None) -> int | None:
 
 def missing_column(path: Path, name: str, there: Sequence[str]) -> RobotError:
     """Return the error for a column that is not there; it names the nearest, or those that there are."""
+    hint = hint_at(name, there, "it has")
+    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+
+
+def hint_at(name: str, there: Sequence[str], words: str) -> str:
+    """Ask whether the nearest of some names was meant, else list the first of them after some words."""
     near = get_close_matches(name, there, 1)
     listed = ", ".join([*there[:N_NAMES], *([".."] if len(there) > N_NAMES else [])])
-    listed = " ".join(listed.split())
-    hint = f"did you mean {near[0]!r}?" if near else f"it has {listed or 'none'}"
-    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+    return f"did you mean {near[0]!r}?" if near else f"{words} {' '.join(listed.split()) or 'none'}"
 
 
 def describe_numbers(

@@ -73,11 +73,8 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
     scans.sort(key=lambda scan: scan.messages[0].time_ns if scan.messages else 0)
     topics = sorted({channel.topic for scan in scans for channel in scan.channels.values()})
     messages = [message for scan in scans for message in scan.messages]
-    losses = [
-        f"{scan.loss}" if scan.path == path else f"{scan.path.name} {scan.loss}"
-        for scan in scans
-        if scan.loss
-    ]
+    cut = [scan for scan in scans if scan.loss]
+    losses = [one.loss if one.path == path else f"{one.path.name} {one.loss}" for one in cut]
     try:
         return open_messages(MessageFile(path, topics, messages, losses), names)
     except BadMessage as error:

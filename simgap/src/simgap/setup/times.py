@@ -46,8 +46,12 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
     if rates:  # the file knows its times
         return Times("", "s", (), "", float(np.median(rates)), {})
-    named = [one for one in columns if one.kind in ("number", "time") and _is_time(one.name)]
-    clocks = {one.name: log.numbers(one.name).value for one in named}
+    kinds = {
+        one.name: one.kind
+        for one in columns
+        if one.kind in ("number", "time") and set(split_words(one.name)) & set(TIMES)
+    }
+    clocks = {name: log.numbers(name).value for name in kinds}
     if not clocks:
         there = ", ".join(one.name for one in columns)
         raise RobotError(
@@ -59,17 +63,12 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
             f"{log.path}: the times {', '.join(clocks)} do not increase; a log has samples one after another"
         )
     name = min(going, key=len)
-    clock, kind = clocks[name], next(one.kind for one in named if one.name == name)
-    rate = median_rate_Hz(clock)
+    clock, rate = clocks[name], median_rate_Hz(clocks[name])
     assert rate is not None
-    unit, said = _time_unit(name, kind, rate)
+    unit, said = _time_unit(name, kinds[name], rate)
     motions, repeat, why = _find_motions(log, columns, name, clock)
     reasons = {"time": said} | ({"motion": why} if motions else {})
     return Times(name, unit, motions, repeat, rate / UNITS[unit].factor, reasons)
-
-
-def _is_time(name: str) -> bool:
-    return any(word in TIMES for word in split_words(name))
 
 
 def _time_unit(name: str, kind: Kind, rate: float) -> tuple[str, str]:
