@@ -77,6 +77,11 @@ def start(folder: Path, log: str = "log.csv") -> tuple[dict, dict]:
         ("dq_a2", "a2", "velocity", ""),
         ("motor_current_mA_a1", "a1", "current", "mA"),
         ("target_acceleration_a1", "a1", "", ""),
+        ("current_position_a1", "a1", "position", ""),
+        ("actual_current_a1", "a1", "current", ""),
+        ("velocity_a1_deg", "a1", "velocity", "deg/s"),
+        ("velocity_a1_counts_per_s", "a1", "velocity", ""),
+        ("position_a1_turns", "a1", "position", "turn"),
     ],
 )
 def test_a_name_says_joint_signal_and_unit(name, joint, key, unit):
@@ -323,6 +328,17 @@ def test_a_gripper_that_no_column_shows_is_left_out_and_a_joint_that_follows_has
     tie = '</actuator><equality><joint joint1="elbow" joint2="shoulder"/></equality>'
     file, _ = start_with(tmp_path, columns, ('<motor joint="elbow"/>', ""), ("</actuator>", tie))
     assert [*file["joints"]] == ["shoulder"]
+
+
+def test_a_voltage_below_0_is_asked_and_a_command_that_the_model_cannot_take_writes_nothing(tmp_path):
+    columns = {key.replace("cmd_", "voltage_"): one for key, one in columns_of().items()}
+    _, questions = start_with(tmp_path, columns)
+    assert any("voltage_elbow goes below 0" in one for one in questions)
+    os.remove(tmp_path / "robot.toml")
+    write_csv(tmp_path, {key.replace("cmd_", "voltage_cmd_"): one for key, one in columns_of().items()})
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert "has no <dcmotor> at this joint" in " ".join(done.stderr.split())
+    assert "So no robot file was written" in " ".join(done.stderr.split())
 
 
 def test_a_log_with_one_row_or_too_many_columns_says_so(tmp_path):

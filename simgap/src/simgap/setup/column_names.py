@@ -20,19 +20,18 @@ COMMAND: Final = _words(
     "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
 )
 """Words of a signal that was sent to the robot."""
-SIGNAL_WORDS: Final = {
-    "enabled": _words("enable enabled"),
-    "gain": _words("kp gain"),
-    "velocity": _words("velocity velocities vel speed qvel qd dq v"),
-    "torque": _words("torque torques tau effort efforts trq force"),
-    "current": _words("current currents cur i"),
-    "voltage": _words("voltage"),
-    "temperature": _words("temperature temp"),
-    "position": _words(
-        "position positions pos angle angles qpos q p state act actual present measured meas encoder"
-    ),
-}
-"""Words of each signal; those of a position come last, as they are the least sure."""
+SIGNAL_WORDS: Final = (
+    ("enabled", _words("enable enabled")),
+    ("gain", _words("kp gain")),
+    ("velocity", _words("velocity velocities vel speed qvel qd dq v")),
+    ("torque", _words("torque torques tau effort efforts trq force")),
+    ("voltage", _words("voltage")),
+    ("temperature", _words("temperature temp")),
+    ("position", _words("position positions pos angle angles qpos q p encoder")),
+    ("current", _words("current currents cur i")),
+    ("position", _words("state act actual present measured meas")),
+)
+"""Signals with their words, the surest first: "current" may mean that of now, and "actual" anything."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
 REPEATS: Final = _words("repeat repeats repetition repeated")
@@ -46,6 +45,7 @@ UNIT_WORDS: Final = {
     "degree": "deg",
     "radians": "rad",
     "radian": "rad",
+    "turns": "turn",
     "counts": "count",
     "ticks": "count",
     "amps": "a",
@@ -118,8 +118,11 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
         if signal != of_unit and len(unit) == 1:
             unit, there = "", own  # a single letter is more often part of a name
             signal = _find_signal(there)
+        elif signal == "velocity" and of_unit == "position":
+            unit = f"{unit}/s"  # deg is short for deg/s
         else:
             signal = of_unit
+        unit = unit if unit in UNITS and unit != "count/s" else ""  # which needs the counts of a turn
     is_command = bool(COMMAND & set(there))
     signal = signal or ("position" if is_command else "")
     key = "command" if is_command else signal
@@ -166,7 +169,7 @@ def _find_signal(words: Sequence[str]) -> str:
     """Return the signal that words name; a word says more than a letter."""
     for is_long in (True, False):
         there = {word for word in words if (len(word) > 1) == is_long}
-        found = next((signal for signal, known in SIGNAL_WORDS.items() if known & there), "")
+        found = next((signal for signal, known in SIGNAL_WORDS if known & there), "")
         if found or (COMMAND & there and is_long):
             return found
     return ""

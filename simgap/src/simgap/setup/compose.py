@@ -189,6 +189,9 @@ def _head_of_joint(
     command, key = own.get("command"), ("joints", joint)
     mode = "position" if command is None else command.name.signal
     table: dict[str, Any] = {"mode": mode}
+    voltage = own.get("voltage")
+    if command is None and voltage is not None and (voltage.info.lowest or 0.0) < 0.0:
+        draft.ask(f"{voltage.info.name} goes below 0, which no supply does: is it the command?", *key, "mode")
     if command is None:
         draft.ask("no command was found; is the joint told a position?", *key, "mode")
     else:
