@@ -79,7 +79,7 @@ def draw(trace: Trace, before_mrad: float, after_mrad: float) -> None:
     shown = (trace.time_s > 0.9) & (trace.time_s < 2.4)
     time_s, measured = trace.time_s[shown], np.asarray(trace.measured)[shown]
     before, after = measured - trace.nominal[shown], measured - trace.explained[shown]
-    figure, panels = plt.subplots(1, 2, figsize=(9, 4), sharey=True, layout="constrained")
+    figure, panels = plt.subplots(1, 2, figsize=(8, 3.6), sharey=True, layout="constrained")
     for axes, model, colour, title in (
         (panels[0], before, "#c1121f", f"Model as it is: error {before_mrad:.1f} mrad"),
         (panels[1], after, "#1769c2", f"With the delay that was found: {after_mrad:.1f} mrad"),

@@ -150,6 +150,14 @@ def test_positions_a_turn_beyond_the_model_are_refused_with_their_zero(clean):
     assert "a turn above the range of the model: add zero_rad = -6.28319" in found.text
 
 
+def test_a_position_that_follows_its_command_from_another_zero_is_refused(clean):
+    logs = with_joint(clean, "elbow", change_position(lambda value: value + 3.1))
+    (found,) = remarks(logs, RemarkKind.UNIT)
+    assert found.joint == "elbow"
+    assert found.value == pytest.approx(3.1, abs=0.05)
+    assert "beside its command" in found.text
+
+
 def test_exchanged_joints_are_named_each_with_the_other(clean):
     def exchange(motion):
         shoulder, elbow = motion.joints["shoulder"], motion.joints["elbow"]
@@ -283,7 +291,7 @@ def test_a_pause_of_all_signals_is_told_with_windows_and_has_no_missing_rows(cle
 
 def test_what_the_logs_cannot_show_is_told(clean):
     assert audit(planar_arm(), clean).untested == (
-        "times that are wrong by less than a factor of 100, as no velocity is logged",
+        "times that are wrong by less than a factor of 100, as no velocity that changes is logged",
     )
     blind = with_joint(clean, "elbow", lambda log: replace(log, command=None))
     blind = with_joint(blind, "shoulder", lambda log: replace(log, command=None))

@@ -238,6 +238,38 @@ def test_motions_begin_where_the_time_begins_anew(tmp_path):
     assert "does not increase at row 601" in " ".join(done.stderr.split())
 
 
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ({"t": np.repeat(TIME_s[::3], 3)[: TIME_s.size]}, "the time 't' stands still in most rows"),
+        (
+            {"stamp.sec": np.floor(TIME_s), "stamp.nanosec": 1e9 * (TIME_s % 1.0)},
+            "the time is in two columns, stamp.sec and stamp.nanosec",
+        ),
+    ],
+    ids=["twice", "nanoseconds"],
+)
+def test_times_that_are_none_are_told(tmp_path, times, said):
+    positions = {f"q_{name}": POSITION_rad[:, k] for k, name in enumerate(("shoulder", "elbow"))}
+    write_csv(tmp_path, {**times, **positions})
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert done.returncode == 2
+    assert said in " ".join(done.stderr.split())
+
+
+def test_rows_of_units_and_files_without_names_are_told(tmp_path):
+    path = write_csv(tmp_path, {"t": TIME_s[:9], "q_elbow": TIME_s[:9]})
+    text = path.read_text()
+    for changed, said in {
+        text.replace("\n", "\ns,rad\n", 1): "the time 't' holds texts",
+        text.partition("\n")[2]: "its columns have no names",
+    }.items():
+        path.write_text(changed)
+        done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+        assert done.returncode == 2
+        assert said in " ".join(done.stderr.split())
+
+
 def test_bad_input_writes_nothing(tmp_path):
     write_csv(tmp_path, {"t": TIME_s, "temperature": TIME_s, "x": TIME_s})
     (tmp_path / "bad.xml").write_text("no model")
@@ -344,7 +376,7 @@ def test_a_voltage_below_0_is_asked_and_a_command_that_the_model_cannot_take_wri
 def test_a_log_with_one_row_or_too_many_columns_says_so(tmp_path):
     path = write_csv(tmp_path, columns_of())
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
-    assert "the times t do not increase" in run_simgap(tmp_path, "init", "model.xml", "log.csv").stderr
+    assert "has 1 value; a log needs several" in run_simgap(tmp_path, "init", "model.xml", "log.csv").stderr
     write_csv(tmp_path, {"t": TIME_s, **{f"q{k}": np.sin(TIME_s + k) for k in range(3)}})
     done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
     assert "q has 3 numbers, the model has the joints shoulder, elbow" in " ".join(done.stderr.split())

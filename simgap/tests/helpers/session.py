@@ -9,7 +9,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
-from xdist.scheduler import LoadFileScheduling
 
 import simgap  # noqa: F401  before pytest takes the folder simgap/ for a package
 
@@ -19,19 +18,11 @@ settings.register_profile("short", settings.get_profile("repeatable"), max_examp
 
 DATA_VARIABLE = "MARSARM_DATA"
 
-SHARING = ("tests/marsarm/calibration", "tests/marsarm/diagnosis", "tests/marsarm/view")
-"""Folders whose files share runs that are made once in a process."""
-
-
-class Scheduling(LoadFileScheduling):
-    """Give each file, and each folder whose files share runs, to one process."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        return next((one for one in SHARING if nodeid.startswith(f"{one}/")), super()._split_scope(nodeid))
-
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> Scheduling:
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    from helpers.scheduling import Scheduling  # tests may run without xdist
+
     return Scheduling(config, log)
 
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.checks.records import Remark, RemarkKind, Samples, hold, joint_samples
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples, span
 from simgap.checks.signals import ROUND
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
@@ -34,7 +34,9 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
         is_told = joint.mode is ControlMode.POSITION
         ratio = _ratio((one.command, one.position) for one in samples) if is_told else math.nan
         wrong = [*_compare(ratio, joint, names, "the position", "its command")]
-        yield from wrong or (_beyond_range(joint, robot.range_rad(joint.name), names, samples) if own else ())
+        if own and not wrong:
+            wrong = [*_beyond_range(joint, robot.range_rad(joint.name), names, samples)]
+        yield from wrong or (_beside_command(joint, names, samples) if ratio > 0.0 else ())
     yield from _compare_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
 
@@ -128,6 +130,21 @@ def _compare(
                 text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
                 text += f"of {right} in the robot file wrong?"
                 yield Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)
+
+
+def _beside_command(
+    joint: RobotJoint, motions: tuple[str, ...], samples: Sequence[Samples]
+) -> Iterator[Remark]:
+    """Remark positions that follow a command, but farther beside it than it goes: another zero.
+
+    Gravity holds a servo off its command by less than it moves, or nothing could be done with it.
+    """
+    command = np.concatenate([one.command for one in samples])
+    error = np.concatenate([one.position for one in samples]) - command
+    off = float(np.median(error[np.isfinite(error)]))  # there is some, as they vary alike
+    if abs(off) > max(span(command), COARSE_RAD * joint.per_rad):
+        text = f"the position lies {joint.show(off)} beside its command: is zero_rad missing at one of them?"
+        yield Remark(RemarkKind.UNIT, joint.name, motions, text, off)
 
 
 def _factors(joint: RobotJoint) -> dict[float, str]:

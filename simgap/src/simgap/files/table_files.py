@@ -130,6 +130,9 @@ def _read_parquet(path: Path, wanted: Sequence[str] | None) -> pa.Table:
     table = pq.read_table(path, columns=chosen, page_checksum_verification=True, partitioning=None)
     if table.num_rows != n_rows:
         raise RobotError(f"{path}: is damaged: it has {table.num_rows} rows, its footer says {n_rows}")
+    for k, one in enumerate(table.schema):  # a dictionary is how a column is stored, not what it holds
+        if pa.types.is_dictionary(one.type):
+            table = table.set_column(k, one.name, table[k].cast(one.type.value_type))
     return table
 
 

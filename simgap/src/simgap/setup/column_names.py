@@ -20,18 +20,19 @@ COMMAND: Final = _words(
     "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
 )
 """Words of a signal that was sent to the robot."""
-SIGNAL_WORDS: Final = (
-    ("enabled", _words("enable enabled")),
-    ("gain", _words("kp gain")),
-    ("velocity", _words("velocity velocities vel speed qvel qd dq v")),
-    ("torque", _words("torque torques tau effort efforts trq force")),
-    ("voltage", _words("voltage")),
-    ("temperature", _words("temperature temp")),
-    ("position", _words("position positions pos angle angles qpos q p encoder")),
-    ("current", _words("current currents cur i")),
-    ("position", _words("state act actual present measured meas")),
-)
-"""Signals with their words, the surest first: "current" may mean that of now, and "actual" anything."""
+SIGNAL_WORDS: Final = {
+    "enabled": _words("enable enabled"),
+    "gain": _words("kp gain"),
+    "velocity": _words("velocity velocities vel speed qvel qd dq v"),
+    "torque": _words("torque torques tau effort efforts trq force"),
+    "voltage": _words("voltage"),
+    "temperature": _words("temperature temp"),
+    "position": _words("position positions pos angle angles qpos q p encoder"),
+    "current": _words("current currents cur i"),
+}
+"""Words of each signal, the surest first: the current position is no current."""
+MEASURED: Final = _words("state act actual present measured meas")
+"""Words of a position, if no other word and no letter says a signal."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
 REPEATS: Final = _words("repeat repeats repetition repeated")
@@ -55,8 +56,9 @@ UNIT_WORDS: Final = {
     "sec": "s",
     "nanoseconds": "ns",
 }
-MEASURED: Final = ("position", "velocity", "torque", "current", "voltage", "temperature")
-SIGNAL_OF: Final = {quantity: key for key in MEASURED for quantity in SIGNALS[key]} | {Quantity.TIME: "time"}
+SIGNAL_OF: Final = {
+    quantity: key for key, own in SIGNALS.items() if key not in ("secondary", "enabled") for quantity in own
+} | {Quantity.TIME: "time"}
 """Signal that a unit of a quantity belongs to."""
 
 
@@ -169,10 +171,10 @@ def _find_signal(words: Sequence[str]) -> str:
     """Return the signal that words name; a word says more than a letter."""
     for is_long in (True, False):
         there = {word for word in words if (len(word) > 1) == is_long}
-        found = next((signal for signal, known in SIGNAL_WORDS if known & there), "")
+        found = next((signal for signal, known in SIGNAL_WORDS.items() if known & there), "")
         if found or (COMMAND & there and is_long):
             return found
-    return ""
+    return "position" if MEASURED & set(words) else ""
 
 
 def _find_unit(words: Sequence[str]) -> tuple[int, str]:

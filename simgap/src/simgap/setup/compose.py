@@ -63,7 +63,7 @@ def draft_robot_file(model_path: Path, log_paths: Sequence[Path], path: Path, pr
     times = find_times(opened[0], columns)
     matches = match_columns(columns, names, _driven(model), (times.column, *times.motions))
     if not matches.by_joint:
-        there = ", ".join(one.name for one in columns if one.kind == "number")
+        there = ", ".join(one.name for one in columns)
         raise RobotError(
             f"{log_paths[0]}: no column is a position of {', '.join(names)} by its name; it has {there}"
             + "".join(f"; {question}" for question in matches.questions)

@@ -17,6 +17,7 @@ from simgap.units import UNITS
 USUAL_Hz: Final = 100.0
 """Logs of robots have 3 to 3000 samples a second: a factor of 1000, as between units of time, so that one
 unit fits."""
+NANOSECONDS: Final = frozenset(("nanosec", "nanoseconds", "nsec", "nsecs"))
 MAX_MOTIONS: Final = 0.2
 """Largest share of distinct values in a column that names motions: a motion has several samples."""
 
@@ -46,21 +47,15 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
     if rates:  # the file knows its times
         return Times("", "s", (), "", float(np.median(rates)), {})
-    kinds = {
-        one.name: one.kind
-        for one in columns
-        if one.kind in ("number", "time") and set(split_words(one.name)) & set(TIMES)
-    }
+    kinds = {one.name: one.kind for one in columns if _is_time(one, "number", "time")}
     clocks = {name: log.numbers(name).value for name in kinds}
-    if not clocks:
-        there = ", ".join(one.name for one in columns)
-        raise RobotError(
-            f"{log.path}: no column is a time by its name (such as t, time_s or timestamp); it has {there}"
-        )
     going = [name for name, clock in clocks.items() if 2 * np.sum(np.diff(clock) > 0.0) > clock.size - 1]
     if not going:
+        raise RobotError(f"{log.path}: {_why_no_clock(columns)}")
+    if len(going) < len(kinds) and any(set(split_words(one)) & NANOSECONDS for one in going):
         raise RobotError(
-            f"{log.path}: the times {', '.join(clocks)} do not increase; a log has samples one after another"
+            f"{log.path}: the time is in two columns, {' and '.join(kinds)}; write one, "
+            "seconds plus 1e-9 nanoseconds"
         )
     name = min(going, key=len)
     clock, rate = clocks[name], median_rate_Hz(clocks[name])
@@ -69,6 +64,32 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     motions, repeat, why = _find_motions(log, columns, name, clock)
     reasons = {"time": said} | ({"motion": why} if motions else {})
     return Times(name, unit, motions, repeat, rate / UNITS[unit].factor, reasons)
+
+
+def _is_time(one: ColumnInfo, *kinds: Kind) -> bool:
+    return one.kind in kinds and bool(set(split_words(one.name)) & set(TIMES))
+
+
+def _why_no_clock(columns: Sequence[ColumnInfo]) -> str:
+    """Return why no column is taken for the time, and what would be right."""
+    clock = next((one for one in columns if _is_time(one, "number", "time")), None)
+    if clock is not None and clock.n_samples < 2:
+        return f"the time {clock.name!r} has {clock.n_samples} value; a log needs several"
+    if clock is not None:
+        return (
+            f"the time {clock.name!r} stands still in most rows: are rows twice, or has it too few digits, "
+            "as seconds since 1970 in single precision?"
+        )
+    text = next((one.name for one in columns if _is_time(one, "text")), "")
+    if text:
+        return (
+            f"the time {text!r} holds texts: remove rows that are no numbers, such as one of units, or write "
+            "seconds"
+        )
+    if all(one.name.startswith("column[") for one in columns):
+        return "its columns have no names; write them in the first row, such as t and position_elbow"
+    there = ", ".join(one.name for one in columns)
+    return f"no column is a time by its name (such as t, time_s or timestamp); it has {there}"
 
 
 def _time_unit(name: str, kind: Kind, rate: float) -> tuple[str, str]:

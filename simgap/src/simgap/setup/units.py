@@ -13,8 +13,8 @@ from simgap.units import UNITS
 
 COUNTS: Final = 4096
 """Counts of a turn of most bus servos."""
-WHOLE: Final = 500.0
-"""Whole numbers beyond this are counts: in degrees no joint goes so far."""
+WHOLE: Final = 30.0
+"""Range of whole numbers from which they are counts: a log in whole degrees shows no error of a servo."""
 SPEEDS: Final = ("rad/s", "deg/s", "rpm", "turn/s")
 LINEAR_SPEEDS: Final = ("m/s", "mm/s")
 
@@ -57,14 +57,12 @@ def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
         return dict.fromkeys(
             values, UnitGuess("rad", "all positions lie within the range of the model in rad")
         )
-    if all(one.are_whole for one in every) and max(one.high for one in every) > WHOLE:
-        asked = (
-            f"is a turn {COUNTS} counts, and is the zero of the model in the middle? zero_rad and "
-            "factor = -1 say another zero and direction"
-        )
-        guess = UnitGuess(
-            "count", "whole numbers", {"counts_per_turn": COUNTS, "zero_rad": round(-math.pi, 6)}, asked
-        )
+    if all(one.are_whole for one in every) and max(one.high - one.low for one in every) > WHOLE:
+        is_signed = min(one.low for one in every) < 0.0
+        zero_rad = 0.0 if is_signed else round(-math.pi, 6)
+        asked = f"is a turn {COUNTS} counts? zero_rad and factor = -1 say another zero and direction"
+        keys = {"counts_per_turn": COUNTS} | ({"zero_rad": zero_rad} if zero_rad else {})
+        guess = UnitGuess("count", "whole numbers", keys, asked)
         return dict.fromkeys(values, guess)
     reason = "all positions lie within the range of the model in degrees, and beyond it in rad"
     if not _fits(every, UNITS["deg"].factor):
