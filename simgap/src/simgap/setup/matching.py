@@ -23,7 +23,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Columns by joint and key, the names of all columns that could be a signal, and doubts."""
+    """Columns by joint and key, and doubts."""
 
     by_joint: Mapping[str, Mapping[str, Match]]
     questions: tuple[str, ...]
@@ -43,8 +43,8 @@ def match_columns(
     numbered: dict[str, list[tuple[ColumnInfo, ColumnName]]] = defaultdict(list)
     for info in columns:
         name = parse_name(info.name, joints)
-        if info.name in others or info.kind not in ("number", "flag") or not name.key:
-            continue
+        if info.name in others or info.lowest is None or info.kind == "time" or not name.key:
+            continue  # a column that never has a number is one that a driver does not fill
         if name.joint:
             found[name.joint, name.key].append(Match(info, name, "by name"))
         elif len(joints) == 1:
@@ -55,13 +55,16 @@ def match_columns(
     ordered: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for group in numbered.values():
         group.sort(key=lambda pair: pair[1].index)
+        stem = group[0][0].name.rstrip("0123456789[]").rstrip("._/")
         order = driven if len(group) == len(driven) else joints
         if len(group) != len(order):
-            questions[_count_question(group[0][0].name, len(group), joints)] = None
+            names = ", ".join(joints)
+            question = f"{stem} has {len(group)} numbers, the model has the joints {names}: which is which?"
+            questions[question] = None
         if len(group) > len(order):
             continue
         taken = order[: len(group)]
-        ordered[tuple(taken)].append(_stem(group[0][0].name))
+        ordered[tuple(taken)].append(stem)
         for joint, (info, name) in zip(taken, group, strict=True):
             found[joint, name.key].append(Match(info, name, "by order"))
     for taken, stems in ordered.items():
@@ -80,13 +83,3 @@ def _rank(one: Match) -> tuple[int, int, int]:
     """Order columns of one key: what the outer loop was told first, then sure names, then short ones."""
     order = MODES.index(one.name.signal) if one.name.key == "command" else 0
     return order, ("by name", "the model has one joint", "by order").index(one.reason), len(one.info.name)
-
-
-def _stem(name: str) -> str:
-    """Return the name of a list or of numbered columns, without the number at its end."""
-    return name.rstrip("0123456789[]").rstrip("._/")
-
-
-def _count_question(name: str, count: int, joints: Sequence[str]) -> str:
-    stem = _stem(name)
-    return f"{stem} has {count} numbers, the model has the joints {', '.join(joints)}: which is which?"
