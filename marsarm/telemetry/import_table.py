@@ -44,8 +44,8 @@ from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
 from simgap.common.report import ReportTable
 from simgap.common.toml import parse_record, read_toml
-from simgap.files.columns import Column, LogFile
-from simgap.files.log_file import open_log
+from simgap.files.columns import Column
+from simgap.files.log_file import LogFile, open_log
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from marsarm.telemetry.import_mapping import MAX_TICK, GridTime
 from simgap.common.errors import RobotError
-from simgap.files.columns import Column, LogFile
+from simgap.files.columns import Column
+from simgap.files.log_file import LogFile
 from simgap.units import UNITS
 
 CYCLE_ROUNDING: Final = 1e-4

@@ -10,7 +10,8 @@ import pytest
 from helpers.robot_folder import write_csv, write_npz, write_parquet
 from simgap.common.errors import RobotError
 from simgap.files.columns import ColumnInfo
-from simgap.files.log_file import list_columns
+from simgap.files.log_file import list_columns, open_log
+from simgap.files.robot_file import CsvTable
 
 
 @pytest.mark.parametrize("write", [write_parquet, write_csv, write_npz])
@@ -29,6 +30,15 @@ def test_items_of_lists_and_fields_of_records_are_columns(tmp_path):
     found = list_columns(tmp_path / "log.jsonl")
     assert [one.name for one in found] == ["t", "arm.q[0]", "arm.q[1]", "arm.mode"]
     assert (found[2].lowest, found[2].highest) == (0.0, 4.0)
+
+
+def test_fields_may_have_any_names_and_empty_arrays_are_passed_over(tmp_path):
+    (tmp_path / "log.jsonl").write_text('{"arm": {"joint 1": 2.0, "x-y": 3.0, "Öl": 4.0}}\n')
+    assert [one.lowest for one in list_columns(tmp_path / "log.jsonl")] == [2.0, 3.0, 4.0]
+    log = open_log(tmp_path / "log.jsonl", ["arm.x-y"], [], CsvTable())
+    assert log.numbers("arm.x-y").value == [3.0]
+    np.savez(tmp_path / "log.npz", t=np.arange(3.0), contacts=np.zeros((3, 0)))
+    assert [one.name for one in list_columns(tmp_path / "log.npz")] == ["t"]
 
 
 def test_a_list_has_the_names_of_the_information_file(tmp_path):

@@ -117,7 +117,8 @@ def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
             "has no column '/joints.position[7]', which the robot file names; did you mean",
         ),
         ("/joints.position[0]", "/joints.name[0]", "'/joints.name[a]' has str; name a number in it"),
-        ("/joints.position[0]", "/joints.position 0", "is no field; write a topic and a field"),
+        ("/joints.position[0]", "/joints.position 0", "there is no 'position 0' in a message, which has"),
+        ("/joints.position[0]", "/joints.position[0", "is no field; write a topic and a field"),
     ],
 )
 def test_a_field_that_is_not_there_is_named(tmp_path, old, new, said):

@@ -13,6 +13,8 @@ from helpers.robot_folder import MODEL
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
+from simgap.files.log_file import list_columns, open_log
+from simgap.files.robot_file import CsvTable
 from simgap.loading import load
 from simgap.robot import Robot
 
@@ -63,6 +65,16 @@ def test_messages_of_other_publishers_are_passed_over(robot, tmp_path):
     finger = ("/joint_states", START_NS - 1_000, joint_state(0, ("finger",)))
     logs = load(robot, write_mcap(tmp_path / "log.mcap", [finger, *rows()]))
     np.testing.assert_allclose(logs.motions[0].joints["shoulder"].position.value, np.arange(5))
+
+
+def test_joints_that_have_numbers_as_names_are_read_by_name(tmp_path):
+    messages = [("/motors", k, {"name": ["1", "0"], "position": [10.0, 20.0]}) for k in range(3)]
+    path = write_mcap(tmp_path / "log.mcap", messages)
+    name = "/motors.position[1]"
+    assert [one.lowest for one in list_columns(path) if one.name == name] == [10.0]
+    log = open_log(path, [name], [], CsvTable())
+    assert log.numbers(name).value.tolist() == [10.0] * 3
+    assert not log.names_at(name)
 
 
 def test_a_place_of_another_joint_is_refused_with_the_right_column(tmp_path):

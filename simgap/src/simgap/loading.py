@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from simgap.common.errors import RobotError
-from simgap.files.columns import LogFile
 from simgap.files.counters import unwrap_counters
-from simgap.files.log_file import open_log
+from simgap.files.log_file import LogFile, open_log
 from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile
 from simgap.files.splits import Member, choose_motions, read_split

@@ -85,7 +85,7 @@ def _tied(model: mujoco.MjModel) -> Iterator[set[int]]:
         if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT:
             yield {int(one) for one in (model.eq_obj1id[k], model.eq_obj2id[k]) if one >= 0}
     for k in range(model.ntendon):
-        yield _of_tendon(model, k)
+        yield joints_of_tendon(model, k)
 
 
 def place_tied(model: mujoco.MjModel, dofs: Sequence[int], qpos: Array, qvel: Array) -> None:
@@ -120,7 +120,7 @@ def place_tied(model: mujoco.MjModel, dofs: Sequence[int], qpos: Array, qvel: Ar
         known.add(own)
 
 
-def _of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
+def joints_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Return the joints of a fixed tendon."""
     first = int(model.tendon_adr[tendon])
     wraps = range(first, first + int(model.tendon_num[tendon]))
@@ -138,7 +138,7 @@ def take_out_joints(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
     model = spec.compile()
     out = {k for k in range(model.njnt) if joint_name(model, k) in names}
     joints = {model.joint(k).name for k in out} - {""}
-    cut = [one for k, one in enumerate(spec.tendons) if _of_tendon(model, k) & out]
+    cut = [one for k, one in enumerate(spec.tendons) if joints_of_tendon(model, k) & out]
     tendons = {one.name for one in cut} - {""}
     parts: list[Any] = [*spec.keys, *spec.sensors]
     for one in spec.actuators:

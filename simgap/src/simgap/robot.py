@@ -203,7 +203,7 @@ def _build_robot(file: RobotFile, path: Path) -> Robot:
         for name, table in file.joints.items()
     }
     gravity_Nm = gravity_amplitudes(model)
-    needs_gains = not all(_has_torque(table, drives[name]) for name, table in file.joints.items())
+    needs_gains = not all(has_torque(table, drives[name]) for name, table in file.joints.items())
     joints = tuple(
         _joint(name, table, model, path, numbers[name], drives[name], gravity_Nm, needs_gains)
         for name, table in file.joints.items()
@@ -216,7 +216,7 @@ def _build_robot(file: RobotFile, path: Path) -> Robot:
     return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path.parent, left_out)
 
 
-def _has_torque(table: JointTable, drive: Drive) -> bool:
+def has_torque(table: JointTable, drive: Drive) -> bool:
     """Return whether the torque of a joint is logged, or needs not be, because it has no command."""
     has_constant = table.torque_constant_Nm_A is not None or drive.torque_constant_Nm_A is not None
     return table.command is None or table.torque is not None or (table.current is not None and has_constant)

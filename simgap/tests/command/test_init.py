@@ -78,6 +78,12 @@ def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict
         ("dof_pos_target[3]", "", "command", ""),
         ("dq_a2", "a2", "velocity", ""),
         ("motor_current_mA_a1", "a1", "current", "mA"),
+        ("target_acceleration_a1", "a1", "", ""),
+        ("current_position_a1", "a1", "position", ""),
+        ("actual_current_a1", "a1", "current", ""),
+        ("velocity_a1_deg", "a1", "velocity", "deg/s"),
+        ("velocity_a1_counts_per_s", "a1", "velocity", ""),
+        ("position_a1_turns", "a1", "position", "turn"),
     ],
 )
 def test_a_name_says_joint_signal_and_unit(name, joint, key, unit):
@@ -290,6 +296,96 @@ def test_bad_input_writes_nothing(tmp_path):
     assert done.returncode == 2
     assert "is there already" in " ".join(done.stderr.split())
     assert (tmp_path / "robot.toml").read_text() == "mine"
+
+
+def columns_of(names=("shoulder", "elbow")) -> dict[str, np.ndarray]:
+    """Return times, positions and commands of both joints."""
+    columns = {"t": TIME_s}
+    for k, name in enumerate(names):
+        columns |= {f"q_{name}": POSITION_rad[:, k], f"cmd_{name}": COMMAND_rad[:, k]}
+    return columns
+
+
+def start_with(folder: Path, columns: dict[str, np.ndarray], *changes: tuple[str, str]) -> tuple[dict, list]:
+    """Run `init` with a changed model; return the robot file and the questions."""
+    path, text = write_csv(folder, columns), MODEL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "model.xml").write_text(text)
+    file, document = start(folder, path.name)
+    return file, document["questions"]
+
+
+@pytest.mark.parametrize("names", [("肩", "肘"), ("arm/j.1", "arm/j.2"), ("j1", "j10"), ("a\\b", "it's")])
+def test_joints_may_have_any_names(tmp_path, names):
+    changes = zip(('"shoulder"', '"elbow"'), (f'"{name}"' for name in names), strict=True)
+    file, _ = start_with(tmp_path, columns_of(names), *changes)
+    for name in names:
+        table = file["joints"][name]
+        assert [table[key]["column"] for key in ("position", "command")] == [f"q_{name}", f"cmd_{name}"]
+
+
+def test_a_column_that_never_has_a_number_is_not_taken(tmp_path):
+    nothing = np.full(TIME_s.size, np.nan)
+    file, _ = start_with(tmp_path, columns_of() | {"effort_shoulder": nothing, "effort_elbow": nothing})
+    assert "torque" not in file["joints"]["elbow"]
+    assert file["joints"]["elbow"]["kp_Nm_rad"] > 0.0  # positions are compared, not torques
+
+
+def test_a_command_of_current_needs_a_torque_constant_which_is_asked(tmp_path):
+    columns = {key.replace("cmd_", "current_cmd_"): one for key, one in columns_of().items()}
+    file, questions = start_with(tmp_path, columns)
+    assert file["joints"]["elbow"]["torque_constant_Nm_A"] == 1.0
+    assert any("what torque at the joint is 1 A?" in one for one in questions)
+
+
+def test_one_of_two_actuators_is_taken_and_asked(tmp_path):
+    two = '<velocity name="v" joint="elbow" kv="1"/><position name="p" joint="elbow" kp="9"/>'
+    file, questions = start_with(tmp_path, columns_of(), ('<motor joint="elbow"/>', two))
+    assert file["joints"]["elbow"]["actuator"] == "p"
+    assert "joints.elbow.actuator: which actuator has the command: p, v?" in questions
+
+
+def test_a_gripper_that_no_column_shows_is_left_out_and_a_joint_that_follows_has_no_table(tmp_path):
+    fingers = "".join(
+        f'<body><joint name="{one}" type="slide"/><geom size="0.01" mass="0.1"/></body>'
+        for one in ("left", "right")
+    )
+    tendon = "".join(f'<joint joint="{one}" coef="0.5"/>' for one in ("left", "right"))
+    file, _ = start_with(
+        tmp_path,
+        columns_of(),
+        ('<site name="tcp"/>', fingers),
+        ('<motor joint="elbow"/>', '<position tendon="grip"/>'),
+        ("</actuator>", f'</actuator><tendon><fixed name="grip">{tendon}</fixed></tendon>'),
+    )
+    assert file["left_out"] == ["left", "right"]
+    os.remove(tmp_path / "robot.toml")
+    del (columns := columns_of())["cmd_elbow"]
+    tie = '</actuator><equality><joint joint1="elbow" joint2="shoulder"/></equality>'
+    file, _ = start_with(tmp_path, columns, ('<motor joint="elbow"/>', ""), ("</actuator>", tie))
+    assert [*file["joints"]] == ["shoulder"]
+
+
+def test_a_voltage_below_0_is_asked_and_a_command_that_the_model_cannot_take_writes_nothing(tmp_path):
+    columns = {key.replace("cmd_", "voltage_"): one for key, one in columns_of().items()}
+    _, questions = start_with(tmp_path, columns)
+    assert any("voltage_elbow goes below 0" in one for one in questions)
+    os.remove(tmp_path / "robot.toml")
+    write_csv(tmp_path, {key.replace("cmd_", "voltage_cmd_"): one for key, one in columns_of().items()})
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert "has no <dcmotor> at this joint" in " ".join(done.stderr.split())
+    assert "So no robot file was written" in " ".join(done.stderr.split())
+
+
+def test_a_log_with_one_row_or_too_many_columns_says_so(tmp_path):
+    path = write_csv(tmp_path, columns_of())
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
+    assert "has 1 value; a log needs several" in run_simgap(tmp_path, "init", "model.xml", "log.csv").stderr
+    write_csv(tmp_path, {"t": TIME_s, **{f"q{k}": np.sin(TIME_s + k) for k in range(3)}})
+    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
+    assert "q has 3 numbers, the model has the joints shoulder, elbow" in " ".join(done.stderr.split())
 
 
 @pytest.mark.slow

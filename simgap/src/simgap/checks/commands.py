@@ -1,7 +1,7 @@
 """Which command a position follows: that of its own joint and motion, or another one."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -36,14 +36,13 @@ def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
     return int(np.sum((errors.min(axis=1) < BETTER * own).any(axis=1)))
 
 
-def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find joints whose positions follow the command of another joint better than their own."""
     names = [one.name for one in robot.joints if one.mode is ControlMode.POSITION and _moves(one, motions)]
     own = [motion for motion in motions if all(_is_commanded(motion, name) for name in names)]
     if len(names) < 2 or not own:
-        return []
+        return
     errors = np.array([[_pooled_error(own, one, other) for other in names] for one in names])
-    found: list[Remark] = []
     for k, name in enumerate(names):
         best = int(np.argmin(errors[k]))
         if best != k and errors[k, best] < BETTER * min(errors[k, k], _spread(own, name)):
@@ -54,8 +53,7 @@ def find_exchanged(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                 "columns of two joints exchanged?"
             )
             motion_names = tuple(motion.name for motion in own)
-            found.append(Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit=joint.unit))
-    return found
+            yield Remark(RemarkKind.ORDER, name, motion_names, text, errors[k, best], unit=joint.unit)
 
 
 LEADS_S: Final = 0.01 * np.arange(-30, 31)
@@ -64,12 +62,11 @@ MAX_SAMPLES: Final = 5000
 """Samples of a motion that are compared at each of them: they are more than BETTER needs."""
 
 
-def find_leading(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_leading(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find joints whose position is ahead of its command: no servo is, but columns or clocks may be wrong.
 
     Joints with torques are passed over: their torques are compared, and the command takes no part.
     """
-    found: list[Remark] = []
     for joint in robot.joints:
         if joint.mode is not ControlMode.POSITION or not _moves(joint, motions):
             continue
@@ -84,8 +81,7 @@ def find_leading(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                 "they different clocks?"
             )
             names = tuple(motion.name for motion in own)
-            found.append(Remark(RemarkKind.AHEAD, joint.name, names, text, lead_s, unit="s"))
-    return found
+            yield Remark(RemarkKind.AHEAD, joint.name, names, text, lead_s, unit="s")
 
 
 def _is_commanded(motion: Motion, joint: str) -> bool:

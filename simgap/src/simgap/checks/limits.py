@@ -1,7 +1,7 @@
 """Limits that a motion meets: clipped commands, joints that stop short, motors at their limit, contact."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import mujoco
@@ -114,9 +114,8 @@ def _effort_words(joint: str, motions: Sequence[Motion], rest: Rest, at: Array) 
     return f"; its {what} is not larger there"
 
 
-def find_saturation(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_saturation(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find motors that are at their limit of torque, current or command for a share of the time."""
-    found: list[Remark] = []
     for joint in robot.joints:
         efforts = {one.name: _effort(joint, one) for one in motions if joint.name in one.joints}
         limits = {what: limit for what, limit, _ in efforts.values()}
@@ -131,8 +130,7 @@ def find_saturation(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         if math.isfinite(limit) and names:
             share = float(np.mean(every >= AT_LIMIT * limit))
             text = f"the {what} is at its limit of {limit:.4g} in {share:.1%} of the samples"
-            found.append(Remark(RemarkKind.SATURATION, joint.name, names, text, limit))
-    return found
+            yield Remark(RemarkKind.SATURATION, joint.name, names, text, limit)
 
 
 def _effort(joint: RobotJoint, motion: Motion) -> tuple[str, float, Array]:
@@ -212,7 +210,7 @@ def find_plane(
 
 
 def chain_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints between the world and the tool site, without those that cannot raise it."""
+    """Return the joints of the robot between the world and the tool site."""
     model = robot.model
     if not robot.tool_site:
         return ()
@@ -240,23 +238,21 @@ LEAST_DEPTH_M: Final = 1e-3
 """Bodies that go into each other by less may just touch."""
 
 
-def find_collisions(robot: Robot, motions: Sequence[Motion], rest: Rest) -> list[Remark]:
+def find_collisions(robot: Robot, motions: Sequence[Motion], rest: Rest) -> Iterator[Remark]:
     """Return a remark for each pair of bodies that go into each other at measured poses."""
     model = robot.model
     if not np.any(model.geom_contype) or not np.any(model.geom_conaffinity):
-        return []
+        return
     where: dict[tuple[str, str], list[str]] = {}
     tried = rest.motion[::EVERY]
     for row, data in visit_poses(robot, rest.joints, rest.measured[::EVERY]):
         mujoco.mj_collision(model, data)
         for pair in {_bodies(model, one.geom) for one in data.contact if one.dist < -LEAST_DEPTH_M}:
             where.setdefault(pair, []).append(motions[int(tried[row])].name)
-    found = []
     for (one, other), names in sorted(where.items(), key=lambda item: -len(item[1])):
         share = len(names) / tried.size
         text = f"{one} goes into {other} in {share:.1%} of the measured poses"
-        found.append(Remark(RemarkKind.COLLISION, "", tuple(dict.fromkeys(names)), text, share))
-    return found
+        yield Remark(RemarkKind.COLLISION, "", tuple(dict.fromkeys(names)), text, share)
 
 
 def _bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """Rates of the logs: missing rows, pauses and an uneven period."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise
 from typing import Final
@@ -50,16 +50,17 @@ def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
     return [(float(time_s[k]), float(time_s[k + 1])) for k in np.flatnonzero(np.diff(time_s) > least_s)]
 
 
-def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> list[Remark]:
+def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
     """Remark pauses, with the windows that cut a log of one motion there."""
     names = tuple(name for name, found in pauses.items() if found)
     if not names:
-        return []
+        return
     every = [end_s - begin_s for found in pauses.values() for begin_s, end_s in found]
     table = None if robot.file is None else robot.file.motion
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
-        ends = [(0.0, 0.0), *pauses[names[0]], (_end_s(motions[0]), 0.0)]
+        end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
+        ends = [(0.0, 0.0), *pauses[names[0]], (end_s, 0.0)]
         parts = [
             (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
         ]
@@ -67,11 +68,7 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
         advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
-    return [Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")]
-
-
-def _end_s(motion: Motion) -> float:
-    return max(float(log.position.time_s[-1]) for log in motion.joints.values())
+    yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
 
 
 def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:
@@ -103,8 +100,7 @@ def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) 
     )
 
 
-def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
-    found: list[Remark] = []
+def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
     for joint in dict.fromkeys(rate.joint for rate in rates):
         own = [rate for rate in rates if rate.joint == joint]
         n_samples = sum(rate.n_samples for rate in own)
@@ -112,7 +108,7 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
         if stale:
             count = sum(rate.n_stale for rate in stale)
             text = f"{count} positions repeat an old value while the joint moves"
-            found.append(Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples))
+            yield Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples)
         gaps = [rate for rate in own if _has_gaps(rate) or rate.n_invalid]
         if gaps:
             missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
@@ -120,13 +116,12 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
             parts = [f"{missing} rows are missing, {longest_s:.3g} s at once at most"] * bool(missing)
             parts += [f"{invalid} values are no numbers"] * bool(invalid)
             text, share = " and ".join(parts), (missing + invalid) / n_samples
-            found.append(Remark(RemarkKind.MISSING, joint, _names(gaps), text, share))
+            yield Remark(RemarkKind.MISSING, joint, _names(gaps), text, share)
         uneven = [rate for rate in own if rate.jitter_s * rate.rate_Hz > JITTER_SHARE]
         if uneven:
             worst = max(uneven, key=lambda rate: rate.jitter_s)
             text = f"the period varies by +-{worst.jitter_s * 1e3:.1f} ms at {worst.rate_Hz:.0f} Hz"
-            found.append(Remark(RemarkKind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s"))
-    return found
+            yield Remark(RemarkKind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s")
 
 
 def _has_gaps(rate: SignalRate) -> bool:

@@ -162,7 +162,7 @@ def robust_sigma(values: Array) -> float:
 
 STEPS: Final = 4.0
 """A joint moves clearly if it goes by this many steps of its encoder in one period."""
-COARSE_RAD: Final = STEPS * 2.0 * math.pi / 2**10
+COARSE_RAD: Final = STEPS * math.tau / 2**10
 """A joint follows a command that spans this: the coarsest encoders of servos have ten bits."""
 
 

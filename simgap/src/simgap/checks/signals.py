@@ -1,7 +1,7 @@
 """Faults of single signals: turns that are lost, samples that jump away, joints that stand still."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -39,14 +39,12 @@ def _usual_steps(value: Array) -> Array:
     return np.asarray(percentile_filter(np.abs(np.diff(value)), 75, WINDOW, mode="nearest"))
 
 
-TURN_RAD: Final = 2.0 * np.pi
 ROUND: Final = 0.1
 """Share of a turn, or of a range, by which whole turns may be missed: a joint moves by less in a row."""
 
 
-def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_wraps(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find positions and commands that jump by whole turns between two rows, and counters that did."""
-    found: list[Remark] = []
     for joint in robot.joints:
         wraps = {one.name: one.unwrapped[joint.name] for one in motions if joint.name in one.unwrapped}
         if wraps:
@@ -56,7 +54,7 @@ def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                 if count
                 else "the counter knows no whole turns; it is moved by turns to where the joint is"
             )
-            found.append(Remark(RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count)))
+            yield Remark(RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count))
         for name in ("position", "command", "secondary") if not joint.is_slide else ():
             if name == "command" and joint.mode is not ControlMode.POSITION:
                 continue
@@ -67,8 +65,7 @@ def find_wraps(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                     f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(count)}: it "
                     "wraps. Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
                 )
-                found.append(Remark(RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count)))
-    return found
+                yield Remark(RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count))
 
 
 def _count_turns(motion: Motion, joint: str, name: str) -> int:
@@ -79,9 +76,9 @@ def _count_turns(motion: Motion, joint: str, name: str) -> int:
     if value.size < 2:
         return 0
     step, usual = np.abs(np.diff(value)), SURE * _usual_steps(value)
-    whole = np.round(step / TURN_RAD)
-    rest = np.abs(step - whole * TURN_RAD)
-    is_turn = (whole >= 1.0) & (step > usual) & (rest <= np.minimum(usual, ROUND * TURN_RAD) + 1e-9)
+    whole = np.round(step / math.tau)
+    rest = np.abs(step - whole * math.tau)
+    is_turn = (whole >= 1.0) & (step > usual) & (rest <= np.minimum(usual, ROUND * math.tau) + 1e-9)
     return int(np.sum(is_turn))
 
 
@@ -151,9 +148,8 @@ def flag_samples(motions: Sequence[Motion]) -> Faulty:
     return found
 
 
-def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> list[Remark]:
+def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> Iterator[Remark]:
     """Remark positions that jump away for a sample or two."""
-    found: list[Remark] = []
     for joint in robot.joints:
         own = samples_of(motions, joint.name)
         spikes = {name: faulty[name, joint.name]["spike"][one.index] for name, one in own.items()}
@@ -169,23 +165,22 @@ def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> 
                 "from the median: were they read wrongly?"
             )
             names, furthest = tuple(away_rad), float(every.max())
-            found.append(Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit))
-    return found
+            yield Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit)
 
 
 SPREAD: Final = 10.0
 """Range of a position in standard deviations of its noise from which the joint moves: noise alone has 4.7."""
 
 
-def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find joints that hardly move in any motion, and positions that never change while commands do."""
-    found: list[Remark] = []
     for joint in robot.joints:
         own = samples_of(motions, joint.name)
         positions = [one.position for one in own.values()]
         step_rad = encoder_step_rad(motions, joint.name)
         noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
-        spread_rad = max([_range_rad(one) for one in positions], default=math.inf)
+        ranges_rad = [float(np.ptp(np.quantile(one, [0.01, 0.99]))) for one in positions]  # without outliers
+        spread_rad = max(ranges_rad, default=math.inf)
         if spread_rad > SPREAD * noise_rad:
             continue
         place, is_constant = joint.show(positions[0][0]), span(np.concatenate(positions)) == 0.0
@@ -197,7 +192,7 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                 f"{joint.show(max(sent.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
             )
             value = float(positions[0][0])
-            found.append(Remark(RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit))
+            yield Remark(RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit)
             continue
         text = (
             f"the joint never moves: its position stays at {place}"
@@ -206,8 +201,7 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
             f"their noise is {joint.show_small(noise_rad, '.2g')}"
         )
         text += ". Nothing about this joint can be identified"
-        found.append(Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit))
-    return found
+        yield Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit)
 
 
 def _noise_rad(position: Array) -> float:
@@ -215,18 +209,12 @@ def _noise_rad(position: Array) -> float:
     return robust_sigma(np.diff(position, 2)) / math.sqrt(6.0)
 
 
-def _range_rad(position: Array) -> float:
-    """Return the range of a position without the hundredth at each end."""
-    return float(np.ptp(np.quantile(position, [0.01, 0.99])))
-
-
 BEGINS: Final = 3.0
 """Ratio of the error before a joint starts to the largest later one from which it was not on yet."""
 
 
-def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Find joints that stand still at the start of a motion while their commands move."""
-    found: list[Remark] = []
     for joint in (one for one in robot.joints if one.mode is ControlMode.POSITION):
         own = samples_of(motions, joint.name)
         starts = {name: _late_start_s(one, COARSE_RAD * joint.per_rad) for name, one in own.items()}
@@ -237,8 +225,7 @@ def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
                 f"the joint stands still for the first {longest:.2g} s while its command moves, and follows "
                 "it later: was the motor off? Begin the motion later, or name the signal enabled"
             )
-            found.append(Remark(RemarkKind.START, joint.name, tuple(late_s), text, longest, unit="s"))
-    return found
+            yield Remark(RemarkKind.START, joint.name, tuple(late_s), text, longest, unit="s")
 
 
 def _late_start_s(samples: Samples, least_rad: float) -> float:

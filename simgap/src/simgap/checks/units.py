@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples
-from simgap.checks.signals import ROUND, TURN_RAD
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples, span
+from simgap.checks.signals import ROUND
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -23,50 +23,54 @@ FOLLOWS: Final = 0.8
 """Correlation from which two signals count as the same quantity."""
 
 
-def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
-    """Return remarks about units that look wrong, those of the times among them."""
-    found: list[Remark] = []
+def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Yield remarks about units that look wrong, those of the times among them."""
     speeds: dict[str, float] = {}
     for joint in robot.joints:
         own = [motion for motion in motions if joint.name in motion.joints]
-        samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         names = tuple(motion.name for motion in own)
+        samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         speeds[joint.name] = speed_ratio(own, joint.name)
-        ratio = math.nan
-        if joint.mode is ControlMode.POSITION:
-            ratio = _ratio((one.command, one.position) for one in samples)
-        wrong = _remark(ratio, joint, names, "the position", "its command")
-        if own:
-            wrong = wrong or _beyond_range(joint, robot.range_rad(joint.name), names, samples)
-        if ratio > 0.0 and not wrong:
-            wrong = _beside_command(joint, names, samples)
-        found += wrong
-    return found + _audit_velocities(robot, speeds, tuple(motion.name for motion in motions))
+        is_told = joint.mode is ControlMode.POSITION
+        ratio = _ratio((one.command, one.position) for one in samples) if is_told else math.nan
+        wrong = [*_compare(ratio, joint, names, "the position", "its command")]
+        if own and not wrong:
+            wrong = [*_beyond_range(joint, robot.range_rad(joint.name), names, samples)]
+        yield from wrong or (_beside_command(joint, names, samples) if ratio > 0.0 else ())
+    yield from _compare_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
 
-def _audit_velocities(robot: Robot, ratios: Mapping[str, float], motions: tuple[str, ...]) -> list[Remark]:
+def _compare_velocities(
+    robot: Robot, ratios: Mapping[str, float], motions: tuple[str, ...]
+) -> Iterator[Remark]:
     """Remark velocities that are not the change of the position; if all joints agree, the times are wrong."""
     known = {name: one for name, one in ratios.items() if math.isfinite(one)}
-    wrong = {name: one for name, one in known.items() if one < 0.0 or abs(math.log(one)) > math.log(CLOSE)}
-    found: list[Remark] = []
-    for name, ratio in wrong.items():
-        found += _remark(ratio, robot.joint(name), motions, "the velocity", "the change of the position")
-    middle = float(np.median(list(known.values()))) if known else math.nan
-    if found or not wrong:
-        return found
-    if len(wrong) == len(known) > 1 and all(
-        abs(math.log(one / middle)) < math.log(CLOSE) for one in wrong.values()
-    ):
+    wrong = {name: one for name, one in known.items() if not is_near(one, 1.0)}
+    what, other = "the velocity", "the change of the position"
+    by_unit = [
+        remark
+        for name, ratio in wrong.items()
+        for remark in _compare(ratio, robot.joint(name), motions, what, other)
+    ]
+    yield from by_unit
+    if by_unit or not wrong:
+        return
+    middle = float(np.median(list(known.values())))
+    if len(wrong) == len(known) > 1 and all(is_near(one, middle) for one in wrong.values()):
         text = (
             f"the velocities of all joints are {middle:.3g} times the change of the positions: are the times "
             f"too {'long' if middle > 1.0 else 'short'} by {max(middle, 1.0 / middle):.3g}?"
         )
-        return [Remark(RemarkKind.UNIT, "", motions, text, middle)]
-    what = "times the change of the position: is a unit or a factor wrong?"
-    return [
-        Remark(RemarkKind.UNIT, name, motions, f"the velocity is {ratio:.3g} {what}", ratio)
-        for name, ratio in wrong.items()
-    ]
+        yield Remark(RemarkKind.UNIT, "", motions, text, middle)
+        return
+    for name, ratio in wrong.items():
+        text = f"{what} is {ratio:.3g} times {other}: is a unit or a factor wrong?"
+        yield Remark(RemarkKind.UNIT, name, motions, text, ratio)
+
+
+def is_near(ratio: float, factor: float) -> bool:
+    """Return whether a ratio is a factor within CLOSE."""
+    return ratio > 0.0 and abs(math.log(ratio / factor)) < math.log(CLOSE)
 
 
 def speed_ratio(motions: Sequence[Motion], joint: str) -> float:
@@ -113,34 +117,34 @@ def _velocities(
         yield np.gradient(mean_p, mean_t), mean_v
 
 
-def _remark(ratio: float, joint: RobotJoint, motions: tuple[str, ...], what: str, other: str) -> list[Remark]:
+def _compare(
+    ratio: float, joint: RobotJoint, motions: tuple[str, ...], what: str, other: str
+) -> Iterator[Remark]:
+    """Remark a signal that runs against another, or is a factor of two units times it."""
     if ratio < 0.0:
         text = f"{what} runs against {other}: is factor = -1 missing at one of them?"
-        return [Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)]
+        yield Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)
     for factor, unit in _factors(joint).items():
         for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
-            if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):
+            if is_near(ratio, signed):
                 text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
                 text += f"of {right} in the robot file wrong?"
-                return [Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)]
-    return []
+                yield Remark(RemarkKind.UNIT, joint.name, motions, text, ratio)
 
 
-def _beside_command(joint: RobotJoint, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
+def _beside_command(
+    joint: RobotJoint, motions: tuple[str, ...], samples: Sequence[Samples]
+) -> Iterator[Remark]:
     """Remark positions that follow a command, but farther beside it than it goes: another zero.
 
     Gravity holds a servo off its command by less than it moves, or nothing could be done with it.
     """
-    pairs = [(one.command, one.position) for one in samples]
-    command, position = (np.concatenate(one) for one in zip(*pairs, strict=True))
-    known = np.isfinite(position) & np.isfinite(command)
-    if not known.any():
-        return []
-    off = float(np.median((position - command)[known]))
-    if abs(off) <= max(float(np.ptp(command[known])), COARSE_RAD * joint.per_rad):
-        return []
-    text = f"the position lies {joint.show(off)} beside its command: is zero_rad missing at one of them?"
-    return [Remark(RemarkKind.UNIT, joint.name, motions, text, off)]
+    command = np.concatenate([one.command for one in samples])
+    error = np.concatenate([one.position for one in samples]) - command
+    off = float(np.median(error[np.isfinite(error)]))  # there is some, as they vary alike
+    if abs(off) > max(span(command), COARSE_RAD * joint.per_rad):
+        text = f"the position lies {joint.show(off)} beside its command: is zero_rad missing at one of them?"
+        yield Remark(RemarkKind.UNIT, joint.name, motions, text, off)
 
 
 def _factors(joint: RobotJoint) -> dict[float, str]:
@@ -149,48 +153,46 @@ def _factors(joint: RobotJoint) -> dict[float, str]:
 
 def _beyond_range(
     joint: RobotJoint, range_rad: tuple[float, float], motions: tuple[str, ...], samples: Sequence[Samples]
-) -> list[Remark]:
-    """Remark positions far beyond the range of the model that would lie within it in another unit."""
+) -> Iterator[Remark]:
+    """Remark positions far beyond the range of the model that would lie within it in another unit.
+
+    Without limits, those of a hinge that go over many turns, as degrees would.
+    """
+    positions = np.concatenate([one.position for one in samples])
+    low, high = float(positions.min(initial=math.inf)), float(positions.max(initial=-math.inf))
     if not math.isfinite(range_rad[1]):
-        return [] if joint.is_slide else _many_turns(joint.name, motions, samples)
-    turns = 0 if joint.is_slide else _turns_off(range_rad, samples)
-    if turns:
+        if not joint.is_slide and high - low > math.tau * TURNS:
+            text = (
+                f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
+            )
+            yield Remark(RemarkKind.TURNS, joint.name, motions, text, high - low, unit="rad")
+        return
+    if turns := 0 if joint.is_slide else _turns_off(range_rad, positions):
         count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
         text = (
             f"the position lies {count} {'above' if turns > 0 else 'below'} the range of the model: add "
-            f"zero_rad = {-turns * TURN_RAD:.6g} to position and command"
+            f"zero_rad = {-turns * math.tau:.6g} to position and command"
         )
-        return [Remark(RemarkKind.UNIT, joint.name, motions, text, float(turns))]
-    allowed = max(map(abs, range_rad))
-    largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
+        yield Remark(RemarkKind.UNIT, joint.name, motions, text, float(turns))
+        return
+    allowed, largest = max(map(abs, range_rad)), max(-low, high)
     for factor, unit in _factors(joint).items():
         if allowed * 3.0 < largest <= factor * allowed * CLOSE:
             text = (
                 f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}: "
                 f"is the log in {unit}? That is a factor of {factor:.4g}"
             )
-            return [Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)]
-    return []
+            yield Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)
+            return
 
 
-def _turns_off(range_rad: tuple[float, float], samples: Sequence[Samples]) -> int:
+def _turns_off(range_rad: tuple[float, float], positions: Array) -> int:
     """Return by how many whole turns all positions lie beyond the range of the model; 0 if by none."""
-    positions = np.concatenate([one.position for one in samples])
     if not positions.size:
         return 0
     low, high = np.quantile(positions, [0.01, 0.99])
-    turns = round(((low + high) / 2.0 - math.fsum(range_rad) / 2.0) / TURN_RAD)
+    turns = round(((low + high) / 2.0 - math.fsum(range_rad) / 2.0) / math.tau)
     slack = ROUND * (range_rad[1] - range_rad[0])
     least, most = range_rad[0] - slack, range_rad[1] + slack
-    is_inside = low - turns * TURN_RAD > least and high - turns * TURN_RAD < most
+    is_inside = low - turns * math.tau > least and high - turns * math.tau < most
     return turns if is_inside and (low > most or high < least) else 0
-
-
-def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
-    """Remark positions of a joint without limits that go over many turns, as degrees would."""
-    positions = np.concatenate([one.position for one in samples])
-    if np.ptp(positions) <= 2.0 * math.pi * TURNS:
-        return []
-    low, high = float(positions.min()), float(positions.max())
-    text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
-    return [Remark(RemarkKind.TURNS, joint, motions, text, high - low, unit="rad")]

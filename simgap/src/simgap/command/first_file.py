@@ -1,12 +1,13 @@
 """The verb that writes a first robot file from a model and logs."""
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from simgap.command.request import InitRequest
 from simgap.common.console import plain_console
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
@@ -39,7 +40,12 @@ def write_first_file(request: InitRequest, progress: Progress = no_progress) -> 
         raise BadRequest("logs: none is given; name at least one log after the model")
     if request.out.exists():
         raise BadRequest(f"out {request.out}: is there already; name another file, or remove it")
-    draft = draft_robot_file(request.model, request.logs, request.out, request.unit, progress)
+    try:
+        draft = draft_robot_file(request.model, request.logs, request.out, request.unit, progress)
+    except RobotError as error:
+        if str(error).startswith(f"{request.out}: "):  # which is not there yet
+            raise RobotError(f"{error}. So no robot file was written for {request.model}") from error
+        raise
     text = robot_file_text(draft, f"{request.model.name} and {', '.join(one.name for one in request.logs)}")
     with atomic_write(request.out, "out") as file:
         file.write(text.encode())
@@ -71,7 +77,5 @@ def print_first_file(made: FirstFile) -> None:
         console.print(f"left out: {', '.join(made.left_out)}")
     for number, question in enumerate(made.questions, 1):
         console.print(f"{number}. {question}")
-    logs = " ".join(str(one) for one in made.logs)
-    console.print(
-        f"{made.path} is written; answer the questions in it, then: simgap check {made.path} {logs}"
-    )
+    console.print(f"{made.path} is written; answer the questions in it, then:")
+    console.print(shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]), soft_wrap=True)

@@ -36,8 +36,7 @@ def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
     if path.is_dir() and any(path.glob("*.mcap")):
         return open_mcap(path, names)
     try:
-        file = _read_ros1(path, names) if path.suffix.lower() == ".bag" else _read_ros2(path, names)
-        return open_messages(file, names)
+        return open_messages(_read(path, names), names)
     except (RobotError, MemoryError):
         raise
     except Exception as error:  # damage ends in any error of the readers, and in errors of SQLite
@@ -64,42 +63,41 @@ def _missing_tables(path: Path) -> str:
     )
 
 
-def _read_ros1(path: Path, names: Sequence[str] | None) -> MessageFile:
-    with Reader1(path) as reader:
-        decoders = _decoders(path, reader.connections, names, is_ros1=True)
+def _read(path: Path, names: Sequence[str] | None) -> MessageFile:
+    is_ros1 = path.suffix.lower() == ".bag"
+    with Reader1(path) if is_ros1 else Reader2(path) as reader:
+        decoders = _decoders(path, reader.connections, names, is_ros1)
         chosen = [one for one in reader.connections if one.id in decoders]
+        if isinstance(reader, Reader1):
+            _check_index(reader)
+        _check_times(path, _list_times(reader, chosen))
+        messages = [
+            Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
+            for one, time_ns, data in (reader.messages(chosen) if chosen else ())
+            if is_wanted(one.topic, len(data), names)
+        ]
+        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
+
+
+def _check_index(reader: Reader1) -> None:
+    """Refuse a bag whose index lacks messages of its chunks."""
+    meant = sum(sum(chunk.connection_counts.values()) for chunk in reader.chunk_infos)
+    n_messages = sum(map(len, reader.indexes.values()))
+    if meant != n_messages:
+        raise BadMessage(f"its index has {n_messages} messages, its chunks {meant}")
+
+
+def _list_times(reader: Reader1 | Reader2, chosen: Sequence[Connection]) -> Iterator[tuple[str, int]]:
+    """Yield topics and times [ns] in the order of recording, where the bag has it."""
+    if isinstance(reader, Reader1):
         for one in chosen:
             rows = sorted(reader.indexes[one.id], key=lambda row: (row.chunk_pos, row.offset))
-            _check_times(path, ((one.topic, row.time) for row in rows))
-        meant = sum(sum(chunk.connection_counts.values()) for chunk in reader.chunk_infos)
-        n_messages = sum(map(len, reader.indexes.values()))
-        if meant != n_messages:
-            raise BadMessage(f"its index has {n_messages} messages, its chunks {meant}")
-        messages = [
-            Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
-            for one, time_ns, data in (reader.messages(chosen) if chosen else ())
-            if is_wanted(one.topic, len(data), names)
-        ]
-        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
-
-
-def _read_ros2(path: Path, names: Sequence[str] | None) -> MessageFile:
-    with Reader2(path) as reader:
-        decoders = _decoders(path, reader.connections, names, is_ros1=False)
-        chosen = [one for one in reader.connections if one.id in decoders]
-        topics = {one.topic for one in chosen}
-        storages = getattr(reader.storage, "storages", [reader.storage])
-        for one in storages:
-            if isinstance(one, Sqlite3Reader) and one.dbconn is not None:
-                _check_times(
-                    path, ((topic, time) for topic, time in one.dbconn.execute(ROWS) if topic in topics)
-                )
-        messages = [
-            Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
-            for one, time_ns, data in (reader.messages(chosen) if chosen else ())
-            if is_wanted(one.topic, len(data), names)
-        ]
-        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
+            yield from ((one.topic, row.time) for row in rows)
+        return
+    topics = {one.topic for one in chosen}
+    for storage in getattr(reader.storage, "storages", [reader.storage]):
+        if isinstance(storage, Sqlite3Reader) and storage.dbconn is not None:
+            yield from (row for row in storage.dbconn.execute(ROWS) if row[0] in topics)
 
 
 def _decoders(

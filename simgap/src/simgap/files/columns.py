@@ -9,10 +9,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
@@ -21,7 +20,7 @@ N_NAMES: Final = 8
 """Number of columns that an error lists."""
 MAX_LISTED: Final = 64
 """Longest list whose items are listed as columns: robots have fewer joints, pictures more points."""
-STEP: Final = re.compile(r"\.[A-Za-z_]\w*|\[[^\[\]]+\]")
+STEP: Final = re.compile(r"\.[^.\[\]]+|\[[^\[\]]+\]")
 Kind = Literal["number", "flag", "time", "text", "other"]
 """Content of a column; a time is a date, which is read as seconds."""
 
@@ -64,46 +63,6 @@ class ColumnInfo:
     """Unit of the logged values; empty if the file does not know it."""
 
 
-class LogFile(Protocol):
-    """Log file that is open for reading, one column at a time."""
-
-    @property
-    def path(self) -> Path:
-        """Path of the file."""
-        ...
-
-    @property
-    def losses(self) -> Sequence[str]:
-        """Sentences about parts of the file that could not be read; empty if all of it was."""
-        ...
-
-    @property
-    def time_column(self) -> str:
-        """Column of the times, in seconds, unless the robot file names one; empty: none is known."""
-        ...
-
-    @property
-    def motion_column(self) -> str:
-        """Column that names the motions, unless the robot file names one; empty: none is known."""
-        ...
-
-    def numbers(self, name: str) -> Column:
-        """Return the numbers of a column."""
-        ...
-
-    def texts(self, name: str) -> NDArray[np.str_]:
-        """Return a column as text, (n,)."""
-        ...
-
-    def names_at(self, name: str) -> Sequence[str]:
-        """Return the names that stood at a place of a list of messages, first to last; empty: it has none."""
-        ...
-
-    def describe(self) -> tuple[ColumnInfo, ...]:
-        """Describe all columns."""
-        ...
-
-
 def split_name(name: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
     """Divide a name into the longest known one that it begins with, and steps: `.field`, `[2]` or `[elbow]`.
 
@@ -120,20 +79,27 @@ def split_name(name: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] |
 
 
 def place_in_list(step: str, names: Sequence[str] | None) -> int | None:
-    """Return the place that a step `[2]` or `[elbow]` means; None if there is no such name."""
+    """Return the place that a step `[2]` or `[elbow]` means; None if there is no such name.
+
+    A name counts first: drivers name motors by numbers.
+    """
     inner = step[1:-1].strip()
-    if inner.isdecimal():
-        return int(inner)
-    return names.index(inner) if names is not None and inner in names else None
+    if names is not None and inner in names:
+        return names.index(inner)
+    return int(inner) if inner.isdecimal() else None
 
 
 def missing_column(path: Path, name: str, there: Sequence[str]) -> RobotError:
     """Return the error for a column that is not there; it names the nearest, or those that there are."""
+    hint = hint_at(name, there, "it has")
+    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+
+
+def hint_at(name: str, there: Sequence[str], words: str) -> str:
+    """Ask whether the nearest of some names was meant, else list the first of them after some words."""
     near = get_close_matches(name, there, 1)
     listed = ", ".join([*there[:N_NAMES], *([".."] if len(there) > N_NAMES else [])])
-    listed = " ".join(listed.split())
-    hint = f"did you mean {near[0]!r}?" if near else f"it has {listed or 'none'}"
-    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+    return f"did you mean {near[0]!r}?" if near else f"{words} {' '.join(listed.split()) or 'none'}"
 
 
 def describe_numbers(

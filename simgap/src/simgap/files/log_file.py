@@ -9,12 +9,16 @@ import pyarrow as pa
 
 from simgap.common.errors import RobotError
 from simgap.files.bag_log import METADATA, open_bag
-from simgap.files.columns import ColumnInfo, LogFile
+from simgap.files.columns import ColumnInfo
 from simgap.files.mcap_log import open_mcap
+from simgap.files.message_log import MessageLog
 from simgap.files.robot_file import CsvTable
 from simgap.files.table_files import INFO, open_lerobot, open_npz, open_parquet
+from simgap.files.table_log import TableLog
 from simgap.files.text_files import open_csv, open_json_lines
 
+LogFile = TableLog | MessageLog
+"""Log that is open for reading, one column at a time."""
 TEXT_SUFFIXES: Final = (".csv", ".tsv", ".txt")
 Opener = Callable[[Path, Sequence[str] | None], LogFile]
 TABLES: Final[dict[str, Opener]] = {

@@ -13,9 +13,9 @@ from typing import Final
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, McapRecord, Schema, Statistics
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.stream_reader import breakup_chunk
 
 from simgap.common.errors import RobotError
 from simgap.files.decoding import BadMessage, Decoder, make_decoder
@@ -73,11 +73,8 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
     scans.sort(key=lambda scan: scan.messages[0].time_ns if scan.messages else 0)
     topics = sorted({channel.topic for scan in scans for channel in scan.channels.values()})
     messages = [message for scan in scans for message in scan.messages]
-    losses = [
-        f"{scan.loss}" if scan.path == path else f"{scan.path.name} {scan.loss}"
-        for scan in scans
-        if scan.loss
-    ]
+    cut = [scan for scan in scans if scan.loss]
+    losses = [one.loss if one.path == path else f"{one.path.name} {one.loss}" for one in cut]
     try:
         return open_messages(MessageFile(path, topics, messages, losses), names)
     except BadMessage as error:
@@ -123,21 +120,24 @@ def _scan(scan: _Scan, data: mmap.mmap) -> str:
 
 def _read_record(scan: _Scan, data: mmap.mmap, at: int, kind: int, end: int) -> None:
     """Read a record outside of a chunk."""
-    body = at + HEAD.size
+    stream = ReadDataStream(BytesIO(data[at + HEAD.size : end]))
     try:
         match kind:
             case Opcode.CHUNK:
                 scan.chunks.add(at)
-                _read_chunk(scan, Chunk.read(ReadDataStream(BytesIO(data[body:end]))), at)
-            case Opcode.SCHEMA | Opcode.CHANNEL | Opcode.MESSAGE:
-                _keep(scan, kind, data[body:end])
+                _read_chunk(scan, Chunk.read(stream), at)
+            case Opcode.SCHEMA:
+                _keep(scan, Schema.read(stream))
+            case Opcode.CHANNEL:
+                _keep(scan, Channel.read(stream))
+            case Opcode.MESSAGE:
+                _keep(scan, McapMessage.read(stream, end - at - HEAD.size))
             case Opcode.CHUNK_INDEX:
-                index = ChunkIndex.read(ReadDataStream(BytesIO(data[body:end])))
-                scan.indexed.add(index.chunk_start_offset)
+                scan.indexed.add(ChunkIndex.read(stream).chunk_start_offset)
             case Opcode.STATISTICS:
-                scan.statistics = Statistics.read(ReadDataStream(BytesIO(data[body:end])))
+                scan.statistics = Statistics.read(stream)
             case Opcode.DATA_END:
-                (crc,) = struct.unpack_from("<I", data[body:end])
+                crc = DataEnd.read(stream).data_section_crc
                 if crc and zlib.crc32(memoryview(data)[:at]) != crc:
                     raise _Damage("its data have another checksum than was written")
                 scan.data_end = end
@@ -154,44 +154,31 @@ def _read_chunk(scan: _Scan, chunk: Chunk, at: int) -> None:
     if chunk.uncompressed_size > MAX_CHUNK_BYTES or chunk.compression not in ("", "lz4", "zstd"):
         raise _Damage(where + "has a damaged head")
     try:
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        records = breakup_chunk(chunk, validate_crc=True)
     except Exception as error:  # lz4 and zstd raise errors of their own
         what = " ".join(str(error).split()) or type(error).__name__
         raise _Damage(where + f"is damaged ({what})") from error
-    unpacked, place = stream.read(length) if length else b"", 0
-    while place < length:
-        if place + HEAD.size > length:
-            raise _Damage(where + "ends within a record")
-        kind, size = HEAD.unpack_from(unpacked, place)
-        begin = place + HEAD.size
-        place = begin + size
-        if place > length:
-            raise _Damage(where + "ends within a record")
-        if kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            _keep(scan, kind, unpacked[begin:place])
+    for record in records:
+        _keep(scan, record)
 
 
-def _keep(scan: _Scan, kind: int, body: bytes) -> None:
+def _keep(scan: _Scan, record: McapRecord) -> None:
     """Keep a definition, a channel, or a message of a wanted topic."""
-    stream = ReadDataStream(BytesIO(body))
-    if kind == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        scan.schemas[schema.id] = schema
-    elif kind == Opcode.CHANNEL:
-        channel = Channel.read(stream)
-        scan.channels[channel.id] = channel
-    else:
-        message = McapMessage.read(stream, len(body))
+    if isinstance(record, Schema):
+        scan.schemas[record.id] = record
+    elif isinstance(record, Channel):
+        scan.channels[record.id] = record
+    elif isinstance(record, McapMessage):
         scan.n_messages += 1
-        scan.first_ns = message.log_time if scan.first_ns is None else scan.first_ns
-        scan.last_ns = max(scan.last_ns, message.log_time)
-        found = scan.channels.get(message.channel_id)
+        scan.first_ns = record.log_time if scan.first_ns is None else scan.first_ns
+        scan.last_ns = max(scan.last_ns, record.log_time)
+        found = scan.channels.get(record.channel_id)
         if found is None:
-            raise _Damage(f"a message is of channel {message.channel_id}, which is not declared before it")
-        if is_wanted(found.topic, len(message.data), scan.names):
+            raise _Damage(f"a message is of channel {record.channel_id}, which is not declared before it")
+        if is_wanted(found.topic, len(record.data), scan.names):
             decode = _decoder(scan, found)
             if decode is not None:
-                scan.messages.append(Message(found.topic, message.log_time, partial(decode, message.data)))
+                scan.messages.append(Message(found.topic, record.log_time, partial(decode, record.data)))
 
 
 def _decoder(scan: _Scan, channel: Channel) -> Decoder | None:

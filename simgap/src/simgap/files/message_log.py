@@ -18,6 +18,7 @@ from simgap.files.columns import (
     Kind,
     describe_numbers,
     missing_column,
+    place_in_list,
     split_name,
 )
 
@@ -109,6 +110,7 @@ class MessageLog:
     places: Mapping[str, Mapping[int, Sequence[str]]]
     """Name of a list -> index -> the names that stood there, first to last."""
     start_ns: int
+    topics: Sequence[str]
     losses: Sequence[str] = ()
     time_column: str = ""
     motion_column: str = ""
@@ -119,9 +121,7 @@ class MessageLog:
         Raises:
             RobotError: no message has it, it is no number, or the clock steps back.
         """
-        one = self.fields.get(name) or _parse(
-            self.path, name, [other.topic for other in self.fields.values()]
-        )
+        one = self.fields.get(name) or _parse(self.path, name, self.topics)
         series = self._series(one)
         back = next(
             (k for k in range(1, len(series.values)) if series.times_ns[k] < series.times_ns[k - 1]), 0
@@ -150,7 +150,13 @@ class MessageLog:
     def names_at(self, name: str) -> Sequence[str]:
         """Return the names that stood at the place that a name gives by its index; empty if it gives none."""
         one = self.fields[name]
-        return self.places.get(one.whole, {}).get(one.place, ()) if isinstance(one.place, int) else ()
+        place = self._place(one)
+        return self.places.get(one.whole, {}).get(place, ()) if isinstance(place, int) else ()
+
+    def _place(self, one: _Field) -> Place | None:
+        """Return the place of a field; a name counts first: drivers name motors by numbers."""
+        is_name = isinstance(one.place, int) and str(one.place) in self.series.get(one.whole, {})
+        return str(one.place) if is_name else one.place
 
     def describe(self) -> tuple[ColumnInfo, ...]:
         """Describe all fields that were read; items of lists have their names where they have any."""
@@ -175,7 +181,7 @@ class MessageLog:
     def _series(self, one: _Field) -> Series:
         """Return the values of a field; those at an index are of the name that first stood there."""
         there = self.series.get(one.whole, {})
-        place = one.place
+        place = self._place(one)
         if isinstance(place, int):
             place = next(iter(self.places.get(one.whole, {}).get(place, ())), place)
         if place in there:
@@ -222,7 +228,8 @@ def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
     empty = next((topic for topic, n in counts.items() if n == 0), None)
     if empty is not None and names is not None:
         raise RobotError(f"{file.path}: topic {empty!r} has no messages; name a topic that was recorded")
-    return MessageLog(file.path, chosen, reader.series, reader.places, start_ns or 0, tuple(file.losses))
+    told = tuple(file.losses)
+    return MessageLog(file.path, chosen, reader.series, reader.places, start_ns or 0, file.topics, told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,10 +332,8 @@ def _step(content: Any, step: str, names: Sequence[str]) -> Any:
         if isinstance(content, Mapping):
             return content.get(step[1:], _ABSENT)
         return getattr(content, step[1:], _ABSENT) if is_dataclass(content) else _ABSENT
-    place = _place(step)
-    if isinstance(place, str):
-        place = names.index(place) if place in names else -1
-    return content[place] if _is_list(content) and 0 <= place < len(content) else _ABSENT
+    place = place_in_list(step, names)
+    return content[place] if _is_list(content) and place is not None and place < len(content) else _ABSENT
 
 
 def _fields_of(content: Any) -> Mapping[str, Any] | None:

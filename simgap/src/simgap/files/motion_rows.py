@@ -8,7 +8,8 @@ import numpy as np
 
 from simgap.arrays import Array, Flags
 from simgap.common.errors import RobotError
-from simgap.files.columns import Column, LogFile
+from simgap.files.columns import Column
+from simgap.files.log_file import LogFile
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit

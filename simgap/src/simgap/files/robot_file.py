@@ -29,15 +29,8 @@ SIGNALS = {
     "secondary": POSITIONS,
     "enabled": (Quantity.FLAG,),
 }
-"""Signals of a joint beside its command, with the quantities that they may have."""
-COMMANDS = {
-    "position": POSITIONS,
-    "velocity": SPEEDS,
-    "torque": EFFORTS,
-    "current": (Quantity.CURRENT,),
-    "voltage": (Quantity.VOLTAGE,),
-}
-"""Quantities of the command by control mode."""
+"""Signals of a joint beside its command, with the quantities that they may have. A mode is the signal that is
+commanded."""
 
 TOPIC_FIELDS = {
     "position": ("position", "rad"),
@@ -144,7 +137,7 @@ class JointTable(Record):
 
     def quantities(self) -> dict[str, tuple[Quantity, ...]]:
         """Return the quantities that each signal may have: where it has two, of a hinge and of a slide."""
-        return {"command": COMMANDS[self.mode], **SIGNALS}
+        return {"command": SIGNALS[self.mode], **SIGNALS}
 
     def is_of_topic(self, column: SignalColumn) -> bool:
         """Tell whether a column is one of the topics, whose units are those of hinge or slide alike."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +9,7 @@ from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml
+from simgap.files.columns import hint_at
 
 
 class SplitTable(Record):
@@ -119,7 +119,4 @@ def _members(names: Sequence[str], members: Sequence[Member], where: str) -> fro
 
 
 def _near(name: str, there: Iterable[str]) -> str:
-    listed = [one for one in there if one]
-    near = get_close_matches(name, listed, 1)
-    shown = ", ".join([*listed[:6], *([".."] if len(listed) > 6 else [])])
-    return f"; did you mean {near[0]!r}?" if near else f"; there are {shown or 'none'}"
+    return f"; {hint_at(name, [one for one in there if one], 'there are')}"

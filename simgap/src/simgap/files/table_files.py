@@ -96,13 +96,13 @@ def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
     except ZIP_ERRORS as error:
         raise RobotError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     if wanted is None:  # a number alone is no column
-        arrays = {name: array for name, array in arrays.items() if array.ndim}
+        arrays = {name: array for name, array in arrays.items() if array.ndim and array.size}
     return open_table(path, {name: _to_arrow(path, name, one) for name, one in arrays.items()}, wanted or ())
 
 
 def _to_arrow(path: Path, name: str, array: NDArray[Any]) -> pa.Array:
     """Convert an array of n dimensions to a column of lists of lists."""
-    if array.ndim == 0 or array.dtype.kind not in "fiubSUM":
+    if array.ndim == 0 or 0 in array.shape[1:] or array.dtype.kind not in "fiubSUM":
         raise RobotError(
             f"{path}: array {name!r} is {array.dtype} of shape {array.shape}; a column needs numbers or "
             "texts in one dimension or more"

@@ -39,12 +39,17 @@ class TableLog:
     units: Mapping[str, str] = field(default_factory=dict)
     """Units, for columns where the file knows them."""
     losses: Sequence[str] = ()
+    """Sentences about parts of the file that could not be read; empty if all of it was."""
     time_column: str = ""
+    """Column of the times, in seconds, unless the robot file names one; empty: none is known."""
     motion_column: str = ""
+    """Column that names the motions, unless the robot file names one; empty: none is known."""
 
     def numbers(self, name: str) -> Column:
         """Return the numbers of a column, timestamps in seconds; an empty cell is no number and no error."""
-        column = self._column(name)
+        return self._numbers(name, self._column(name))
+
+    def _numbers(self, name: str, column: pa.Array) -> Column:
         if pa.types.is_boolean(column.type):
             column = column.cast(pa.uint8())
         if pa.types.is_timestamp(column.type):
@@ -82,7 +87,7 @@ class TableLog:
                 kind = _kind(column.type)
                 unit = self.units.get(base, "")
                 if kind in ("number", "flag", "time"):
-                    found.append(describe_numbers(name, self.numbers(name), kind, unit, rate_Hz))
+                    found.append(describe_numbers(name, self._numbers(name, column), kind, unit, rate_Hz))
                 else:
                     found.append(ColumnInfo(name, kind, len(column) - column.null_count, rate_Hz))
         return tuple(found)

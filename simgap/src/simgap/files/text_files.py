@@ -23,16 +23,7 @@ MAX_BYTES: Final = (1 << 31) - 1
 SAMPLE_BYTES: Final = 1 << 20
 N_SAMPLE: Final = 50
 """Rows by which the separator is found: a few suffice, but the first ones may have empty cells."""
-FORMS: Final = (
-    (",", "."),
-    (";", "."),
-    ("\t", "."),
-    ("|", "."),
-    (" ", "."),
-    (";", ","),
-    ("\t", ","),
-    (" ", ","),
-)
+FORMS: Final = (*((one, ".") for one in ",;\t| "), *((one, ",") for one in ";\t "))
 """Separators and decimal characters that are tried; of those that fit alike the first is taken."""
 NUMBER: Final = re.compile(
     r"\s*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|nan|inf)\s*", re.IGNORECASE
@@ -70,8 +61,6 @@ def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], giv
     if form.separator == " ":  # aligned columns have several spaces
         data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
     there = form.header or [f"{PLACE}[{k}]" for k in range(form.n_columns)]
-    if wanted is not None and form.header is None and (wrong := [one for one in wanted if one not in there]):
-        raise missing_column(path, wrong[0], there)
     chosen = there if wanted is None else _exact(path, wanted, there)
     bad: list[pacsv.InvalidRow] = []
 
@@ -205,5 +194,7 @@ def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
         try:
             columns[name] = pa.array([row.get(name) for row in rows])
         except (pa.ArrowException, OverflowError) as error:
-            raise RobotError(f"{path}: {name!r}: has values of several kinds: {error}") from error
+            raise RobotError(
+                f"{path}: {name!r} has values of several kinds; give it numbers or texts alone"
+            ) from error
     return open_table(path, columns, wanted or (), losses=losses)

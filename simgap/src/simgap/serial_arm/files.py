@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml, toml_text
-from simgap.files.columns import LogFile
-from simgap.files.log_file import open_log
+from simgap.files.log_file import LogFile, open_log
 from simgap.files.robot_file import CsvTable, Text
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
 from simgap.serial_arm.model import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector

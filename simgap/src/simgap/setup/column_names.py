@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from simgap.files.robot_file import SIGNALS
 from simgap.units import UNITS, Quantity
 
-WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+WORD: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_A-Za-z]+")
+"""Words in camel case, numbers, and letters of other alphabets."""
 
 
 def _words(text: str) -> frozenset[str]:
@@ -24,25 +26,28 @@ SIGNAL_WORDS: Final = {
     "gain": _words("kp gain"),
     "velocity": _words("velocity velocities vel speed qvel qd dq v"),
     "torque": _words("torque torques tau effort efforts trq force"),
-    "current": _words("current currents cur i"),
     "voltage": _words("voltage"),
     "temperature": _words("temperature temp"),
     "position": _words("position positions pos angle angles qpos q p encoder"),
+    "current": _words("current currents cur i"),
 }
-"""Words of each signal."""
+"""Words of each signal, the surest first: the current position is no current."""
 MEASURED: Final = _words("state act actual present measured meas")
 """Words of a position, if no other word and no letter says a signal."""
 SECONDARY: Final = _words("secondary se second output link")
 TIMES: Final = ("t", "time", "timestamp", "stamp", "clock")
 REPEATS: Final = _words("repeat repeats repetition repeated")
 MOTIONS: Final = ("motion", "episode", "trial", "run", "log", "trajectory", "experiment", "segment")
-UNCLEAR: Final = _words("raw rel simple load error err kd ki std header")
+UNCLEAR: Final = _words(
+    "raw rel simple load error err kd ki std header acceleration accelerations accel acc ddq qdd qacc jerk"
+)
 """Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""
 UNIT_WORDS: Final = {
     "degrees": "deg",
     "degree": "deg",
     "radians": "rad",
     "radian": "rad",
+    "turns": "turn",
     "counts": "count",
     "ticks": "count",
     "amps": "a",
@@ -53,17 +58,8 @@ UNIT_WORDS: Final = {
     "nanoseconds": "ns",
 }
 SIGNAL_OF: Final = {
-    Quantity.ANGLE: "position",
-    Quantity.LENGTH: "position",
-    Quantity.SPEED: "velocity",
-    Quantity.LINEAR_SPEED: "velocity",
-    Quantity.TORQUE: "torque",
-    Quantity.FORCE: "torque",
-    Quantity.CURRENT: "current",
-    Quantity.VOLTAGE: "voltage",
-    Quantity.TEMPERATURE: "temperature",
-    Quantity.TIME: "time",
-}
+    quantity: key for key, own in SIGNALS.items() if key not in ("secondary", "enabled") for quantity in own
+} | {Quantity.TIME: "time"}
 """Signal that a unit of a quantity belongs to."""
 
 
@@ -125,8 +121,11 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
         if signal != of_unit and len(unit) == 1:
             unit, there = "", own  # a single letter is more often part of a name
             signal = _find_signal(there)
+        elif signal == "velocity" and of_unit == "position":
+            unit = f"{unit}/s"  # deg is short for deg/s
         else:
             signal = of_unit
+        unit = unit if unit in UNITS and unit != "count/s" else ""  # which needs the counts of a turn
     is_command = bool(COMMAND & set(there))
     key = "command" if is_command else signal
     if key == "position" and SECONDARY & set(there):

@@ -16,12 +16,12 @@ from simgap.checks.units import speed_ratio
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
 from simgap.common.toml import parse_record
-from simgap.files.columns import ColumnInfo, LogFile
-from simgap.files.log_file import open_log, open_whole
-from simgap.files.robot_file import CsvTable, RobotFile
+from simgap.files.columns import ColumnInfo
+from simgap.files.log_file import LogFile, open_whole
+from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
-from simgap.mjcf import joint_name, read_model_text, tied_joints
+from simgap.mjcf import joint_name, joints_of_tendon, read_model_text, tied_joints
 from simgap.robot import Robot
 from simgap.setup.column_names import split_words
 from simgap.setup.draft import Draft
@@ -78,16 +78,20 @@ def draft_robot_file(
         there = ", ".join(one.name for one in columns)
         raise RobotError(
             f"{log_paths[0]}: no column is a position of {', '.join(names)} by its name; it has {there}"
+            + "".join(f"; {question}" for question in matches.questions)
         )
-    by_joint = _name_commands(matches.by_joint, log_paths, model)
+    by_joint = _name_commands(matches.by_joint, opened, model)
     draft = Draft()
     _write_head(draft, model_path, path, model, times)
     for question in matches.questions:
         draft.ask(question, "joints")
-    draft.content["joints"] = {joint: _mode_of(draft, joint, own) for joint, own in by_joint.items()}
+    by_joint = _without_followers(draft, model, by_joint)
+    draft.content["joints"] = {
+        joint: _head_of_joint(draft, model, joint, own) for joint, own in by_joint.items()
+    }
     of_lerobot = all(any(one.name.startswith(f"{name}[") for one in columns) for name in LEROBOT)
     grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
-    _write_columns(draft, log_paths, model, by_joint, unit, grippers)
+    _write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
     unknown = set_unknown_gains(draft, model, path)
     progress(2, 4, "comparing signals")
@@ -175,7 +179,7 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
     name = _name_of(model) or model_path.stem
     draft.content = {
         "name": name,
-        "model": os.path.relpath(model_path, path.parent),
+        "model": Path(os.path.relpath(model_path, path.parent)).as_posix(),
         "time_step_s": float(f"{1.0 / rate_Hz / n_steps:.9g}"),
         "control_rate_Hz": rate_Hz,
     }
@@ -201,19 +205,52 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
         draft.reasons["motion",] = times.reasons["motion"]
 
 
-def _mode_of(draft: Draft, joint: str, own: Mapping[str, Match]) -> dict[str, Any]:
-    """Return the first key of a joint: what is commanded."""
-    command = own.get("command")
+def _without_followers(
+    draft: Draft, model: mujoco.MjModel, by_joint: Mapping[str, Mapping[str, Match]]
+) -> dict[str, Mapping[str, Match]]:
+    """Take away joints that have no command and follow a driven one in the model, as fingers do."""
+    leaders = [joint for joint, own in by_joint.items() if "command" in own]
+    leaders += [joint for joint in _driven(model) if joint not in by_joint]
+    kept = dict(by_joint)
+    for joint in by_joint.keys() - set(leaders):
+        tied = [one for one in leaders if one in tied_joints(model, model.joint(joint).id)]
+        if tied:
+            del kept[joint]
+            draft.reasons["joints", tied[0]] = f"{joint} has no command and follows it: it needs no table"
+    return kept
+
+
+def _head_of_joint(
+    draft: Draft, model: mujoco.MjModel, joint: str, own: Mapping[str, Match]
+) -> dict[str, Any]:
+    """Return the first keys of a joint: what is commanded, and what its mode needs."""
+    command, key = own.get("command"), ("joints", joint)
+    mode = "position" if command is None else command.name.signal
+    table: dict[str, Any] = {"mode": mode}
+    voltage = own.get("voltage")
+    if command is None and voltage is not None and (voltage.info.lowest or 0.0) < 0.0:
+        draft.ask(f"{voltage.info.name} goes below 0, which no supply does: is it the command?", *key, "mode")
     if command is None:
-        draft.ask("no command was found; is the joint told a position?", "joints", joint, "mode")
-        return {"mode": "position"}
-    draft.reasons["joints", joint, "mode"] = f"the command {command.info.name} is a {command.name.signal}"
-    return {"mode": command.name.signal}
+        draft.ask("no command was found; is the joint told a position?", *key, "mode")
+    else:
+        draft.reasons[*key, "mode"] = f"the command {command.info.name} is a {mode}"
+    at_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (
+        model.actuator_trnid[:, 0] == model.joint(joint).id
+    )
+    drives = sorted(np.flatnonzero(at_joint), key=lambda k: model.actuator_biasprm[k, 1])  # stiffest first
+    names = [model.actuator(int(k)).name for k in drives]
+    if len(names) > 1 and all(names):
+        table["actuator"] = names[0]
+        draft.ask(f"which actuator has the command: {', '.join(names)}?", *key, "actuator")
+    if mode == "current" and not np.any(model.actuator_dyntype[drives] == mujoco.mjtDyn.mjDYN_DCMOTOR):
+        table["torque_constant_Nm_A"] = 1.0
+        draft.ask("what torque at the joint is 1 A? 1 stands for it", *key, "torque_constant_Nm_A")
+    return table
 
 
 def _name_commands(
-    by_joint: Mapping[str, Mapping[str, Match]], paths: Sequence[Path], model: mujoco.MjModel
-) -> dict[str, dict[str, Match]]:
+    by_joint: Mapping[str, Mapping[str, Match]], logs: Sequence[LogFile], model: mujoco.MjModel
+) -> dict[str, Mapping[str, Match]]:
     """Return the columns with the signal of commands that are only called so, such as `ctrl`.
 
     It is a position, unless the model has a motor at the joint and the position does not follow.
@@ -231,15 +268,14 @@ def _name_commands(
         if command is None or command.name.signal:
             continue
         names = command.info.name, own["position"].info.name
-        is_torque = joint in motors and not any(_follows(path, *names) for path in paths)
+        is_torque = joint in motors and not any(_follows(one, *names) for one in logs)
         name = replace(command.name, signal="torque" if is_torque else "position")
         own["command"] = replace(command, name=name)
-    return found
+    return {**found}
 
 
-def _follows(path: Path, command: str, position: str) -> bool:
+def _follows(log: LogFile, command: str, position: str) -> bool:
     """Return whether a position stays near a command: within half of its scatter."""
-    log = open_log(path, (command, position), (), CsvTable())
     sent, found = log.numbers(command).value, log.numbers(position).value
     if sent.size != found.size:
         return False
@@ -249,7 +285,7 @@ def _follows(path: Path, command: str, position: str) -> bool:
 
 def _write_columns(
     draft: Draft,
-    paths: Sequence[Path],
+    logs: Sequence[LogFile],
     model: mujoco.MjModel,
     by_joint: Mapping[str, Mapping[str, Match]],
     unit: str,
@@ -258,10 +294,8 @@ def _write_columns(
     """Write the columns of all joints with their units."""
     slides = {joint: model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE for joint in by_joint}
     values = {}
-    names = [own["position"].info.name for own in by_joint.values()]
-    logs = [open_log(path, names, (), CsvTable()) for path in paths]
-    for joint, name in zip(by_joint, names, strict=True):
-        value = np.concatenate([log.numbers(name).value for log in logs])
+    for joint, match in by_joint.items():
+        value = np.concatenate([log.numbers(match["position"].info.name).value for log in logs])
         known = model.joint(joint)
         limits = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
         values[joint] = describe_values(value, (float(limits[0]), float(limits[1])), slides[joint])
@@ -298,16 +332,16 @@ def _unit_of(one: Match, signal: str, position: UnitGuess, measured: Match, is_s
 
 def _leave_out(draft: Draft, model: mujoco.MjModel) -> None:
     """Leave out joints that commands drive, or that are free, and that no column shows."""
-    named = draft.content["joints"]
-    free = [k for k in range(model.njnt) if model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE]
-    silent = [model.joint(name).id for name in _driven(model) if name not in named]
-    names = dict.fromkeys(
-        [joint_name(model, k) for k in free] + [name for k in silent for name in tied_joints(model, k)]
-    )
-    out = [name for name in names if name not in named]
+    named = draft.content["joints"].keys()
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    driven = [model.joint(name).id for name in _driven(model)]
+    for k in np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON):
+        driven += joints_of_tendon(model, int(model.actuator_trnid[k, 0]))
+    groups = [[joint_name(model, int(k))] for k in free] + [tied_joints(model, k) for k in driven]
+    out = dict.fromkeys(name for group in groups if not named & set(group) for name in group)
     if out:
-        draft.content = {"left_out": out, **draft.content}
-        draft.content = {key: draft.content[key] for key in ("name", "model", "left_out")} | draft.content
+        head = {key: draft.content.pop(key) for key in ("name", "model")}
+        draft.content = {**head, "left_out": [*out], **draft.content}
         draft.reasons["left_out",] = "no column shows them: they stand where the model has them"
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ from simgap.common.toml import parse_record
 from simgap.drives import read_drive
 from simgap.files.robot_file import RobotFile
 from simgap.logs import Logs
-from simgap.robot import ControlMode, Robot, gravity_amplitudes
+from simgap.robot import ControlMode, Robot, gravity_amplitudes, has_torque
 from simgap.setup.draft import Draft
 
 BANDWIDTH_Hz: Final = 5.0
@@ -27,35 +27,28 @@ MOTOR_SIDE: Final = 10.0
 
 
 def set_unknown_gains(draft: Draft, model: mujoco.MjModel, path: Path) -> list[str] | None:
-    """Set a torque constant that is needed, and a gain of 1 where positions are compared and none is known.
+    """Set a gain of 1 where positions are compared and none is known, and guess that of a velocity loop.
 
     Returns:
         These joints; None where torques are compared.
     """
     file = parse_record(RobotFile, draft.content, path)
-    for joint, table in file.joints.items():
-        drive = read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
-        if table.mode == "current" and drive.torque_constant_Nm_A is None:
-            draft.joint(joint)["torque_constant_Nm_A"] = 1.0
-            key = ("joints", joint, "torque_constant_Nm_A")
-            draft.ask("what torque at the joint is 1 A? The model has none, and 1 is no guess", *key)
-    if all(table.command is None or table.torque is not None for table in file.joints.values()):
+    drives = {
+        joint: read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
+        for joint, table in file.joints.items()
+    }
+    if all(has_torque(table, drives[joint]) for joint, table in file.joints.items()):
         return None
     unknown = []
     for joint, table in file.joints.items():
-        drive = read_drive(table, model, model.joint(joint).id, f"{path}: joints.{joint}")
-        own = draft.joint(joint)
+        drive, own = drives[joint], draft.joint(joint)
         if table.mode == "position" and (drive.kp_Nm_rad == 0.0 or table.gain_column):
             own["kp_Nm_rad"] = 1.0
             unknown.append(joint)
         elif table.mode == "velocity" and drive.kd_Nms_rad == 0.0:
-            own["kd_Nms_rad"] = _inertia(model, joint) * 2.0 * math.pi * BANDWIDTH_Hz
-            draft.ask(
-                "what is the gain of the velocity loop? This is a guess, for 5 Hz",
-                "joints",
-                joint,
-                "kd_Nms_rad",
-            )
+            own["kd_Nms_rad"] = float(f"{_inertia(model, joint) * math.tau * BANDWIDTH_Hz:.3g}")
+            question = f"what is the gain of the velocity loop? This is a guess, for {BANDWIDTH_Hz:g} Hz"
+            draft.ask(question, "joints", joint, "kd_Nms_rad")
     return unknown
 
 
@@ -74,7 +67,9 @@ def sag_gains(robot: Robot, logs: Logs) -> dict[str, float]:
     rest, found = find_rest(robot, logs.motions), {}
     for place, joint in enumerate(rest.joints):
         law = fit_static_law(robot, logs.motions, rest, place, np.zeros(rest.time_s.size, np.bool_))
-        if law is not None and law.weight[0] > 0.0 and _correlation(law.error, law.load_Nm) > SHOWS_SAG:
+        if law is None or law.weight[0] <= 0.0 or min(np.ptp(law.error), np.ptp(law.load_Nm)) == 0.0:
+            continue
+        if np.corrcoef(law.error, law.load_Nm)[0, 1] > SHOWS_SAG:
             found[joint] = 1.0 / float(law.weight[0])
     return found
 
@@ -103,23 +98,18 @@ def estimate_gain(draft: Draft, robot: Robot, logs: Logs, joint: str, sag: float
     table, key = draft.joint(joint), ("joints", joint, "kp_Nm_rad")
     unit = "N/m" if robot.joint(joint).is_slide else "N m/rad"
     of_column = " for a gain of 1" if "gain_column" in table else ""
+    draft.ask(f"what is the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
     if sag is not None:
         table["kp_Nm_rad"] = float(f"{sag:.3g}")
         draft.reasons[key] = f"by how far the joint sags under gravity{of_column}"
-        draft.ask(f"is this the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
         return
     gains = [motion.gain.get(joint, 1.0) for motion in logs.motions]
-    inertia, rate = _inertia(robot.model, joint), 2.0 * math.pi * BANDWIDTH_Hz
+    inertia, rate = _inertia(robot.model, joint), math.tau * BANDWIDTH_Hz
     table["kp_Nm_rad"] = float(f"{inertia * rate**2 / float(np.median(gains)):.3g}")
     draft.reasons[key] = f"a guess{of_column}: {BANDWIDTH_Hz:g} Hz with the inertia of the model"
-    draft.ask(f"what is the gain of the servo in {unit}{of_column}, and what is its damping?", *key)
     if not of_column:
         table["kd_Nms_rad"] = float(f"{2.0 * inertia * rate:.3g}")
         draft.reasons["joints", joint, "kd_Nms_rad"] = "a guess: critical damping"
-
-
-def _correlation(first: Any, second: Any) -> float:
-    return float(np.corrcoef(first, second)[0, 1]) if min(np.ptp(first), np.ptp(second)) > 0.0 else 0.0
 
 
 def ask_about_torques(draft: Draft, robot: Robot, logs: Logs) -> None:
@@ -129,11 +119,9 @@ def ask_about_torques(draft: Draft, robot: Robot, logs: Logs) -> None:
         table, unit = draft.joint(joint.name), joint.effort_unit
         by_torque = "torque" in table
         if not by_torque and joint.mode.value == "position" and math.isinf(joint.torque_limit_Nm):
-            draft.ask(
-                f"what is the largest torque of the motor? torque_limit_Nm = .. [{unit}]",
-                "joints",
-                joint.name,
-            )
+            effort = "force" if joint.is_slide else "torque"
+            question = f"what is the largest {effort} of the motor? torque_limit_Nm = .. [{unit}]"
+            draft.ask(question, "joints", joint.name)
         if "current" in table and not by_torque and math.isnan(joint.torque_constant_Nm_A):
             draft.ask(
                 f"what {unit} at the joint is 1 A? torque_constant_Nm_A = .. lets torques be compared; "

@@ -10,8 +10,6 @@ from simgap.setup.column_names import ColumnName, parse_name
 
 MODES: Final = ("position", "velocity", "torque", "current", "voltage")
 """Signals that may be commanded; where a log has several, the first is what the outer loop was told."""
-
-
 MOVING: Final = ("secondary", "velocity", "torque", "current")
 """Signals that are absent where they are constant: drivers fill their columns with zeros."""
 FREE_BASE: Final = (6, 7)
@@ -29,7 +27,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Columns by joint and key, the names of all columns that could be a signal, and doubts."""
+    """Columns by joint and key, and doubts."""
 
     by_joint: Mapping[str, Mapping[str, Match]]
     questions: tuple[str, ...]
@@ -49,8 +47,8 @@ def match_columns(
     numbered: dict[str, list[tuple[ColumnInfo, ColumnName]]] = defaultdict(list)
     for info in columns:
         name = parse_name(info.name, joints)
-        if info.name in others or info.kind not in ("number", "flag") or not name.key:
-            continue
+        if info.name in others or info.lowest is None or info.kind == "time" or not name.key:
+            continue  # a column that never has a number is one that a driver does not fill
         if name.key in MOVING and info.lowest == info.highest:
             continue
         if name.joint:
@@ -65,14 +63,17 @@ def match_columns(
         group.sort(key=lambda pair: pair[1].index)
         if len(group) - len(joints) in FREE_BASE:
             group = group[-len(joints) :]
+        stem = group[0][0].name.rstrip("0123456789[]").rstrip("._/")
         by_actuator = group[0][1].key == "command" or len(group) != len(joints)
         order = driven if by_actuator and len(group) == len(driven) else joints
         if len(group) != len(order):
-            questions[_count_question(group[0][0].name, len(group), joints)] = None
+            names = ", ".join(joints)
+            question = f"{stem} has {len(group)} numbers, the model has the joints {names}: which is which?"
+            questions[question] = None
         if len(group) > len(order):
             continue
         taken = order[: len(group)]
-        ordered[tuple(taken)].append(_stem(group[0][0].name))
+        ordered[tuple(taken)].append(stem)
         for joint, (info, name) in zip(taken, group, strict=True):
             found[joint, name.key].append(Match(info, name, "by order"))
     for taken, stems in ordered.items():
@@ -91,13 +92,3 @@ def _rank(one: Match) -> tuple[int, int, int]:
     """Order columns of one key: what the outer loop was told first, then sure names, then short ones."""
     order = (*MODES, "").index(one.name.signal) if one.name.key == "command" else 0
     return order, ("by name", "the model has one joint", "by order").index(one.reason), len(one.info.name)
-
-
-def _stem(name: str) -> str:
-    """Return the name of a list or of numbered columns, without the number at its end."""
-    return name.rstrip("0123456789[]").rstrip("._/")
-
-
-def _count_question(name: str, count: int, joints: Sequence[str]) -> str:
-    stem = _stem(name)
-    return f"{stem} has {count} numbers, the model has the joints {', '.join(joints)}: which is which?"

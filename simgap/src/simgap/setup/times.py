@@ -9,7 +9,8 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import ColumnInfo, LogFile
+from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz
+from simgap.files.log_file import LogFile
 from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
 
@@ -43,50 +44,47 @@ def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
     Raises:
         RobotError: no column has times, or they begin anew and no column says where.
     """
-    if log.time_column:
-        rate_Hz = next((one.rate_Hz for one in columns if one.rate_Hz), None) or math.nan
-        return Times("", "s", (), "", rate_Hz, {})
     rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
-    if rates:  # messages, which have their own times
+    if rates:  # the file knows its times
         return Times("", "s", (), "", float(np.median(rates)), {})
-    named = [one for one in columns if one.kind in ("number", "time") and _is_time(one.name)]
-    clocks = {one.name: log.numbers(one.name).value for one in named}
-    clocks = {name: clock for name, clock in clocks.items() if clock.size > 2 and _usual_step(clock) > 0.0}
-    if not clocks:
+    kinds = {one.name: one.kind for one in columns if _is_time(one, "number", "time")}
+    clocks = {name: log.numbers(name).value for name in kinds}
+    going = [name for name, clock in clocks.items() if 2 * np.sum(np.diff(clock) > 0.0) > clock.size - 1]
+    if not going:
         raise RobotError(f"{log.path}: {_why_no_clock(columns)}")
-    halves = [one for one in clocks if set(split_words(one)) & NANOSECONDS]
-    if halves and len(clocks) < len(named):
+    if len(going) < len(kinds) and any(set(split_words(one)) & NANOSECONDS for one in going):
         raise RobotError(
-            f"{log.path}: the time is in two columns, {' and '.join(one.name for one in named)}; write one, "
+            f"{log.path}: the time is in two columns, {' and '.join(kinds)}; write one, "
             "seconds plus 1e-9 nanoseconds"
         )
-    name = min(clocks, key=len)
-    clock = clocks[name]
-    unit = parse_name(name, ()).unit
-    unit, said = (
-        (unit, f"its name ends in {unit}")
-        if unit in ("s", "ms", "us", "ns")
-        else _fit_unit(_usual_step(clock), next(one.kind for one in named if one.name == name))
-    )
+    name = min(going, key=len)
+    clock, rate = clocks[name], median_rate_Hz(clocks[name])
+    assert rate is not None
+    unit, said = _time_unit(name, kinds[name], rate)
     motions, repeat, why = _find_motions(log, columns, name, clock)
-    rate_Hz = 1.0 / (_usual_step(clock) * UNITS[unit].factor)
     reasons = {"time": said} | ({"motion": why} if motions else {})
-    return Times(name, unit, motions, repeat, rate_Hz, reasons)
+    return Times(name, unit, motions, repeat, rate / UNITS[unit].factor, reasons)
+
+
+def _is_time(one: ColumnInfo, *kinds: Kind) -> bool:
+    return one.kind in kinds and bool(set(split_words(one.name)) & set(TIMES))
 
 
 def _why_no_clock(columns: Sequence[ColumnInfo]) -> str:
     """Return why no column is taken for the time, and what would be right."""
-    named = [one for one in columns if _is_time(one.name) and one.kind in ("number", "time")]
-    texts = [one for one in columns if _is_time(one.name) and one.kind == "text"]
-    if named:
+    clock = next((one for one in columns if _is_time(one, "number", "time")), None)
+    if clock is not None and clock.n_samples < 2:
+        return f"the time {clock.name!r} has {clock.n_samples} value; a log needs several"
+    if clock is not None:
         return (
-            f"the time {named[0].name!r} stands still in most rows: are rows twice, or has it too few "
-            "digits, as seconds since 1970 in single precision?"
+            f"the time {clock.name!r} stands still in most rows: are rows twice, or has it too few digits, "
+            "as seconds since 1970 in single precision?"
         )
-    if texts:
+    text = next((one.name for one in columns if _is_time(one, "text")), "")
+    if text:
         return (
-            f"the time {texts[0].name!r} holds texts: remove rows that are no numbers, such as one of units, "
-            "or write seconds"
+            f"the time {text!r} holds texts: remove rows that are no numbers, such as one of units, or write "
+            "seconds"
         )
     if all(one.name.startswith("column[") for one in columns):
         return "its columns have no names; write them in the first row, such as t and position_elbow"
@@ -94,22 +92,17 @@ def _why_no_clock(columns: Sequence[ColumnInfo]) -> str:
     return f"no column is a time by its name (such as t, time_s or timestamp); it has {there}"
 
 
-def _is_time(name: str) -> bool:
-    return any(word in TIMES for word in split_words(name))
+def _time_unit(name: str, kind: Kind, rate: float) -> tuple[str, str]:
+    """Return the unit of a clock, of its name or that in which its rate is most usual, and why.
 
-
-def _usual_step(clock: Array) -> float:
-    """Return the median of the steps forward; 0 without any."""
-    steps = np.diff(clock)
-    steps = steps[steps > 0.0]
-    return float(np.median(steps)) if 2 * steps.size > clock.size else 0.0
-
-
-def _fit_unit(step: float, kind: str) -> tuple[str, str]:
-    """Return the unit of time in which the rate of the log is most usual, and why."""
+    Args:
+        rate: Samples in one of the unit that is looked for.
+    """
     if kind == "time":
         return "s", "dates are read as seconds"
-    rates = {unit: 1.0 / (step * UNITS[unit].factor) for unit in ("s", "ms", "us", "ns")}
+    rates = {unit: rate / UNITS[unit].factor for unit in ("s", "ms", "us", "ns")}
+    if (named := parse_name(name, ()).unit) in rates:
+        return named, f"its name ends in {named}"
     unit = min(rates, key=lambda one: abs(math.log(rates[one] / USUAL_Hz)))
     return unit, f"so that the log has {rates[unit]:.4g} samples a second"
 

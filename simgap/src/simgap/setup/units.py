@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from simgap.checks.units import CLOSE
+from simgap.checks.units import CLOSE, is_near
+from simgap.files.robot_file import SIGNALS
 from simgap.units import UNITS
 
-TURN_RAD: Final = 2.0 * math.pi
 COUNTS: Final = 4096
 """Counts of a turn of most bus servos."""
 WHOLE: Final = 30.0
@@ -20,15 +20,6 @@ PERCENT: Final = 100.5
 """Largest position in percent of a range, with rounding."""
 SPEEDS: Final = ("rad/s", "deg/s", "rpm", "turn/s")
 LINEAR_SPEEDS: Final = ("m/s", "mm/s")
-SI: Final = {
-    "velocity": ("rad/s", "m/s"),
-    "torque": ("N m", "N"),
-    "current": ("A", "A"),
-    "voltage": ("V", "V"),
-    "temperature": ("degC", "degC"),
-    "enabled": ("flag", "flag"),
-}
-"""Units of a hinge and of a slide that are taken where nothing says another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +119,7 @@ def _fits(values: Sequence[Values], factor: float) -> bool:
     """Return whether values lie within the ranges of the model, and a hinge without limits within a turn."""
     for one in values:
         ends = [abs(end) for end in one.range_rad]
-        allowed = max(ends) if math.isfinite(max(ends)) else TURN_RAD
+        allowed = max(ends) if math.isfinite(max(ends)) else math.tau
         if max(abs(one.low), abs(one.high)) * factor > CLOSE * allowed:
             return False
     return True
@@ -144,12 +135,14 @@ def guess_speed_unit(ratios: Sequence[float], is_slide: bool) -> str:
 
 def fits_speed(ratio: float, unit: str) -> bool:
     """Return whether a logged velocity in a unit is this ratio times the true one."""
-    return ratio > 0.0 and abs(math.log(ratio * UNITS[unit].factor)) < math.log(CLOSE)
+    return is_near(ratio * UNITS[unit].factor, 1.0)
 
 
 def si_unit(key: str, is_slide: bool) -> UnitGuess:
-    """Return the unit that is taken for a signal where nothing says another."""
-    return UnitGuess(SI[key][is_slide], "nothing in the log says another unit")
+    """Return the unit that is taken for a signal where nothing says another: the first of its quantity."""
+    quantity = SIGNALS[key][-1 if is_slide else 0]
+    unit = next(name for name, one in UNITS.items() if one.quantity is quantity)
+    return UnitGuess(unit, "nothing in the log says another unit")
 
 
 def describe_values(value: np.ndarray[Any, Any], range_rad: tuple[float, float], is_slide: bool) -> Values:
