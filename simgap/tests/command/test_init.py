@@ -49,14 +49,16 @@ def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ","
     return path
 
 
-def start(folder: Path, log: str = "log.csv") -> tuple[dict, dict]:
+def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict]:
     """Run `init`; return the robot file and the JSON document. The file passes the check."""
-    done = run_simgap(folder, "init", "model.xml", log, "--json")
+    done = run_simgap(folder, "init", "model.xml", log, "--json", *options)
     assert done.returncode == 0, done.stdout
-    Robot.from_toml(folder / "robot.toml")
-    checked = run_simgap(folder, "check", "robot.toml", log, "--json")
+    document = json.loads(done.stdout)
+    path = folder / document["robot_file"]
+    Robot.from_toml(path)
+    checked = run_simgap(folder, "check", path.name, log, "--json")
     assert checked.returncode == 0, checked.stdout
-    return tomllib.loads((folder / "robot.toml").read_text()), json.loads(done.stdout)
+    return tomllib.loads(path.read_text()), document
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,11 @@ def test_degrees_and_percent_are_a_question(tmp_path):
     write_csv(tmp_path, columns)
     file, document = start(tmp_path)
     assert file["joints"]["elbow"]["position"]["unit"] == "deg"
-    assert any('unit = "percent", at_0_rad = 0, at_1_rad = 2.5' in one for one in document["questions"])
+    assert any("with --unit percent" in one for one in document["questions"])
+    file, document = start(tmp_path, "log.csv", "--out", "percent.toml", "--unit", "percent")
+    percent = {"unit": "percent", "at_0_rad": 0.0, "at_1_rad": 2.5}
+    assert file["joints"]["elbow"]["position"] == {"column": "state_elbow"} | percent
+    assert any("is -100..100 % the range of the model?" in one for one in document["questions"])
 
 
 def test_counts_of_a_servo_are_seen(tmp_path):
@@ -388,7 +394,7 @@ def test_a_log_with_one_row_or_too_many_columns_says_so(tmp_path):
     ("model", "log", "n_questions"),
     [
         ("so101/so101.xml", "so101/so101.parquet", 5),
-        ("kr300/kr300.xml", "kr300/kr300_A.parquet", 2),
+        ("kr300/kr300.xml", "kr300/kr300_A.parquet", 1),
         ("models/robots/pendulum/model.xml", "xl330/xl330.parquet", 3),
     ],
 )

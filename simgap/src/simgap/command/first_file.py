@@ -41,7 +41,7 @@ def write_first_file(request: InitRequest, progress: Progress = no_progress) -> 
     if request.out.exists():
         raise BadRequest(f"out {request.out}: is there already; name another file, or remove it")
     try:
-        draft = draft_robot_file(request.model, request.logs, request.out, progress)
+        draft = draft_robot_file(request.model, request.logs, request.out, request.unit, progress)
     except RobotError as error:
         if str(error).startswith(f"{request.out}: "):  # which is not there yet
             raise RobotError(f"{error}. So no robot file was written for {request.model}") from error

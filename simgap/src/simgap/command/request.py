@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from simgap.common.options import Option, ReportOption
 
@@ -43,6 +43,10 @@ class InitRequest:
     out: Annotated[Path, Option("Robot file that is written.", "ROBOT.toml", suffixes=(".toml",))] = Path(
         "robot.toml"
     )
+    unit: Annotated[
+        Literal["", "rad", "deg", "percent", "count"],
+        Option("Unit of the hinges where no name says it; guessed if not given.", "rad|deg|percent|count"),
+    ] = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,8 @@ def _words(text: str) -> frozenset[str]:
 
 
 COMMAND: Final = _words(
-    "command cmd commanded goal target desired des ref reference setpoint action actions ctrl control c u"
+    "command commands cmd commanded goal target targets desired des ref reference setpoint action actions "
+    "ctrl control c u"
 )
 """Words of a signal that was sent to the robot."""
 SIGNAL_WORDS: Final = {
@@ -74,7 +75,7 @@ class ColumnName:
     index: int
     """That number; -1 if there is none."""
     signal: str
-    """Signal, such as "position"; empty if no word says it."""
+    """Signal, such as "position"; empty if no word says it, as in `action`."""
     is_command: bool
     key: str
     """Key of a joint in the robot file that such a column may have; empty for none."""
@@ -126,7 +127,6 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
             signal = of_unit
         unit = unit if unit in UNITS and unit != "count/s" else ""  # which needs the counts of a turn
     is_command = bool(COMMAND & set(there))
-    signal = signal or ("position" if is_command else "")
     key = "command" if is_command else signal
     if key == "position" and SECONDARY & set(there):
         key = "secondary"

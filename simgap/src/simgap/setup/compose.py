@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ import mujoco
 import numpy as np
 
 from simgap.checks.audit import audit
-from simgap.checks.records import REFUSED, RemarkKind
+from simgap.checks.records import REFUSED, Remark, RemarkKind
 from simgap.checks.units import speed_ratio
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
@@ -24,7 +25,8 @@ from simgap.mjcf import joint_name, joints_of_tendon, read_model_text, tied_join
 from simgap.robot import Robot
 from simgap.setup.column_names import split_words
 from simgap.setup.draft import Draft
-from simgap.setup.gains import ask_about_torques, estimate_gain, set_unknown_gains
+from simgap.setup.gains import ask_about_gains, ask_about_torques, estimate_gain, sag_gains, set_unknown_gains
+from simgap.setup.loops import loop_gains
 from simgap.setup.matching import Match, match_columns
 from simgap.setup.times import Times, find_times
 from simgap.setup.units import (
@@ -40,6 +42,11 @@ JITTER: Final = 0.005
 """Share by which the rate of a log may be off that of its loop: a round number within it is taken."""
 LONGEST_STEP_s: Final = 0.005
 """Longest time step that is taken from a model: servos are stiff."""
+NEAR: Final = 0.5
+"""Scatter of the distance to a command over that of the command, below which a position follows it."""
+LEROBOT: Final = ("action", "observation.state")
+"""Columns of a LeRobot data set with the commands and the positions."""
+GRIPPERS: Final = frozenset(("gripper", "jaw", "finger", "hand"))
 TOOL_WORDS: Final = frozenset(
     ("gripper", "gripperframe", "tool", "tcp", "flange", "attachment", "ee", "pinch")
 )
@@ -48,8 +55,13 @@ KEYS: Final = (*SIGNALS, "temperature", "enabled")
 """Keys of a joint with a column, in the order of the file."""
 
 
-def draft_robot_file(model_path: Path, log_paths: Sequence[Path], path: Path, progress: Progress) -> Draft:
+def draft_robot_file(
+    model_path: Path, log_paths: Sequence[Path], path: Path, unit: str, progress: Progress
+) -> Draft:
     """Draft the robot file that is to be written at a path.
+
+    Args:
+        unit: Unit of hinges whose columns do not say it; empty: it is guessed.
 
     Raises:
         RobotError: model or logs cannot be read, no column fits a joint, or the draft does not read the logs.
@@ -68,29 +80,55 @@ def draft_robot_file(model_path: Path, log_paths: Sequence[Path], path: Path, pr
             f"{log_paths[0]}: no column is a position of {', '.join(names)} by its name; it has {there}"
             + "".join(f"; {question}" for question in matches.questions)
         )
+    by_joint = _name_commands(matches.by_joint, opened, model)
     draft = Draft()
     _write_head(draft, model_path, path, model, times)
     for question in matches.questions:
         draft.ask(question, "joints")
-    by_joint = _without_followers(draft, model, matches.by_joint)
+    by_joint = _without_followers(draft, model, by_joint)
     draft.content["joints"] = {
         joint: _head_of_joint(draft, model, joint, own) for joint, own in by_joint.items()
     }
-    _write_columns(draft, opened, model, by_joint)
+    of_lerobot = all(any(one.name.startswith(f"{name}[") for one in columns) for name in LEROBOT)
+    grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
+    _write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
     unknown = set_unknown_gains(draft, model, path)
     progress(2, 4, "comparing signals")
     robot, logs = _read(draft, path, log_paths)
     _settle_speeds(draft, robot, logs, by_joint)
-    for joint in unknown:
-        estimate_gain(draft, robot, logs, joint)
+    if unknown is not None:
+        sags = sag_gains(robot, logs)
+        ask_about_gains(draft, robot, loop_gains(robot, logs.motions) | sags)
+        for joint in unknown:
+            estimate_gain(draft, robot, logs, joint, sags.get(joint))
     ask_about_torques(draft, robot, logs)
     progress(3, 4, "checking the logs")
     robot, logs = _read(draft, path, log_paths)
     for one in audit(robot, logs).remarks:
-        if one.kind in (*REFUSED, RemarkKind.PAUSE):
+        if "runs against" in one.text:
+            _turn(draft, robot, one)
+        elif one.kind in (*REFUSED, RemarkKind.PAUSE):
             draft.ask(f"the check says: {one.kind}: {one.text}", "joints", *filter(None, [one.joint]))
+    parse_record(RobotFile, draft.content, path)
     return draft
+
+
+def _turn(draft: Draft, robot: Robot, remark: Remark) -> None:
+    """Turn a position round that runs against its command, with its velocity, or a velocity alone."""
+    table, joint = draft.joint(remark.joint), remark.joint
+    key = "velocity" if remark.text.startswith("the velocity") else "position"
+    turned = ("velocity",) if key == "velocity" else ("position", "velocity", "secondary")
+    for one in (table[name] for name in turned if name in table):
+        if "at_1_rad" in one:
+            low, high = robot.range_rad(joint)
+            start, end = one["at_0_rad"], one["at_1_rad"]
+            is_middle = abs(start - (low + high) / 2.0) < 1e-3  # of -100..100, where 0 stays
+            one["at_0_rad"], one["at_1_rad"] = (start, 2.0 * start - end) if is_middle else (end, start)
+        else:
+            one["factor"] = -one.get("factor", 1.0)
+    said = remark.text.partition(":")[0]
+    draft.ask(f"{said}, so it is turned here; or is the other one to be turned?", "joints", joint, key)
 
 
 def _compile(path: Path) -> mujoco.MjModel:
@@ -210,11 +248,48 @@ def _head_of_joint(
     return table
 
 
+def _name_commands(
+    by_joint: Mapping[str, Mapping[str, Match]], logs: Sequence[LogFile], model: mujoco.MjModel
+) -> dict[str, Mapping[str, Match]]:
+    """Return the columns with the signal of commands that are only called so, such as `ctrl`.
+
+    It is a position, unless the model has a motor at the joint and the position does not follow.
+    """
+    found = {joint: dict(own) for joint, own in by_joint.items()}
+    motors = {
+        model.joint(int(model.actuator_trnid[k, 0])).name
+        for k in range(model.nactuator)
+        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE
+        and model.actuator_dyntype[k] == mujoco.mjtDyn.mjDYN_NONE
+    }
+    for joint, own in found.items():
+        command = own.get("command")
+        if command is None or command.name.signal:
+            continue
+        names = command.info.name, own["position"].info.name
+        is_torque = joint in motors and not any(_follows(one, *names) for one in logs)
+        name = replace(command.name, signal="torque" if is_torque else "position")
+        own["command"] = replace(command, name=name)
+    return {**found}
+
+
+def _follows(log: LogFile, command: str, position: str) -> bool:
+    """Return whether a position stays near a command: within half of its scatter."""
+    sent, found = log.numbers(command).value, log.numbers(position).value
+    if sent.size != found.size:
+        return False
+    use = np.isfinite(sent) & np.isfinite(found)
+    return bool(use.any() and np.std(sent[use] - found[use]) < NEAR * np.std(sent[use]))
+
+
 def _write_columns(
     draft: Draft,
     logs: Sequence[LogFile],
     model: mujoco.MjModel,
     by_joint: Mapping[str, Mapping[str, Match]],
+    unit: str,
+    grippers: Sequence[str],
 ) -> None:
     """Write the columns of all joints with their units."""
     slides = {joint: model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE for joint in by_joint}
@@ -224,7 +299,7 @@ def _write_columns(
         known = model.joint(joint)
         limits = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
         values[joint] = describe_values(value, (float(limits[0]), float(limits[1])), slides[joint])
-    positions = guess_position_units(values)
+    positions = guess_position_units(values, unit, grippers)
     for joint, own in by_joint.items():
         table = draft.joint(joint)
         gain = own.get("gain")
@@ -232,8 +307,7 @@ def _write_columns(
             table |= {"gain_column": gain.info.name, "kp_Nm_rad": 1.0}
             draft.reasons["joints", joint, "gain_column"] = "by its name"
         for key in KEYS:
-            is_constant = key in own and own[key].info.lowest == own[key].info.highest
-            if key in own and not (key == "secondary" and is_constant):
+            if key in own:
                 signal = table["mode"] if key == "command" else "position" if key == "secondary" else key
                 guess = _unit_of(own[key], signal, positions[joint], own["position"], slides[joint])
                 table[key] = {"column": own[key].info.name, "unit": guess.unit, **guess.keys}

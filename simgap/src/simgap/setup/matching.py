@@ -10,6 +10,10 @@ from simgap.setup.column_names import ColumnName, parse_name
 
 MODES: Final = ("position", "velocity", "torque", "current", "voltage")
 """Signals that may be commanded; where a log has several, the first is what the outer loop was told."""
+MOVING: Final = ("secondary", "velocity", "torque", "current")
+"""Signals that are absent where they are constant: drivers fill their columns with zeros."""
+FREE_BASE: Final = (6, 7)
+"""Numbers of a free base before those of the joints: of its velocity and its position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,8 @@ def match_columns(
         name = parse_name(info.name, joints)
         if info.name in others or info.lowest is None or info.kind == "time" or not name.key:
             continue  # a column that never has a number is one that a driver does not fill
+        if name.key in MOVING and info.lowest == info.highest:
+            continue
         if name.joint:
             found[name.joint, name.key].append(Match(info, name, "by name"))
         elif len(joints) == 1:
@@ -55,8 +61,11 @@ def match_columns(
     ordered: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for group in numbered.values():
         group.sort(key=lambda pair: pair[1].index)
+        if len(group) - len(joints) in FREE_BASE:
+            group = group[-len(joints) :]
         stem = group[0][0].name.rstrip("0123456789[]").rstrip("._/")
-        order = driven if len(group) == len(driven) else joints
+        by_actuator = group[0][1].key == "command" or len(group) != len(joints)
+        order = driven if by_actuator and len(group) == len(driven) else joints
         if len(group) != len(order):
             names = ", ".join(joints)
             question = f"{stem} has {len(group)} numbers, the model has the joints {names}: which is which?"
@@ -81,5 +90,5 @@ def match_columns(
 
 def _rank(one: Match) -> tuple[int, int, int]:
     """Order columns of one key: what the outer loop was told first, then sure names, then short ones."""
-    order = MODES.index(one.name.signal) if one.name.key == "command" else 0
+    order = (*MODES, "").index(one.name.signal) if one.name.key == "command" else 0
     return order, ("by name", "the model has one joint", "by order").index(one.reason), len(one.info.name)

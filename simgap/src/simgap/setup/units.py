@@ -15,6 +15,9 @@ COUNTS: Final = 4096
 """Counts of a turn of most bus servos."""
 WHOLE: Final = 30.0
 """Range of whole numbers from which they are counts: a log in whole degrees shows no error of a servo."""
+TOLD: Final = "as --unit says"
+PERCENT: Final = 100.5
+"""Largest position in percent of a range, with rounding."""
 SPEEDS: Final = ("rad/s", "deg/s", "rpm", "turn/s")
 LINEAR_SPEEDS: Final = ("m/s", "mm/s")
 
@@ -41,14 +44,50 @@ class UnitGuess:
     question: str = ""
 
 
-def guess_position_units(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
-    """Guess the unit of positions without one in their names, one for all hinges and one for all slides."""
-    found: dict[str, UnitGuess] = {}
+def guess_position_units(
+    values: Mapping[str, Values], unit: str = "", grippers: Sequence[str] = ()
+) -> dict[str, UnitGuess]:
+    """Guess the unit of positions without one in their names, one for all hinges and one for all slides.
+
+    Args:
+        values: Logged positions by joint.
+        unit: Unit of the hinges, as the user gives it; empty: it is guessed.
+        grippers: Joints of LeRobot that are logged in percent of their range, whatever the others are.
+    """
+    found = {joint: _percent(values[joint], 0.0, "LeRobot has grippers in percent") for joint in grippers}
     for is_slide in (False, True):
-        own = {joint: one for joint, one in values.items() if one.is_slide == is_slide}
-        if own:
+        own = {joint: one for joint, one in values.items() if one.is_slide == is_slide and joint not in found}
+        if own and unit == "count" and not is_slide:
+            found |= dict.fromkeys(own, _counts(tuple(own.values()), TOLD))
+        elif own and unit and not is_slide:
+            found |= {joint: _told(one, unit) for joint, one in own.items()}
+        elif own:
             found |= _guess_slides(own) if is_slide else _guess_hinges(own)
     return found
+
+
+def _told(one: Values, unit: str) -> UnitGuess:
+    """Return the unit that the user gives, which is no count."""
+    return _percent(one, -100.0, TOLD) if unit == "percent" else UnitGuess(unit, TOLD)
+
+
+def _counts(values: Sequence[Values], reason: str) -> UnitGuess:
+    """Return counts of a turn; where none is below 0, the zero of the model is in the middle."""
+    is_signed = min(one.low for one in values) < 0.0
+    keys = {"counts_per_turn": COUNTS} | ({} if is_signed else {"zero_rad": round(-math.pi, 6)})
+    asked = f"is a turn {COUNTS} counts? zero_rad and factor = -1 say another zero and direction"
+    return UnitGuess("count", reason, keys, asked)
+
+
+def _percent(one: Values, lowest: float, reason: str) -> UnitGuess:
+    """Return percent of the range of the model, from 0 or from -100 on."""
+    low, high = one.range_rad if math.isfinite(one.range_rad[1]) else (-math.pi, math.pi)
+    start = low if lowest == 0.0 else (low + high) / 2.0
+    keys = {"at_0_rad": round(start, 6) + 0.0, "at_1_rad": round(high, 6)}
+    asked = (
+        f"is {lowest:g}..100 % the range of the model? at_0_rad and at_1_rad are the positions at 0 and 100 %"
+    )
+    return UnitGuess("percent", reason, keys, asked)
 
 
 def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
@@ -58,29 +97,13 @@ def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
             values, UnitGuess("rad", "all positions lie within the range of the model in rad")
         )
     if all(one.are_whole for one in every) and max(one.high - one.low for one in every) > WHOLE:
-        is_signed = min(one.low for one in every) < 0.0
-        zero_rad = 0.0 if is_signed else round(-math.pi, 6)
-        asked = f"is a turn {COUNTS} counts? zero_rad and factor = -1 say another zero and direction"
-        keys = {"counts_per_turn": COUNTS} | ({"zero_rad": zero_rad} if zero_rad else {})
-        guess = UnitGuess("count", "whole numbers", keys, asked)
-        return dict.fromkeys(values, guess)
+        return dict.fromkeys(values, _counts(every, "whole numbers"))
     reason = "all positions lie within the range of the model in degrees, and beyond it in rad"
     if not _fits(every, UNITS["deg"].factor):
         reason = "no unit fits the range of the model"
-    return {joint: UnitGuess("deg", reason, question=_ask_percent(one)) for joint, one in values.items()}
-
-
-def _ask_percent(one: Values) -> str:
-    """Return the question whether degrees are percent of the range, which the values cannot tell."""
-    low, high = one.range_rad
-    if max(abs(one.low), abs(one.high)) > 100.0 or not math.isfinite(high - low):
-        return ""
-    share, zero_rad = ("-100..100", (low + high) / 2.0) if one.low < 0.0 else ("0..100", low)
-    zero_rad = 0.0 if abs(zero_rad) < 1e-6 * (high - low) else zero_rad
-    return (
-        f"or is it percent of the range, {share}? Then write in position and command "
-        f'unit = "percent", at_0_rad = {zero_rad:.6g}, at_1_rad = {high:.6g}'
-    )
+    inside = max(max(abs(one.low), abs(one.high)) for one in every) <= PERCENT
+    asked = "are these degrees, or percent of the range? For percent, write the file anew with --unit percent"
+    return dict.fromkeys(values, UnitGuess("deg", reason, question=asked if inside else ""))
 
 
 def _guess_slides(values: Mapping[str, Values]) -> dict[str, UnitGuess]:

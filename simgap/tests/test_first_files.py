@@ -1,0 +1,107 @@
+"""First robot files of logs that other programs write, and of robots with gears, shares and a free base."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from helpers.first_logs import JOINTS, MODEL, MOTORS, run, write_columns, write_lerobot, write_model
+from simgap.checks.audit import audit
+from simgap.common.progress import no_progress
+from simgap.loading import load
+from simgap.robot import Robot
+from simgap.setup.compose import draft_robot_file
+from simgap.setup.draft import list_questions, robot_file_text
+
+
+def by_name(**changes):
+    """Return columns with the names of the joints, some of them changed or, with None, left out."""
+    one = run()
+    columns = {"t_s": one.time_s, "motion": one.motion}
+    for j, joint in enumerate(JOINTS):
+        columns |= {f"command_{joint}": one.command[:, j], f"position_{joint}": one.position[:, j]}
+        columns |= {f"velocity_{joint}": one.velocity[:, j]}
+    return {name: values for name, values in (columns | changes).items() if values is not None}
+
+
+def make(folder, log, model=MODEL, unit=""):
+    """Write a first robot file; return its joints, its questions, and the remarks of the check."""
+    path = folder / "robot.toml"
+    draft = draft_robot_file(write_model(folder, model), (log,), path, unit, no_progress)
+    path.write_text(robot_file_text(draft, "a test"))
+    robot = Robot.from_toml(path)
+    remarks = audit(robot, load(robot, log)).remarks
+    return tomllib.loads(path.read_text())["joints"], " ".join(list_questions(draft)), remarks
+
+
+def test_a_reversed_joint_is_turned_with_its_velocity(tmp_path):
+    turned = {"position_elbow": -run().position[:, 1], "velocity_elbow": -run().velocity[:, 1]}
+    joints, asked, remarks = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**turned)))
+    assert "the position runs against its command, so it is turned here" in asked
+    factors = [joints["elbow"][key].get("factor", 1.0) for key in ("position", "velocity", "command")]
+    assert factors == [-1.0, -1.0, 1.0]
+    assert remarks == ()
+
+
+@pytest.mark.parametrize("size", [50.0, 1.0])
+def test_the_gear_of_the_actuator_is_taken_by_the_size_of_the_torques(tmp_path, size):
+    geared = MOTORS.replace("<motor ", '<motor gear="50" ')
+    torques = {f"torque_{joint}": run().torque[:, j] / size for j, joint in enumerate(JOINTS)}
+    joints, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**torques)), geared)
+    assert (joints["lift"]["torque"].get("side"), joints["lift"].get("gear_ratio")) == (
+        ("motor", 50.0) if size > 1.0 else (None, None)
+    )
+    assert ("is the torque that of the motor" in asked) == (size == 1.0)
+    assert "kp_Nm_rad" not in joints["lift"]
+
+
+def test_a_gain_of_the_model_is_asked_where_the_logs_contradict_it(tmp_path):
+    log = write_columns(tmp_path / "log.csv", **by_name())
+    _, asked, _ = make(tmp_path, log)
+    assert "gain of the model" not in asked
+    _, asked, _ = make(tmp_path, log, MODEL.replace('kp="20"', 'kp="500"'))
+    assert "is 500 N m/rad, the gain of the model, that of the robot; the logs look like" in asked
+
+
+@pytest.mark.parametrize("is_folder", [True, False])
+def test_grippers_of_lerobot_are_percent_whatever_the_others_are(tmp_path, is_folder):
+    folder = write_lerobot(tmp_path / "set", np.array([180.0 / np.pi, 20.0]), ("lift", "gripper"))
+    log = folder if is_folder else folder / "data" / "chunk-000" / "episode_000000.parquet"
+    joints, asked, _ = make(tmp_path, log, MODEL.replace('"elbow"', '"gripper"'))
+    assert joints["lift"]["position"] == {"column": "observation.state[lift.pos]", "unit": "deg"}
+    share = {"unit": "percent", "at_0_rad": -2.5, "at_1_rad": 2.5}
+    assert joints["gripper"]["command"] == {"column": "action[gripper.pos]"} | share
+    assert "joints.gripper.position: is 0..100 % the range of the model?" in asked
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_states_of_mujoco_with_a_free_base_have_commands_in_the_order_of_actuators(tmp_path, order):
+    one, n = run(), run().time_s.size
+    root = '<body name="root"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    free = MOTORS.replace("<worldbody>", f"<worldbody>{root}").replace("</worldbody>", "</body></worldbody>")
+    if order[0]:
+        first, second = (line for line in free.splitlines() if "<motor" in line)
+        free = free.replace(first, "<!-- -->").replace(second, f"{second}\n{first}")
+    qpos, qvel = np.hstack([np.ones((n, 7)), one.position]), np.hstack([np.ones((n, 6)), one.velocity])
+    np.savez(tmp_path / "log.npz", time=one.clock_s, ctrl=one.torque[:, order], qpos=qpos, qvel=qvel)
+    joints, _, _ = make(tmp_path, tmp_path / "log.npz", free)
+    assert joints["lift"]["mode"] == "torque"
+    columns = [joints["lift"][key]["column"] for key in ("position", "velocity", "command")]
+    assert columns == ["qpos[7]", "qvel[6]", f"ctrl[{order.index(0)}]"]
+
+
+def test_commanded_currents_without_a_constant_are_asked(tmp_path):
+    currents = {f"current_cmd_{joint}": run().torque[:, j] for j, joint in enumerate(JOINTS)}
+    columns = by_name(**currents, command_lift=None, command_elbow=None)
+    joints, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **columns))
+    assert (joints["lift"]["mode"], joints["lift"]["torque_constant_Nm_A"]) == ("current", 1.0)
+    assert "what torque at the joint is 1 A?" in asked
+
+
+def test_what_never_changes_is_no_signal(tmp_path):
+    zeros = {f"/joint_states/effort/{j}": np.zeros(800) for j in (0, 1)}
+    names = {"/joint_states/position/{}": run().position, "/joint_command/position/{}": run().command}
+    log = write_columns(tmp_path / "log.csv", __time=run().clock_s, **names, **zeros)
+    joints, asked, _ = make(tmp_path, log)
+    assert set(joints["lift"]) == {"mode", "command", "position"}
+    assert "is lift, elbow the order of the joints" in asked
