@@ -59,16 +59,21 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     table = None if robot.file is None else robot.file.motion
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
-        end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
-        ends = [(0.0, 0.0), *pauses[names[0]], (end_s, 0.0)]
-        parts = [
-            (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
-        ]
-        shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
+        windows = pause_windows_s(motions[0]).items()
+        shown = (f"{name} = [{a:g}, {b:g}]" for name, (a, b) in windows)
         advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
+
+
+def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
+    """Return the windows that cut a motion at its pauses, by name [s]; none if it has no pause."""
+    pauses = _find_pauses(motion)
+    end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
+    ends = [(0.0, 0.0), *pauses, (end_s, 0.0)] if pauses else []
+    parts = [(math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)]
+    return {f"part{k}": [low / 100, high / 100] for k, (low, high) in enumerate(parts, 1)}
 
 
 def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:
