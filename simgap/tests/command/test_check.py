@@ -64,7 +64,7 @@ def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     logs = slow_logs(planar_arm(), count=2)
     write_logs(folder / "degrees.parquet", logs, command_elbow=np.degrees(columns_of(logs)["command_elbow"]))
     done = run_simgap(folder, "check", "robot.toml", "degrees.parquet")
-    assert done.returncode == 0
+    assert done.returncode == 3
     words = " ".join(done.stdout.split())
     assert (
         "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"

@@ -50,14 +50,14 @@ def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ","
 
 
 def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict]:
-    """Run `init`; return the robot file and the JSON document. The file passes the check."""
+    """Run `init`; return the robot file and the JSON document. The check reads the file and its log."""
     done = run_simgap(folder, "init", "model.xml", log, "--json", *options)
     assert done.returncode == 0, done.stdout
     document = json.loads(done.stdout)
     path = folder / document["robot_file"]
     Robot.from_toml(path)
     checked = run_simgap(folder, "check", path.name, log, "--json")
-    assert checked.returncode == 0, checked.stdout
+    assert checked.returncode in (0, 3), checked.stdout  # without a command a diagnosis refuses
     return tomllib.loads(path.read_text()), document
 
 

@@ -15,6 +15,7 @@ from simgap.robot import Robot
 from simgap.simulation.compiled import compile_for, control_laws, nominal_gains
 from simgap.simulation.windows import SLOPE_SAMPLES, held_means, local_line
 
+
 @dataclass(frozen=True, slots=True)
 class NominalMotion:
     """The nominal model in one motion."""

@@ -8,7 +8,17 @@ from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, joint_samples, say_times
+from simgap.checks.records import (
+    SETTLING_S,
+    Faulty,
+    Remark,
+    RemarkKind,
+    SignalRate,
+    is_short,
+    joint_samples,
+    say_times,
+)
+from simgap.common.console import pluralize
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 
@@ -36,7 +46,11 @@ def audit_rates(
         for motion in motions
         for name, log in motion.joints.items()
     )
-    return rates, [*_describe_pauses(robot, motions, pauses), *_remarks(rates)]
+    return rates, [
+        *_describe_pauses(robot, motions, pauses),
+        *_describe_short(motions, rates),
+        *_remarks(rates),
+    ]
 
 
 def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
@@ -69,6 +83,20 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
+
+
+def _describe_short(motions: Sequence[Motion], rates: Sequence[SignalRate]) -> Iterator[Remark]:
+    """Remark motions in which nothing can show."""
+    short = {(one.name, name) for one in motions for name, log in one.joints.items() if is_short(log)}
+    own = [rate for rate in rates if (rate.motion, rate.joint) in short]
+    if own:
+        least = min(own, key=lambda rate: (rate.duration_s, rate.n_samples))
+        text = (
+            f"it has {pluralize(least.n_samples, 'row')} in {least.duration_s:.3g} s, and a joint needs "
+            f"{SETTLING_S:g} s to settle: leave it out, or record for some seconds"
+        )
+        names = tuple(dict.fromkeys(rate.motion for rate in own))
+        yield Remark(RemarkKind.SHORT, "", names, text, least.duration_s, unit="s")
 
 
 def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:

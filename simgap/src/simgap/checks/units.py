@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples, span
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, is_short, joint_samples, span
 from simgap.checks.signals import ROUND
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
@@ -27,7 +27,7 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Yield remarks about units that look wrong, those of the times among them."""
     speeds: dict[str, float] = {}
     for joint in robot.joints:
-        own = [motion for motion in motions if joint.name in motion.joints]
+        own = [one for one in motions if joint.name in one.joints and not is_short(one.joints[joint.name])]
         names = tuple(motion.name for motion in own)
         samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         speeds[joint.name] = speed_ratio(own, joint.name)
