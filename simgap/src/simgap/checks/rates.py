@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -19,19 +18,14 @@ from simgap.checks.records import (
     say_times,
 )
 from simgap.common.console import pluralize
+from simgap.files.pauses import GAP, GAP_S, MAX_WINDOWS, cut_at_pauses, find_pauses, windows_text
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 
-GAP: Final = 2.5
-"""A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
-GAP_S: Final = 0.3
-"""A gap of this length, or a step of the clock, is worth a remark: a joint settles in it unseen."""
 JITTER_SHARE: Final = 0.25
 """Jitter of this share of the period is worth a remark: linear interpolation is then wrong by as much."""
 REMARK_SHARE: Final = 0.01
 """Share of missing or stale rows that is worth a remark."""
-MAX_WINDOWS: Final = 8
-"""Windows that a remark lists: more are no sentence."""
 Pauses = Mapping[str, Sequence[tuple[float, float]]]
 """Motion -> last time before and first time after each of its pauses [s]."""
 
@@ -60,8 +54,7 @@ def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
     clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
     time_s = np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
     periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
-    least_s = max(GAP_S, GAP * max(periods_s, default=0.0))
-    return [(float(time_s[k]), float(time_s[k + 1])) for k in np.flatnonzero(np.diff(time_s) > least_s)]
+    return find_pauses(time_s, max(periods_s, default=0.0))
 
 
 def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
@@ -74,12 +67,10 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
         end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
-        ends = [(0.0, 0.0), *pauses[names[0]], (end_s, 0.0)]
-        parts = [
-            (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
-        ]
-        shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
-        advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
+        start_s = motions[0].start_s
+        own = [(low + start_s, high + start_s) for low, high in pauses[names[0]]]
+        windows = windows_text(cut_at_pauses(start_s, own, start_s + end_s))
+        advice = f"cut it into motions there, in [motion] {windows}"
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
