@@ -66,14 +66,19 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     table = None if robot.file is None else robot.file.motion
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
-        end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
-        start_s = motions[0].start_s
-        own = [(low + start_s, high + start_s) for low, high in pauses[names[0]]]
-        windows = windows_text(cut_at_pauses(start_s, own, start_s + end_s))
+        windows = windows_text(pause_windows_s(motions[0]))
         advice = f"cut it into motions there, in [motion] {windows}"
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
+
+
+def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
+    """Return the windows that cut the log of a motion at its pauses, by name [s]; none if it has no pause."""
+    start_s = motion.start_s
+    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion)]
+    end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
+    return cut_at_pauses(start_s, pauses, start_s + end_s) if pauses else {}
 
 
 def _describe_short(motions: Sequence[Motion], rates: Sequence[SignalRate]) -> Iterator[Remark]:

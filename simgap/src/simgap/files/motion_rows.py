@@ -11,7 +11,7 @@ from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.files.columns import Column, say_disorder
 from simgap.files.log_file import LogFile
-from simgap.files.pauses import MAX_WINDOWS, cut_at_pauses, find_pauses, windows_text
+from simgap.files.pauses import MAX_WINDOWS, LongGap, cut_at_pauses, find_pauses, windows_text
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
@@ -139,22 +139,22 @@ class MotionRows:
             )
         mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
         if mean_s > MAX_PERIOD_S:
-            raise RobotError(
-                f"{where} has a position every {mean_s:.3g} s on average, at least one a second is needed; "
-                f"{self._say_gaps(time_s, period_s)}"
+            said = (
+                f"{where} has a position every {mean_s:.3g} s on average, at least one a second is needed; it"
             )
+            raise self._long_gap(time_s, period_s, said)
 
-    def _say_gaps(self, time_s: Array, period_s: float) -> str:
-        """Say where a motion has gaps, with the windows that cut a log of one motion there."""
+    def _long_gap(self, time_s: Array, period_s: float, said: str) -> LongGap:
+        """Return the error for a motion with gaps, with the windows that cut a log of one motion there."""
         pauses = find_pauses(time_s, period_s)
         longest_s = max((after - before for before, after in pauses), default=0.0)
-        advice = "end the motion there"
-        if not (any(self._columns) or self._windows_s) and len(pauses) < MAX_WINDOWS:
-            own = [(before - self.start_s, after - self.start_s) for before, after in pauses]
-            begin_s, end_s = time_s[[0, -1]] - self.start_s
-            advice = f"cut it there, in [motion] {windows_text(cut_at_pauses(begin_s, own, end_s))}"
         gaps = f"{pluralize(len(pauses), 'gap')} of up to {longest_s:.4g} s"
-        return f"it has {1.0 / period_s:.4g} a second with {gaps}: {advice}"
+        gaps = f"has {1.0 / period_s:.4g} a second with {gaps}"
+        if any(self._columns) or self._windows_s or not 0 < len(pauses) < MAX_WINDOWS:
+            return LongGap(f"{said} {gaps}: end the motion there", {})
+        ends_s = np.array([time_s[0], *np.ravel(pauses), time_s[-1]]) - self.start_s
+        windows_s = cut_at_pauses(ends_s[0], ends_s[1:-1].reshape(-1, 2), ends_s[-1])
+        return LongGap(f"{said} {gaps}: cut it there, in [motion] {windows_text(windows_s)}", windows_s)
 
     def labels(self, column: str) -> list[str]:
         """Return the text of a column for each motion; empty texts for no column.

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.common.errors import RobotError
 
 GAP: Final = 2.5
 """A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
@@ -17,6 +18,15 @@ MAX_WINDOWS: Final = 8
 """Windows that a sentence lists: more are none."""
 ROUNDING_s: Final = 1e-5
 """Rounding of times by which a window is not wider."""
+
+
+class LongGap(RobotError):
+    """A motion has a gap that no simulation should cross."""
+
+    def __init__(self, text: str, windows_s: Mapping[str, list[float]]) -> None:
+        """Keep the windows that cut the log there; none if it has several motions."""
+        super().__init__(text)
+        self.windows_s = windows_s
 
 
 def find_pauses(time_s: Array, period_s: float) -> list[tuple[float, float]]:
@@ -30,7 +40,7 @@ def find_pauses(time_s: Array, period_s: float) -> list[tuple[float, float]]:
 
 
 def cut_at_pauses(
-    begin_s: float, pauses: Sequence[tuple[float, float]], end_s: float
+    begin_s: float, pauses: Sequence[tuple[float, float]] | Array, end_s: float
 ) -> dict[str, list[float]]:
     """Return the windows between pauses, as `motion.windows_s` of a robot file: name -> start and end.
 

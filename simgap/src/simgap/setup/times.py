@@ -123,7 +123,9 @@ def _find_motions(
     by_name = [name for name in texts if set(split_words(name)) & set(MOTIONS)]
     if not restarts.size:
         name = min(by_name, key=lambda one: texts[one].size, default="")
-        return ((name,), "", "by its name") if name else ((), "", "")
+        same = [one for one in texts if set(split_words(one)) & REPEATS]
+        repeat = next((one for one in same if name and np.isin(texts[one], texts[name]).all()), "")
+        return ((name,), repeat, "by its name") if name else ((), "", "")
     inside = {name: at for name, at in texts.items() if np.isin(at, restarts).all() and at.size}
     repeat = next((name for name in inside if set(split_words(name)) & REPEATS), "")
     inside.pop(repeat, None)
