@@ -152,7 +152,7 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
         ),
         (
             {"t": [0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
-            "motion 'slow': the time of 't' repeats: 1 time stands twice, the first in row 3",
+            "motion 'slow': the time of 't' repeats: 1 row has the time of the row before, the first",
         ),
         ({"t": [0.0, None, 1.0, 0.0, 1.0, 2.0, 3.0]}, "time column 't' has rows without a time; remove them"),
         (

@@ -133,12 +133,19 @@ def say_disorder(time_s: Array, rows: Integers | None = None) -> str:
             "single precision?"
         )
     if np.all(step_s[back] == 0.0):
-        count = f"{pluralize(back.size, 'time')} stand{'s' * (back.size == 1)} twice, the first in row {row}"
-        return f"repeats: {count}; remove one of each two rows, or give the second its own time"
+        return say_repeats(back.size, row)
     before, after = time_s[back[0]], time_s[back[0] + 1]
     return (
         f"runs backwards from {before:.10g} s to {after:.10g} s in row {row}; sort the rows, or name the "
         "columns of a motion"
+    )
+
+
+def say_repeats(n_rows: int, row: int) -> str:
+    """Say how many rows repeat the time of the row before them, and which is the first, from 1."""
+    return (
+        f"repeats: {pluralize(n_rows, 'row')} {'have' if n_rows > 1 else 'has'} the time of the row before, "
+        f"the first is row {row}; remove one of each two, or give it its own time"
     )
 
 

@@ -23,7 +23,7 @@ ROUNDING_s: Final = 1e-5
 class LongGap(RobotError):
     """A motion has a gap that no simulation should cross."""
 
-    def __init__(self, text: str, windows_s: Mapping[str, list[float]]) -> None:
+    def __init__(self, text: str, windows_s: dict[str, list[float]]) -> None:
         """Keep the windows that cut the log there; none if it has several motions."""
         super().__init__(text)
         self.windows_s = windows_s
