@@ -7,12 +7,15 @@ import pytest
 
 from helpers.marks import slow_but
 from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record, slow_logs, with_joint
+from helpers.robot_folder import COLUMNS, write_parquet, write_robot
 from simgap.checks.audit import audit
 from simgap.checks.records import REFUSED, RemarkKind, Samples
 from simgap.checks.signals import spike_flags
 from simgap.files.counters import unwrap_counters
 from simgap.files.robot_file import JointTable
+from simgap.loading import load
 from simgap.logs import Logs, Signal
+from simgap.robot import Robot
 
 
 @pytest.fixture(scope="module")
@@ -342,3 +345,24 @@ def test_a_signal_that_never_changes_while_the_joint_moves_was_not_measured(clea
     assert f"the {key}" in found.text
     assert "stays at 0 while the joint moves" in found.text
     assert not remarks(with_joint(clean, "elbow", add(np.cos)), kind)
+
+
+def test_counts_that_are_too_many_for_the_model_are_asked_for_those_of_a_turn(tmp_path):
+    time_s = np.arange(100) / 100
+    turns = np.sin(6.0 * time_s)  # of the joint: 6.28 rad, and the model ends at 2
+    columns = {name: [0.0] * 100 for name in COLUMNS} | {"t": 1e3 * time_s, "motion": ["m"] * 100}
+    columns |= {"gain": [1.0] * 100, "q2": 50 * 4096 * turns}
+    robot = Robot.from_toml(write_robot(tmp_path))
+    logs = load(robot, write_parquet(tmp_path, **columns))
+    (found,) = [one for one in audit(robot, logs).remarks if one.kind is RemarkKind.UNIT]
+    assert "is counts_per_turn = 4096 right? With 16384 or more it would fit" in found.text
+
+
+@pytest.mark.parametrize(("says", "is_asked"), [("", True), ('angle="radian"', False)])
+def test_a_model_that_has_lost_its_unit_is_asked_for(clean, says, is_asked):
+    robot = planar_arm()
+    robot.model.jnt_range[:] = np.radians(robot.model.jnt_range)
+    robot = replace(robot, model_xml=robot.model_xml.replace('angle="radian"', says))
+    found = [one for one in audit(robot, clean).remarks if one.kind is RemarkKind.UNIT]
+    assert [one.joint for one in found] == ["shoulder", "elbow"]
+    assert all('or has the model lost angle="radian"?' in one.text for one in found) is is_asked

@@ -210,3 +210,14 @@ def test_text_is_read_as_it_is_packed(tmp_path):
     path.rename(tmp_path / "log.parquet.gz")
     with pytest.raises(RobotError, match="is packed; unpack it with gunzip"):
         open_log(tmp_path / "log.parquet.gz", ["q"], [], CsvTable())
+
+
+def test_an_array_with_a_row_a_joint_is_transposed_and_told(tmp_path):
+    q = np.arange(12.0).reshape(2, 6)
+    np.savez(tmp_path / "log.npz", t=np.arange(6.0), q=q, v=q.T, square=np.zeros((6, 6)))
+    log = open_whole(tmp_path / "log.npz")
+    names = [one.name for one in log.describe()]
+    assert names == ["t", "q[0]", "q[1]", "v[0]", "v[1]", *(f"square[{k}]" for k in range(6))]
+    assert log.losses == ["'q' has 2 rows of 6 values: it is transposed, to have a row a sample"]
+    read = open_log(tmp_path / "log.npz", ["t", "q[1]", "v[1]"], [], CsvTable())
+    np.testing.assert_array_equal(read.numbers("q[1]").value, read.numbers("v[1]").value)
