@@ -135,11 +135,12 @@ def test_names_of_another_robot_are_taken_in_order_and_asked(tmp_path):
     assert "is lift, elbow the order of the joints in command_hip, command_knee" in asked
 
 
-def test_a_log_with_pauses_is_cut_there(tmp_path):
-    clock_s = run().clock_s + 4.0 * run().motion
+@pytest.mark.parametrize("pause_s", [4.0, 3600.0])
+def test_a_log_with_pauses_is_cut_there(tmp_path, pause_s):
+    clock_s = run().clock_s + pause_s * run().motion
     _, _, remarks = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(t_s=clock_s, motion=None)))
     windows_s = tomllib.loads((tmp_path / "robot.toml").read_text())["motion"]["windows_s"]
-    assert windows_s == {"part1": [0.0, 3.99], "part2": [8.0, 11.99]}
+    assert windows_s == {"part1": [0.0, 3.99], "part2": [4.0 + pause_s, 7.99 + pause_s]}
     assert remarks == ()
 
 

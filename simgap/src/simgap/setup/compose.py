@@ -18,6 +18,7 @@ from simgap.common.progress import Progress
 from simgap.common.toml import parse_record
 from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import LogFile, open_whole
+from simgap.files.pauses import LongGap
 from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
@@ -88,12 +89,7 @@ def draft_robot_file(
     _leave_out(draft, model)
     unknown = set_unknown_gains(draft, model, path)
     progress(2, 4, "comparing signals")
-    robot, logs = _read(draft, path, log_paths)
-    is_whole = len(logs.motions) == 1 and "motion" not in draft.content
-    if is_whole and (windows_s := pause_windows_s(logs.motions[0])):
-        draft.content["motion"] = {"windows_s": windows_s}
-        draft.reasons["motion",] = "no signal is logged between these times"
-        robot, logs = _read(draft, path, log_paths)
+    robot, logs = _cut_at_pauses(draft, path, log_paths)
     settle_speeds(draft, robot, logs, by_joint)
     if unknown is not None:
         sags = sag_gains(robot, logs)
@@ -327,6 +323,23 @@ def _leave_out(draft: Draft, model: mujoco.MjModel) -> None:
         head = {key: draft.content.pop(key) for key in ("name", "model")}
         draft.content = {**head, "left_out": [*out], **draft.content}
         draft.reasons["left_out",] = "no column shows them: they stand where the model has them"
+
+
+def _cut_at_pauses(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:
+    """Read the logs; a log of one motion is cut where nothing is logged for a while."""
+    try:
+        robot, read = _read(draft, path, logs)
+        is_whole = len(read.motions) == 1 and "motion" not in draft.content
+        windows_s = pause_windows_s(read.motions[0]) if is_whole else {}
+    except LongGap as error:
+        if not error.windows_s or len(logs) > 1:
+            raise
+        windows_s = error.windows_s
+    if not windows_s:
+        return robot, read
+    draft.content["motion"] = {"windows_s": windows_s}
+    draft.reasons["motion",] = "no signal is logged between these times"
+    return _read(draft, path, logs)
 
 
 def _read(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz
+from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz, say_repeats
 from simgap.files.log_file import LogFile
 from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
@@ -138,6 +138,8 @@ def _find_motions(
             left = np.setdiff1d(left, inside[name])
     if left.size:
         row = int(left[0]) + 1
+        if np.all(clock[left] == clock[left - 1]):
+            raise RobotError(f"{log.path}: the time {time!r} {say_repeats(left.size, row)}")
         raise RobotError(
             f"{log.path}: the time {time!r} does not increase at row {row}, and no column says that a motion "
             "begins there; add a column that names the motions, or give each motion a file of its own"
