@@ -19,11 +19,6 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
 
-INTERVAL_LEVEL: Final = 0.9
-INTERVAL_QUANTILES: Final = ((1.0 - INTERVAL_LEVEL) / 2.0, (1.0 + INTERVAL_LEVEL) / 2.0)
-"""Lower and upper quantile of an interval of this level."""
-
-
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
@@ -84,6 +79,11 @@ class Hypothesis:
         return f"{self.effect} at {self.place}"
 
     @property
+    def key(self) -> str:
+        """Name of its effect in the engine: `Effect.key`."""
+        return f"{self.place}: {self.effect}"
+
+    @property
     def amplitudes(self) -> tuple[Parameter, ...]:
         """Amplitude parameters: those that the selection fits."""
         return tuple(parameter for parameter in self.parameters if parameter.is_amplitude)
@@ -117,10 +117,18 @@ class Hypothesis:
         Returns:
             All parameters in their units, shape (p,); shape parameters have their typical values.
         """
+        return self.fill(self.amplitude_values(departures))
+
+    def fill(self, amplitudes: Array) -> Array:
+        """Return all parameters in their units, shape (p,), given the amplitude parameters, shape (n,)."""
         values = self.absent
-        is_amplitude = np.array([parameter.is_amplitude for parameter in self.parameters])
-        values[is_amplitude] += np.array([parameter.typical for parameter in self.amplitudes]) * departures
+        values[[parameter.is_amplitude for parameter in self.parameters]] = amplitudes
         return values
+
+    def amplitude_values(self, departures: Array) -> Array:
+        """Return the values of the amplitude parameters in their units, shape (n,), as `values` does."""
+        typical, absent = np.array([(one.typical, one.absent) for one in self.amplitudes]).T
+        return np.asarray(absent + typical * departures)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
-from marsarm.diagnosis.selection import Selection, select, select_simulated
+from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
@@ -238,7 +238,7 @@ class NuisanceFit:
 
 def fit_nuisances(
     model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
-) -> tuple[NuisanceFit, Selection]:
+) -> tuple[NuisanceFit, FeatureSelection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
@@ -326,7 +326,7 @@ def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
     return NuisanceFit(simulator, nuisance, residual)
 
 
-def _cost(whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
+def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> float:
     """Return the deviance beside the selected effects, plus the threshold for as many parameters.
 
     The whitener is that of the model, so that deviances of several selections can be compared.

@@ -217,18 +217,16 @@ def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values
     return made.effect(**{p.name: _effect_value(made, p.name, float(v)) for p, v in named})
 
 
-def catalogue_effect(hypothesis: Hypothesis, values: Array) -> Effect:
-    """Create the effect of a hypothesis of the catalogue.
+def catalogue_effect(key: str, amplitudes: Array) -> Effect:
+    """Create an effect of the catalogue.
 
     Args:
-        hypothesis: Hypothesis with p parameters.
-        values: Values of the parameters in the units of the diagnosis, shape (p,).
-
-    Returns:
-        Effect with these values.
+        key: Key of its hypothesis.
+        amplitudes: Values of the amplitude parameters in the units of the diagnosis, shape (n,).
     """
-    made = next(one for one in list_candidates(None) if to_hypothesis(one) == hypothesis)
-    return make_effect(made, hypothesis, values)
+    made = next(one for one in list_candidates(None) if to_hypothesis(one).key == key)
+    hypothesis = to_hypothesis(made)
+    return make_effect(made, hypothesis, hypothesis.fill(amplitudes))
 
 
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:

@@ -28,7 +28,7 @@ def test_without_effect_features_are_white() -> None:
 
 
 def test_a_class_competes_once() -> None:
-    labels = [MODEL.label[one.index] for one in EFFECTS]
+    labels = [MODEL.label[SENSITIVITIES.index(one.key)] for one in EFFECTS]
     assert len(set(labels)) == len(labels) == int(MODEL.label.max()) + 1
 
 
@@ -38,7 +38,7 @@ def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
     value, some = WORLD.measured(rng), EFFECTS[4:12:3]
     sizes = rng.uniform(-2.0, 2.0, sum(len(one.sizes) for one in some))
     parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
-    hypotheses = [SENSITIVITIES.hypotheses[one.index] for one in some]
+    hypotheses = [one.hypothesis for one in some]
     change = SENSITIVITIES.change({
         h: h.values(a) for h, a in zip(hypotheses, parts, strict=True)
     })  # fmt: skip
@@ -66,7 +66,7 @@ def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
         narrow = [replace(one, least=-one.typical, most=one.typical) for one in hypotheses[first].parameters]
         hypotheses[first] = replace(hypotheses[first], parameters=tuple(narrow))
     model = replace(MODEL, sensitivities=replace(SENSITIVITIES, hypotheses=tuple(hypotheses)))
-    chosen = {one.index for one in list_feature_effects(model)}
+    chosen = {SENSITIVITIES.index(one.key) for one in list_feature_effects(model)}
     assert {second for _, second in pairs} <= chosen
     assert not {first for first, _ in pairs} & chosen
 

@@ -111,10 +111,20 @@ def modelled(sensitivities) -> DiagnosisModel:
     return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
 
 
-def select_and_diagnose(model, residuals, seed, simulator=None):
+def select_and_explain(model, residuals, seed, simulator=None):
     """Select effects and diagnose; without a simulator, large effects are extrapolated."""
     whiten = build_full_whitener(model.sensitivities)
-    return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator), seed)
+    return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator))
+
+
+def select_and_diagnose(model, residuals, seed, simulator=None):
+    """Return the diagnosis alone."""
+    return select_and_explain(model, residuals, seed, simulator).diagnosis
+
+
+def indices(model, diagnosis):
+    """Return the index of the hypothesis of each finding."""
+    return [model.sensitivities.index(f"{one.place}: {one.effect}") for one in diagnosis.findings]
 
 
 def _basis(c, channel):
