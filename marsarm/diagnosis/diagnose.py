@@ -80,7 +80,7 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: FeatureSele
     y, q = equations.whiten(residuals.value), equations.q
     fit = fit_linear(equations, y, equations.columns(selection.chosen))
     remaining = tuple(find_lack_of_fit(model, equations, fit, y))
-    unit = equations.nuisance_unit
+    unit = equations.nuisance_sigma
     nuisance = fit.theta[:q] * unit
     base = residuals.value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
     rows = residuals.value, base, base - selection.change()

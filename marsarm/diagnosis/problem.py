@@ -133,7 +133,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0.
+    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0 and finite.
 
     A shared nuisance has one value in all blocks: calibration leaves it uncertain. A random nuisance is drawn
     independently in every block: it makes repeats differ.
@@ -142,13 +142,13 @@ class Nuisance:
     name: str
     unit: str
     sigma: float
-    """Prior standard deviation; infinite if nothing is known (not for a random nuisance)."""
+    """Prior standard deviation."""
     random_per_block: bool = False
     """Random nuisance: drawn independently in every block."""
 
     def __post_init__(self) -> None:
-        if not self.sigma > 0.0 or (self.random_per_block and self.sigma == float("inf")):
-            raise ValueError(f"{self.name}: sigma must be above 0, and finite if it is drawn in every block")
+        if not 0.0 < self.sigma < float("inf"):
+            raise ValueError(f"{self.name}: sigma must be above 0 and finite")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

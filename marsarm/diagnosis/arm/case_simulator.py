@@ -344,7 +344,7 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     equations = model.equations
     fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
     found = np.zeros(len(model.sensitivities.nuisances))
-    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_unit
+    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
     return np.where(
         [one.one_sided for one in current.simulator.arm.nuisance_effects], 0.0, np.clip(found, -far, far)

@@ -77,5 +77,5 @@ def test_what_cannot_be_an_effect_is_refused():
         Hypothesis("e", "p", (Parameter("x", "m", 0.0, 1.0, 0.5),))
     with pytest.raises(ValueError, match="within its bounds"):
         Parameter("x", "m", 0.0, 1.0, 0.5, neutral=2.0)
-    with pytest.raises(ValueError, match="finite if it is drawn"):
-        Nuisance("n", "m", np.inf, random_per_block=True)
+    with pytest.raises(ValueError, match="above 0 and finite"):
+        Nuisance("n", "m", np.inf)

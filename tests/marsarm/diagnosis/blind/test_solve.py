@@ -100,7 +100,7 @@ GOOD = {
             "effect": "link-length",
             "place": "arm3.x",
             "level": "effect",
-            "not_excluded": {"places": ["arm3"], "families": ["geometry"], "effects": ["arm3.x: link-length"]},
+            "not_excluded": {"places": ["arm3"], "families": ["geometry"], "effects": ["arm3.x: link"]},
             "sizes": [{"name": "length_m", "low_90": 0.001, "high_90": 0.002}],
         }
     ],
