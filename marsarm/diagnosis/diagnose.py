@@ -26,7 +26,7 @@ from marsarm.diagnosis.normal_equations import (
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Residuals
+from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -67,8 +67,11 @@ class Explanation:
     and with the findings too."""
 
 
-def diagnose(model: DiagnosisModel, residuals: Residuals, selection: FeatureSelection) -> Explanation:
+def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -> Explanation:
     """Diagnose one case whose effects are selected.
+
+    Args:
+        value: Measured minus nominal features in the units of the channels, (m,).
 
     Returns:
         Findings, and what remains unexplained.
@@ -77,13 +80,13 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: FeatureSele
     for h, a in zip(selection.chosen, selection.departures, strict=True):
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
-    y, q = equations.whiten(residuals.value), equations.q
+    y, q = equations.whiten(value), equations.q
     fit = fit_linear(equations, y, equations.columns(selection.chosen))
     remaining = tuple(find_lack_of_fit(model, equations, fit, y))
     unit = equations.nuisance_sigma
     nuisance = fit.theta[:q] * unit
-    base = residuals.value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
-    rows = residuals.value, base, base - selection.change()
+    base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
+    rows = value, base, base - selection.change()
     effects = selection.engine.chosen.effects
     diagnosis = Diagnosis(
         robot="",
@@ -91,7 +94,7 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: FeatureSele
         seed=selection.engine.context.seed,
         findings=tuple(_describe_findings(model, selection, bool(remaining))),
         base=(),
-        errors=tuple(list_errors(residuals.layout, rows, residuals.layout.sigma)),
+        errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
         refused=(),
         fitted_motions=selection.engine.context.model.motions,

@@ -10,9 +10,9 @@ variance. N and S are the sensitivities. The diagnosis finds the few hypotheses 
 These classes are all that the diagnosis knows about a robot.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,52 +208,9 @@ class FeatureLayout:
         return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
-    """Measured residuals of a campaign's features; ValueError if they do not fit the layout."""
-
-    layout: FeatureLayout
-    value: Array
-    """Measured minus nominal simulation, in the units of the channels, shape (m,)."""
-
-    def __post_init__(self) -> None:
-        if self.value.shape != (self.layout.size,):
-            raise ValueError(f"value is {self.value.shape}; wanted {(self.layout.size,)}")
-        if not np.all(np.isfinite(self.value)):
-            at = int(np.flatnonzero(~np.isfinite(self.value))[0])
-            channel = self.layout.channels[self.layout.channel[at]]
-            raise ValueError(f"feature {at} ({channel}) is not finite")
-
-
 EffectValues = Mapping[Hypothesis, Array]
 """Values of all parameters of the effects that are switched on, in their order and units."""
 
-
-class Simulator(Protocol):
-    """Simulator bound to one campaign: to the recorded commands and to the start of each motion.
-
-    It is deterministic. A prediction depends only on effects and nuisances, never on the measured features.
-    """
-
-    @property
-    def layout(self) -> FeatureLayout:
-        """Description of the m features."""
-
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Candidate causes, each once."""
-
-    @property
-    def nuisances(self) -> tuple[Nuisance, ...]:
-        """Nuisance parameters, q of them."""
-
-    def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features with these effects and nuisances.
-
-        Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,). A random nuisance has
-                the same departure in all blocks here.
-
-        Returns:
-            Features in the units of their channels, shape (m,); NaN if no such robot can be simulated.
-        """
+Simulate = Callable[[EffectValues], Array]
+"""Simulator of a case: the change of its m features by effects, in the units of the channels, shape (m,); NaN
+if no such robot can be simulated. It never depends on the measured features."""

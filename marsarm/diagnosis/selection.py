@@ -20,7 +20,7 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
-from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Simulator
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Simulate
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
 from simgap import Effect, ResidualModel, Size, select_effects
 from simgap.selection.context import Selection
@@ -68,13 +68,13 @@ class FeatureSelection:
 
 
 def select_simulated(
-    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulator: Simulator | None
+    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulate: Simulate | None
 ) -> FeatureSelection:
     """Select effects, simulate those beyond the reach of their sensitivities, and select again.
 
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
-        simulator: Simulator of the case; None to extrapolate.
+        simulate: Simulator of the case; None to extrapolate.
 
     Returns:
         The last selection.
@@ -87,11 +87,12 @@ def select_simulated(
             for h, a in zip(selection.chosen, selection.departures, strict=True)
             if _is_far(model.sensitivities, h, a, simulated)
         ]
-        if simulator is None or not far:
+        if simulate is None or not far:
             break
         for h, a in far:
-            change = _simulate(model, simulator, h, a)
-            if change is None:
+            hypothesis = model.sensitivities.hypotheses[h]
+            change = simulate({hypothesis: hypothesis.values(a)})
+            if not np.all(np.isfinite(change)) or not np.any(change):
                 excluded |= {h}
             else:
                 simulated[h] = a, change
@@ -112,14 +113,6 @@ def _is_far(
     if h in simulated:
         return bool(np.any(np.abs(a - simulated[h][0]) > MOVED * np.abs(simulated[h][0])))
     return bool(np.any(np.abs(a) > (1.0 + MOVED) * sensitivities.reach[sensitivities.owner == h]))
-
-
-def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
-    """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
-    hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
-    changed = simulator.predict({hypothesis: hypothesis.values(a)}, zero)
-    change = changed - simulator.predict({}, zero)
-    return change if np.all(np.isfinite(change)) and np.any(change) else None
 
 
 def select(

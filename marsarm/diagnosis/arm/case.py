@@ -24,7 +24,7 @@ from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
-from marsarm.diagnosis.problem import Ints, Residuals
+from marsarm.diagnosis.problem import Ints
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
@@ -214,8 +214,7 @@ def fit_case(
 
 def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel) -> CaseDiagnosis:
     """Diagnose a case whose nuisances are fitted, and judge its findings on held-out motion."""
-    residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
-    found = diagnose(fitted.model, residuals, fitted.selection)
+    found = diagnose(fitted.model, fitted.residual, fitted.selection)
     features = fitted.simulator.arm.feature_set
     seen = sum(one.family_wise_limit <= 1.0 for one in fitted.model.limits)
     remarks = (
@@ -311,8 +310,7 @@ def _judge_held_out(
     case = fitted.held_out
     if campaign.held_out is None or case is None:
         return ()
-    zero = np.zeros(len(case.nuisances))
-    change = case.predict(found.values, zero) - case.predict({}, zero)
+    change = case.simulate(found.values)
     if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
         return ()
     held = campaign.held_out.select(case.rows)

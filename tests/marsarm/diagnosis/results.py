@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from marsarm.diagnosis.diagnose import list_errors
-from marsarm.diagnosis.problem import Residuals
 from tests.marsarm.diagnosis.worlds import found, select_and_explain
 
 NOTES = ("motion 3: encoder stale for 1.2 s from 4 s on.",)
@@ -15,7 +14,7 @@ def diagnosis_of(made, campaign, seed, t=None, extra=None):
     """Diagnose a case of amplitudes t (k,); the same motions, measured again, are held out."""
     rng = np.random.default_rng(seed)
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
-    said = select_and_explain(campaign, Residuals(made.layout, measured[0]), seed=1)
+    said = select_and_explain(campaign, measured[0], seed=1)
     kept = found(made)
     base = measured[1] - kept.nuisance[:, kept.shared_nuisances] @ said.nuisance
     rows = measured[1], base, base - kept.change(said.values)

@@ -9,7 +9,6 @@ from scipy.stats import binom
 from helpers.marks import slow_but
 from marsarm.common.rates import estimate_rate
 from marsarm.diagnosis.normal_equations import build_full_whitener
-from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.selection import select
 from simgap.report.sentences import level, verdict_word
 from tests.marsarm.diagnosis.results import sized
@@ -17,7 +16,7 @@ from tests.marsarm.diagnosis.worlds import found, indices, modelled, select_and_
 
 
 def _diagnose(made, campaign, rng, t=None, extra=None):
-    return select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, extra)), seed=1)
+    return select_and_diagnose(campaign, made.measured(rng, t, extra), seed=1)
 
 
 @pytest.mark.slow
@@ -107,14 +106,14 @@ def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(mad
     left = replace(campaign, left_out_effect=made.hypotheses[4].effect)
     assert {4, *campaign.equivalence_class(4)} <= left.left_out
     y = made.measured(rng, sized(made, campaign, 4, 6.0))
-    diagnosis = select_and_diagnose(left, Residuals(made.layout, y), seed=1)
+    diagnosis = select_and_diagnose(left, y, seed=1)
     assert verdict_word(diagnosis) != "none"
     gone = {made.hypotheses[h].key for h in left.left_out}
     assert not {key for one in diagnosis.findings for key in one.effects} & gone
 
 
 def test_the_same_seed_gives_the_same_diagnosis(made, campaign, rng):
-    y = Residuals(made.layout, made.measured(rng, sized(made, campaign, 4, 3.0)))
+    y = made.measured(rng, sized(made, campaign, 4, 3.0))
     one, two = (select_and_diagnose(campaign, y, seed=5) for _ in range(2))
     assert one == two
 
@@ -137,8 +136,10 @@ def test_a_nonlinear_effect_is_fitted(rng, times):
     bent = world(bent=0.8)
     campaign = modelled(found(bent))
     t = np.where(bent.owner == 4, times, 0.0)
-    y = Residuals(bent.layout, bent.measured(rng, t))
-    stepped, curved = (select_and_diagnose(campaign, y, seed=1, simulator=one) for one in (bent, None))
+    y = bent.measured(rng, t)
+    stepped, curved = (
+        select_and_diagnose(campaign, y, seed=1, simulate=one) for one in (bent.simulate, None)
+    )
     truth = times * bent.hypotheses[4].parameters[0].typical
     assert indices(campaign, stepped)[0] == indices(campaign, curved)[0] == 4
     assert stepped.findings[0].size[0] == pytest.approx(truth, rel=0.1)

@@ -87,18 +87,13 @@ def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
 class Steep:
     """Simulator whose response grows faster than any parabola; it remembers the sizes that it simulated."""
 
-    hypotheses = SENSITIVITIES.hypotheses
-    nuisances = SENSITIVITIES.nuisances
-
     def __init__(self) -> None:
         self.sizes: list[np.ndarray] = []
 
-    def predict(self, settings: EffectValues, nuisance: np.ndarray) -> np.ndarray:
-        change = np.zeros(WORLD.layout.size)
-        for hypothesis, values in settings.items():
-            self.sizes.append(hypothesis.departures(values))
-            change += self.respond(self.hypotheses.index(hypothesis), self.sizes[-1])
-        return change
+    def simulate(self, settings: EffectValues) -> np.ndarray:
+        ((hypothesis, values),) = settings.items()
+        self.sizes.append(hypothesis.departures(values))
+        return self.respond(SENSITIVITIES.hypotheses.index(hypothesis), self.sizes[-1])
 
     def respond(self, h: int, a: np.ndarray) -> np.ndarray:
         (column,) = np.flatnonzero(SENSITIVITIES.owner == h)
@@ -108,7 +103,8 @@ class Steep:
 def test_a_second_simulation_does_not_depend_on_the_first() -> None:
     """A selection that simulates twice begins at the sensitivities of the campaign each time."""
     simulator, h = Steep(), 3
-    found = select_simulated(MODEL, WHITEN, simulator.respond(h, np.array([6.0])), 1, simulator)
+    value = simulator.respond(h, np.array([6.0]))
+    found = select_simulated(MODEL, WHITEN, value, 1, simulator.simulate)
     assert found.chosen == (h,)
     assert len(simulator.sizes) > 1
     last = SENSITIVITIES.with_simulated(h, simulator.sizes[-1], simulator.respond(h, simulator.sizes[-1]))

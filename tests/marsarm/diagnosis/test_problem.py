@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter, Residuals
+from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter
 from marsarm.diagnosis.sensitivity import fit_parabola, load_sensitivities, save_sensitivities
 from tests.marsarm.diagnosis.worlds import found
 
@@ -58,13 +58,6 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     np.savez(tmp_path / "s.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="no sensitivities"):
         load_sensitivities(tmp_path / "s.npz")
-
-
-def test_a_feature_that_is_not_finite_is_named(made):
-    value = np.zeros(made.layout.size)
-    value[5] = np.nan
-    with pytest.raises(ValueError, match=r"feature 5 \(place \d\.[abc]\) is not finite"):
-        Residuals(made.layout, value)
 
 
 def test_a_floor_of_nothing_is_refused(made):
