@@ -7,6 +7,7 @@ from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, w
 from simgap.checks.records import RemarkKind
 from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
+from simgap.files.pauses import cut_at_pauses
 from simgap.loading import load
 from simgap.robot import Robot
 
@@ -367,3 +368,10 @@ def test_an_hour_between_two_parts_is_told_with_the_windows_that_cut_it(tmp_path
     )
     robot.write_text(robot.read_text().replace("[motion]\n", f"[motion]\n{windows}\n"))
     assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [3, 4]
+
+
+def test_parts_in_which_no_joint_settles_are_no_windows():
+    assert cut_at_pauses(0.0, [(0.01, 2.0), (6.004, 7.0), (7.2, 9.0)], 12.0) == {
+        "part1": [2.0, 6.01],
+        "part2": [9.0, 12.0],
+    }
