@@ -31,6 +31,8 @@ from simgap.effects.command import (
     ClampHigh,
     ClampLow,
     CommandDelay,
+    CommonCommandDelay,
+    CommonMeasurementDelay,
     EncoderScale,
     JointZero,
     MeasurementDelay,
@@ -158,9 +160,26 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
         sag = SupplySag.of(robot, scales, logs.fit)
         found += [sag] if sag.high > 0.0 else []
+    found += _common_delays(found)
     found += transmission_effects(robot, logs.fit, scales)
     found += link_effects(robot, logs.fit, scales)
     return tuple(found)
+
+
+def _common_delays(found: Sequence[Effect]) -> list[Effect]:
+    """List delays that all joints have in common, where several joints may have one each.
+
+    A delay of the command of one joint leaves what the others do to it at the old time, which a delay of all
+    commands moves too: from rest, that is a delay of all positions, and of none of the joints alone.
+    """
+    common: list[Effect] = []
+    for of_joint, of_all in (
+        (CommandDelay, CommonCommandDelay),
+        (MeasurementDelay, CommonMeasurementDelay),
+    ):
+        own = tuple(one for one in found if isinstance(one, of_joint))
+        common += [of_all(own)] if len(own) > 1 else []
+    return common
 
 
 def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.actuation import limit_of
-from simgap.effects.effect import Family, JointEffect, Size
+from simgap.effects.effect import Effect, Family, JointEffect, Size
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +184,42 @@ class MeasurementDelay(JointEffect):
     def sample_delay_s(self, size: Array) -> Array:
         """Return the delay."""
         return np.asarray(size[:, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class _CommonDelay(Effect):
+    family: ClassVar[Family] = Family.TIMING
+    at_joints: tuple[JointEffect, ...]
+    """The delay of each joint."""
+    place: str = "all joints"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Delay, the same at each joint."""
+        return self.at_joints[0].sizes
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Delays of the joints."""
+        return self.at_joints
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the delay of a joint has its own version of any of these hooks."""
+        return self.at_joints[0].overrides(*hooks)
+
+
+@dataclass(frozen=True, slots=True)
+class CommonCommandDelay(_CommonDelay):
+    """The commands of all joints arrive late by one time, as over a bus."""
+
+    name: ClassVar[str] = CommandDelay.name
+
+
+@dataclass(frozen=True, slots=True)
+class CommonMeasurementDelay(_CommonDelay):
+    """The positions of all joints are older than their time stamps by one time, as with another clock."""
+
+    name: ClassVar[str] = MeasurementDelay.name
 
 
 @dataclass(frozen=True, slots=True)

@@ -127,7 +127,8 @@ class EncoderResiduals:
         for k, effect in enumerate(effects):
             size = sizes[:, starts[k] : starts[k + 1]]
             if shows(effect) and size.any():
-                at.setdefault(effect.place, []).append((effect, size))
+                for one in effect.parts:
+                    at.setdefault(one.place, []).append((one, size))
         return np.concatenate(
             [
                 part.residuals(at.get(self.joints[part.joint], []), self._states[part.motion], len(sizes))
