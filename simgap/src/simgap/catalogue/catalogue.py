@@ -160,25 +160,25 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
         sag = SupplySag.of(robot, scales, logs.fit)
         found += [sag] if sag.high > 0.0 else []
-    found += _common_delays(found)
+    found += _common_delays(robot, found)
     found += transmission_effects(robot, logs.fit, scales)
     found += link_effects(robot, logs.fit, scales)
     return tuple(found)
 
 
-def _common_delays(found: Sequence[Effect]) -> list[Effect]:
+def _common_delays(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
     """List delays that all joints have in common, where several joints may have one each.
 
     A delay of the command of one joint leaves what the others do to it at the old time, which a delay of all
-    commands moves too: from rest, that is a delay of all positions, and of none of the joints alone.
+    commands moves too: from rest, that is a delay of all positions, and not of each command alone.
     """
+    commands = tuple(one for one in found if isinstance(one, CommandDelay))
+    positions = tuple(one for one in found if isinstance(one, MeasurementDelay))
     common: list[Effect] = []
-    for of_joint, of_all in (
-        (CommandDelay, CommonCommandDelay),
-        (MeasurementDelay, CommonMeasurementDelay),
-    ):
-        own = tuple(one for one in found if isinstance(one, of_joint))
-        common += [of_all(own)] if len(own) > 1 else []
+    if len(commands) > 1:
+        common.append(CommonCommandDelay(commands, period_s=robot.control_period_s))
+    if len(positions) > 1:
+        common.append(CommonMeasurementDelay(positions))
     return common
 
 

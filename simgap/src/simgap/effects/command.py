@@ -190,7 +190,7 @@ class MeasurementDelay(JointEffect):
 class _CommonDelay(Effect):
     family: ClassVar[Family] = Family.TIMING
     at_joints: tuple[JointEffect, ...]
-    """The delay of each joint."""
+    """The delay of each joint alone."""
     place: str = "all joints"
 
     @property
@@ -209,17 +209,47 @@ class _CommonDelay(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class CommonCommandDelay(_CommonDelay):
-    """The commands of all joints arrive late by one time, as over a bus."""
-
-    name: ClassVar[str] = CommandDelay.name
-
-
-@dataclass(frozen=True, slots=True)
 class CommonMeasurementDelay(_CommonDelay):
     """The positions of all joints are older than their time stamps by one time, as with another clock."""
 
     name: ClassVar[str] = MeasurementDelay.name
+
+
+@dataclass(frozen=True, slots=True)
+class CommonCommandDelay(_CommonDelay):
+    """The commands of all joints arrive late by one time, as over a bus."""
+
+    name: ClassVar[str] = CommandDelay.name
+    period_s: float = 1.0
+    """Control period."""
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Delays by whole periods, and of all samples by what is left."""
+        return tuple(
+            _WholePeriods(one.place, one.index, one.joint, one.scales, period_s=self.period_s)
+            for one in self.at_joints
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _WholePeriods(CommandDelay):
+    """Part of a delay that all commands have.
+
+    If all commands come a part of a period later, all positions do. The mean of the command in a period would
+    not do where a torque is at its limit: a part of a step reaches it as well as the whole step.
+    """
+
+    period_s: float = 1.0
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Shift the command by whole periods."""
+        return CommandDelay.shape_command(self, size - self.sample_delay_s(size)[:, None], command, period_s)
+
+    def sample_delay_s(self, size: Array) -> Array:
+        """Return the part of a period that is left."""
+        whole = np.floor(size[:, 0] / self.period_s + 1e-9)
+        return np.asarray(np.maximum(size[:, 0] - self.period_s * whole, 0.0))
 
 
 @dataclass(frozen=True, slots=True)

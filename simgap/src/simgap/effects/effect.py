@@ -186,7 +186,10 @@ class Effect(ABC):
 
     @property
     def parts(self) -> "tuple[Effect, ...]":
-        """Effects, each with these sizes, whose hooks are called: itself, or one at each joint."""
+        """Effects, each with these sizes, whose hooks are called: itself, or one at each joint.
+
+        One of several parts has no trial of its own: it may replace findings that have the keys of its parts.
+        """
         return (self,)
 
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:

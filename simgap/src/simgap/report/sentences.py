@@ -358,7 +358,7 @@ def _next(diagnosis: Diagnosis) -> str:
     if pairs:
         return (
             f"no recorded motion tells {_effects_words(pairs[0])} apart above the noise; record one that is "
-            "faster, slower or with another load."
+            "faster, slower, with another load or without torque."
         )
     if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
