@@ -167,19 +167,13 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
 
 
 def _common_delays(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
-    """List delays that all joints have in common, where several joints may have one each.
-
-    A delay of the command of one joint leaves what the others do to it at the old time, which a delay of all
-    commands moves too: from rest, that is a delay of all positions, and not of each command alone.
-    """
+    """List delays that all joints have in common, where several joints may have one each."""
     commands = tuple(one for one in found if isinstance(one, CommandDelay))
     positions = tuple(one for one in found if isinstance(one, MeasurementDelay))
-    common: list[Effect] = []
-    if len(commands) > 1:
-        common.append(CommonCommandDelay(commands, period_s=robot.control_period_s))
-    if len(positions) > 1:
-        common.append(CommonMeasurementDelay(positions))
-    return common
+    if len(commands) < 2:
+        return []
+    period_s = robot.control_period_s
+    return [CommonCommandDelay(commands, period_s), CommonMeasurementDelay(positions, period_s)]
 
 
 def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:

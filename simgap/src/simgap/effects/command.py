@@ -188,9 +188,18 @@ class MeasurementDelay(JointEffect):
 
 @dataclass(frozen=True, slots=True)
 class _CommonDelay(Effect):
+    """One delay of all joints.
+
+    A robot that gets its commands later by a time does the same later, and one whose positions are older than
+    their stamps is seen to do it later. From a measured start no log of positions tells these two apart, so
+    they are simulated alike.
+    """
+
     family: ClassVar[Family] = Family.TIMING
     at_joints: tuple[JointEffect, ...]
     """The delay of each joint alone."""
+    period_s: float
+    """Control period."""
     place: str = "all joints"
 
     @property
@@ -201,11 +210,21 @@ class _CommonDelay(Effect):
     @property
     def parts(self) -> tuple[Effect, ...]:
         """Delays of the joints."""
-        return self.at_joints
+        return tuple(
+            _SharedDelay(one.place, one.index, one.joint, one.scales, period_s=self.period_s)
+            for one in self.at_joints
+        )
 
     def overrides(self, *hooks: str) -> bool:
         """Return whether the delay of a joint has its own version of any of these hooks."""
         return self.at_joints[0].overrides(*hooks)
+
+
+@dataclass(frozen=True, slots=True)
+class CommonCommandDelay(_CommonDelay):
+    """The commands of all joints arrive late by one time, as over a bus."""
+
+    name: ClassVar[str] = CommandDelay.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,28 +235,11 @@ class CommonMeasurementDelay(_CommonDelay):
 
 
 @dataclass(frozen=True, slots=True)
-class CommonCommandDelay(_CommonDelay):
-    """The commands of all joints arrive late by one time, as over a bus."""
+class _SharedDelay(CommandDelay):
+    """Delay of all joints at one of them: of its command by whole periods, and of its samples by the rest.
 
-    name: ClassVar[str] = CommandDelay.name
-    period_s: float = 1.0
-    """Control period."""
-
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """Delays by whole periods, and of all samples by what is left."""
-        return tuple(
-            _WholePeriods(one.place, one.index, one.joint, one.scales, period_s=self.period_s)
-            for one in self.at_joints
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _WholePeriods(CommandDelay):
-    """Part of a delay that all commands have.
-
-    If all commands come a part of a period later, all positions do. The mean of the command in a period would
-    not do where a torque is at its limit: a part of a step reaches it as well as the whole step.
+    The mean of the command in a period would be no delay by a part of it where a torque is at its limit: a
+    part of a step takes it there as well as the whole step.
     """
 
     period_s: float = 1.0
@@ -247,9 +249,9 @@ class _WholePeriods(CommandDelay):
         return CommandDelay.shape_command(self, size - self.sample_delay_s(size)[:, None], command, period_s)
 
     def sample_delay_s(self, size: Array) -> Array:
-        """Return the part of a period that is left."""
-        whole = np.floor(size[:, 0] / self.period_s + 1e-9)
-        return np.asarray(np.maximum(size[:, 0] - self.period_s * whole, 0.0))
+        """Return what whole periods leave of the delay; all of it if it is negative."""
+        whole = np.floor(np.maximum(size[:, 0], 0.0) / self.period_s + 1e-9)
+        return np.asarray(size[:, 0] - self.period_s * whole)
 
 
 @dataclass(frozen=True, slots=True)

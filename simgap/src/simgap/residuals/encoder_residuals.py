@@ -38,7 +38,7 @@ from simgap.robot import Robot
 
 def shows(effect: Effect) -> bool:
     """Return whether the difference of two encoders can show an effect."""
-    return effect.overrides(*ENCODER_HOOKS)
+    return effect.overrides(*ENCODER_HOOKS) and len(effect.parts) == 1
 
 
 def why_refused(robot: Robot, effect: Effect) -> str:
@@ -127,8 +127,7 @@ class EncoderResiduals:
         for k, effect in enumerate(effects):
             size = sizes[:, starts[k] : starts[k + 1]]
             if shows(effect) and size.any():
-                for one in effect.parts:
-                    at.setdefault(one.place, []).append((one, size))
+                at.setdefault(effect.place, []).append((effect, size))
         return np.concatenate(
             [
                 part.residuals(at.get(self.joints[part.joint], []), self._states[part.motion], len(sizes))
