@@ -4,6 +4,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects.effect import Effect, Family
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.patch.patch import make_patch
+from simgap.patch.text import read_effect
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import find_confidence_sets, list_members
@@ -99,6 +101,8 @@ def test_a_patch_has_the_delay_of_each_joint() -> None:
     assert [(one["place"], one["effect"], one["size"]) for one in runtime["effects"]] == [
         (joint.name, "command delay", {"delay_s": DELAY_S}) for joint in ARM.joints
     ]
+    (first, _) = read_effect(runtime["effects"][0], Path("runtime.toml"))
+    assert np.isclose(first.sample_delay_s(np.array([[0.0225]])), 0.0025)
 
 
 @pytest.mark.slow
