@@ -94,6 +94,25 @@ def test_motions_that_repeat_one_another_share_a_text(tmp_path):
     assert [one.repeat_of for one in load(robot, path).motions] == ["x", "x"]
 
 
+def test_motions_that_repeat_one_another_can_be_named(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeats = [["slow", "fast"]]')))
+    assert [one.repeat_of for one in load(robot, write_parquet(tmp_path)).motions] == ["slow", "slow"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('repeats = [["slow", "fats"]]', "repeats: 'fats' is no motion, condition or file .* 'fast'"),
+        ('repeats = [["slow"]]', "repeats"),
+        ('repeats = [["slow", "fast"], ["fast", "slow"]]', "repeats: 'fast' stands there twice"),
+        ('repeats = [["slow", "fast"]]\nrepeat_column = "again"', "repeat_column and repeats exclude"),
+    ],
+)
+def test_repeats_that_are_wrong_are_refused(tmp_path, line, message):
+    with pytest.raises(RobotError, match=message):
+        load(write_robot(tmp_path, ("[motion]", f"[motion]\n{line}")), write_parquet(tmp_path))
+
+
 def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
     robot = Robot.from_toml(
         write_robot(
