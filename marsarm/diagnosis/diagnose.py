@@ -37,10 +37,9 @@ from simgap import (
     chi_square_log_p,
     find_confidence_sets,
 )
+from simgap.report.sentences import join_words
 from simgap.selection.verdict import separating_motion
 
-MAX_REMAINDERS: Final = 10
-"""Most groups of features whose remainder is told."""
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
 REGIMES: Final = {"rest": "at rest", "pose": "at rest", "reversal": "after a reversal"}
@@ -167,7 +166,7 @@ def _describe_finding(
             f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.amplitudes
         ),
         interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
-        text="; the same here as ".join([effect.describe(size), *alike]),
+        text=effect.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),
         share=found.share,
         places=tuple(dict.fromkeys(places)),
         families=tuple(dict.fromkeys(model.families[k] for k in members)) if is_named else (),
@@ -179,9 +178,10 @@ def _describe_finding(
 def find_lack_of_fit(
     model: DiagnosisModel, equations: NormalEquations, fit: LinearFit, y: Array
 ) -> Iterator[Remainder]:
-    """Test every group, and all groups together, for structure; yield the most significant first.
+    """Test every group, and all groups together, for structure.
 
-    The greater -log10 p of both tests of a group counts.
+    The greater -log10 p of both tests of a group counts. Of each channel the most significant group is
+    yielded, the most significant first; all channels together only if none is by itself.
 
     Args:
         y: Whitened features, shape (m,).
@@ -199,9 +199,13 @@ def find_lack_of_fit(
         found.append((max(of_direction, of_energy), remainder))
     mean = float(np.mean(np.abs(rest)))
     everywhere = Remainder("all channels together", "all motion", mean, FeatureResiduals.units[0], "", 0.0)
-    found.append((_neg_log10_p(total, max(freedom, 1)), everywhere))
-    found.sort(key=lambda pair: -pair[0])
-    yield from [one for p, one in found if p >= model.lack_of_fit_limit][:MAX_REMAINDERS]
+    found = [(p, one) for p, one in found if p >= model.lack_of_fit_limit]
+    if not found and _neg_log10_p(total, max(freedom, 1)) >= model.lack_of_fit_limit:
+        yield everywhere
+    largest: dict[str, Remainder] = {}
+    for _, one in sorted(found, key=lambda pair: -pair[0]):
+        largest.setdefault(one.joint, one)
+    yield from largest.values()
 
 
 def _neg_log10_p(statistic: float, freedom: float) -> float:

@@ -120,13 +120,24 @@ class Hypothesis:
         return self.fill(self.amplitude_values(departures))
 
     def fill(self, amplitudes: Array) -> Array:
-        """Return all parameters in their units, shape (p,), given the amplitude parameters, shape (n,)."""
+        """Return the values of all parameters; shape parameters have their typical values.
+
+        Args:
+            amplitudes: Values of the amplitude parameters in their units, shape (n,).
+
+        Returns:
+            All parameters in their units, shape (p,).
+        """
         values = self.absent
         values[[parameter.is_amplitude for parameter in self.parameters]] = amplitudes
         return values
 
     def amplitude_values(self, departures: Array) -> Array:
-        """Return the values of the amplitude parameters in their units, shape (n,), as `values` does."""
+        """Return the values of the amplitude parameters in their units, shape (n,).
+
+        Args:
+            departures: Departures from neutral, without a unit (multiples of typical), shape (n,).
+        """
         typical, absent = np.array([(one.typical, one.absent) for one in self.amplitudes]).T
         return np.asarray(absent + typical * departures)
 

@@ -175,7 +175,11 @@ class FeatureEffect(Effect):
         return self.departures
 
     def describe(self, size: Array) -> str:
-        """Return the amplitudes, (n_sizes,) in typical sizes, in their units; a factor in percent."""
+        """Return the amplitudes in their units; a factor as its change in percent.
+
+        Args:
+            size: Departures in typical sizes, without a unit, (n_sizes,).
+        """
         values = zip(self.hypothesis.amplitudes, self.hypothesis.amplitude_values(size), strict=True)
         return ", ".join(
             f"{one.name} {100.0 * np.expm1(value):+.3g} %"

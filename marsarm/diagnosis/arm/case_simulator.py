@@ -29,7 +29,7 @@ from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
 
 MOTION_CONDITIONS: Final = tuple(
-    CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
+    CONDITIONS.index(name) for name in ("speed", "sine of the angle", "cosine of the angle", "direction")
 )
 MOTION_TOLERANCE: Final = 0.02
 """Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
@@ -66,7 +66,7 @@ class CaseSimulator:
         return self.arm.layout.select(self.at)
 
     def simulate(self, settings: EffectValues) -> Array:
-        """Return the change by effects as `marsarm.diagnosis.problem.Simulate`."""
+        """Return the change by effects, shape (m,), as `marsarm.diagnosis.problem.Simulate`."""
         try:
             return simulate_change(self.arm, tuple(self.arm.effects(settings)), self.nominal)[self.at]
         except PlantDiverged:
