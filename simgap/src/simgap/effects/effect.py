@@ -169,12 +169,12 @@ class Effect(ABC):
     @property
     def name(self) -> str:
         """Standard term, such as "Coulomb friction"; mostly a class variable."""
-        raise NotImplementedError
+        raise AttributeError(f"{type(self).__name__} has no name")
 
     @property
     def family(self) -> StrEnum:
-        """Family, also mostly a class variable."""
-        raise NotImplementedError
+        """Family; mostly a class variable too."""
+        raise AttributeError(f"{type(self).__name__} has no family")
 
     @property
     def sizes(self) -> tuple[Size, ...]:
