@@ -9,7 +9,7 @@ effect; fitted beside it, they give way to it. So they are fitted alone first, a
 then.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -81,7 +81,7 @@ class CaseSimulator:
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
-def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str]) -> CaseSimulator:
+def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimulator:
     """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
@@ -91,14 +91,13 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequenc
     Args:
         arm: Simulator of the arm under the drive of the case.
         layout: Layout of the campaign's features, m of them.
-        keys: Keys of the campaign's features.
 
     Returns:
         Simulator of the shared features.
     """
-    number = {key: k for k, key in enumerate(feature_keys(arm.feature_set))}
-    rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
-    at = np.array([number[keys[row]] for row in rows], np.intp)
+    number = {key: k for k, key in enumerate(arm.layout.keys)}
+    rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
+    at = np.array([number[layout.keys[row]] for row in rows], np.intp)
     predicted = _simulate_nominal(arm)
     difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
@@ -165,12 +164,6 @@ def _simulate_nominal(arm: ArmSimulator) -> Array:
     return copy_repeats(
         arm.feature_set, known, arm.predict_effects((), lambda one: one.recording.name in known), np.nan
     )
-
-
-def feature_keys(feature_set: FeatureSet) -> list[str]:
-    """Return a unique key of each feature, equal in every recording of the session."""
-    named = zip(feature_set.list_sessions(), feature_set.list_features(), strict=True)
-    return [f"{session}/{feature.key}" for session, feature in named]
 
 
 def first_recordings(feature_set: FeatureSet) -> set[str]:
