@@ -282,23 +282,25 @@ def check_cache_folder(kept_in: Path) -> None:
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
     """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
-    total = hashlib.sha256("\n".join(kinds).encode())
-    for path in logs:
-        total.update(path.read_bytes())
-        tracker = path.with_suffix(".tracker.csv")
-        total.update(tracker.read_bytes() if tracker.exists() else b"")
-    total.update(digest(nominal_params()).encode())
-    total.update(model_digest(build(World()).compile()).encode())
-    own = (
+    trackers = (path.with_suffix(".tracker.csv") for path in logs)
+    code = (
         *sorted(Path(__file__).parent.glob("*.py")),
         *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
     )
-    for source in (*list_sources(fsw), *list_sources(sim), *own):
-        total.update(source.read_bytes())
+    return simulator_digest("\n".join(kinds), *logs, *(path for path in trackers if path.exists()), *code)
+
+
+def simulator_digest(text: str, *more: Path) -> str:
+    """Return the SHA-256 of flight software, simulator, nominal parameters and model, of a text and files."""
+    total = hashlib.sha256(text.encode())
+    for path in (*_list_sources(fsw), *_list_sources(sim), *more):
+        total.update(path.read_bytes())
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
     return total.hexdigest()
 
 
-def list_sources(package: ModuleType) -> list[Path]:
+def _list_sources(package: ModuleType) -> list[Path]:
     """Return all modules of a package."""
     return sorted(Path(package.__path__[0]).rglob("*.py"))
 
