@@ -188,7 +188,7 @@ class Effect(ABC):
     def parts(self) -> "tuple[Effect, ...]":
         """Effects, each with these sizes, whose hooks are called: itself, or one at each joint.
 
-        One of several parts has no trial of its own: it may replace findings that have the keys of its parts.
+        One of several parts has no trial of its own: it may replace findings of its kind at their places.
         """
         return (self,)
 

@@ -106,7 +106,7 @@ def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel,
         The model with the best one, and the others with their sizes; None if none does as much.
     """
     common = [one for one in context.catalogue if len(one.parts) > 1]
-    keys = {part.key for one in common for part in one.parts}
+    keys = {part.place + one.key.removeprefix(one.place) for one in common for part in one.parts}
     own = [one for one in present.effects if one.key in keys]
     if len(own) < 2:
         return None
