@@ -170,11 +170,12 @@ def whiten_later(change_rad: Array) -> Array:
 
 
 def make_plant(
-    robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect] = (), step_s: float = LIMIT_STEP_S
+    robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect] = (), step_s: float = 0.0
 ) -> Plant | ServoPlant:
-    """Make a true robot: the nominal one with nuisances and effects."""
-    kind = ServoPlant if MODELS[robot.name].is_servo else Plant
-    return kind(robot, nuisances, effects, step_s)
+    """Make a true robot: the nominal one with nuisances and effects; without a step, that of limits."""
+    if MODELS[robot.name].is_servo:
+        return ServoPlant(robot, nuisances, effects, step_s or 2.0 * LIMIT_STEP_S)
+    return Plant(robot, nuisances, effects, step_s or LIMIT_STEP_S)
 
 
 def simulate_motion(plant: Plant | ServoPlant, plan: Plan, k: int, seed: int) -> Array:

@@ -134,7 +134,7 @@ class ServoPlant:
         free = (v + h * (torque - weight_Nm) / inertia) / (1.0 + h * damping / inertia)
         speed = math.copysign(max(abs(free) - h * max(friction_Nm, 0.0) / inertia, 0.0), free)
         run.load_Nm[0] = weight_Nm + self.link_kgm2 * (speed - v) / h
-        run.v[0], run.q[0] = speed, q + 0.5 * h * (v + speed)
+        run.v[0], run.q[0] = speed, q + h * speed  # symplectic: no energy comes or goes
         return shown
 
 
