@@ -103,7 +103,7 @@ class ServoPlant:
         seen = np.array([self._step(run, *one) for one in inputs])
         if not np.isfinite(seen).all() or np.abs(seen).max() > 1e3:
             raise FloatingPointError("the truth diverged")
-        return np.interp(period_s * np.arange(n) - late_s, time_s, seen)[None]
+        return np.asarray(np.interp(period_s * np.arange(n) - late_s, time_s, seen))[None]
 
     def _step(self, run: Run, time_s: float, command: float, kp: float, heat_degC: float) -> float:
         """Advance by a step, and return what the encoder showed before it."""

@@ -50,6 +50,8 @@ class Base:
     interval: tuple[float, float]
     is_identifiable: bool
     """False if the data show nothing of it, or only its ratio to the gain where that is fitted too."""
+    is_pushed: bool = False
+    """True if it ends at a bound that the motions contradict."""
 
 
 @dataclass(frozen=True, slots=True)

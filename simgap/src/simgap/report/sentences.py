@@ -73,7 +73,7 @@ def finding_lines(diagnosis: Diagnosis) -> list[str]:
         for one in diagnosis.rejected
     ]
     unnamed = _shorten(rejected, "effect that is not named", "effects that are not named")
-    return [*found, *rest, *unnamed, *unknown_sentences(diagnosis.base)]
+    return [*found, *rest, *unnamed, *bound_sentences(diagnosis.base), *unknown_sentences(diagnosis.base)]
 
 
 def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
@@ -147,6 +147,17 @@ def remainder_sentence(one: Remainder, unexplained: str = "no effect explains") 
     )
     amount = quantity(one.mean_abs, one.unit)
     return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that {unexplained}; {depends}."
+
+
+def bound_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence for each base parameter that ends at a bound which the motions contradict."""
+    return [
+        f"{one.name} of {one.place} ends at its bound, {one.value:.3g}, and the motions ask for a number "
+        "beyond it: another number of the model is wrong, such as a mass, or something acts that is not in "
+        f"the catalogue. No effect at {one.place} is sure."
+        for one in base
+        if one.is_pushed
+    ]
 
 
 def unknown_sentences(base: Sequence[Base]) -> list[str]:
