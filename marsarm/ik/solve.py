@@ -235,21 +235,18 @@ def _branch(report: IkReport, slot: int) -> dict[str, Any]:
     }
 
 
-def ik_parts(report: IkReport) -> list[ReportTable]:
-    """Show the joint angles of each branch of a target, or the reason why it is invalid."""
-    rows = []
-    for slot, name in enumerate(BRANCHES):
-        branch = _branch(report, slot)
-        angles = ["-"] * len(JOINT_NAMES)
-        if branch["output_deg"] is not None:
-            angles = [f"{angle:.3f}" for angle in branch["output_deg"]]
-        error = float(branch["forward_error"])
-        shown_error = f"{error:.1e}" if math.isfinite(error) else "-"
-        rows.append((name, *angles, shown_error, branch["reason"] or "valid"))
-    valid = sum(row[-1] == "valid" for row in rows)
-    head = ("branch", *(f"{joint}\ndeg" for joint in JOINT_NAMES), "forward check\nm, rad", "")
-    title = f"{report.model.description}: {valid} of {len(rows)} branches valid"
-    return [ReportTable(head, rows, title, is_whole=True)]
+def ik_parts(report: IkReport) -> list[str | ReportTable]:
+    """Show the joint angles of each valid branch of a target, and the reasons why others are invalid."""
+    branches = [_branch(report, slot) for slot in range(len(BRANCHES))]
+    valid = [one for one in branches if one["reason"] is None]
+    rows = [(one["branch"], *(f"{angle:.3f}" for angle in one["output_deg"])) for one in valid]
+    head = ("branch", *(f"{joint}\ndeg" for joint in JOINT_NAMES))
+    title = f"{report.model.description}: {len(valid)} of {len(branches)} branches valid"
+    parts: list[str | ReportTable] = [ReportTable(head, rows, title, is_whole=True)] if valid else [title]
+    if valid:
+        worst = max(float(one["forward_error"]) for one in valid)
+        parts.append(f"forward kinematics of these angles: at most {worst:.1e} m or rad beside the target")
+    return parts + [f"{one['branch']}: {one['reason']}" for one in branches if one["reason"] is not None]
 
 
 def batch_document(report: BatchReport) -> dict[str, Any]:

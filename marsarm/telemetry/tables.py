@@ -18,7 +18,7 @@ from simgap.common.report import ReportTable
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""
-JSON_KEYS: Final = ("boot", "cpu", "request")
+JSON_KEYS: Final = ("boot", "cpu", "effects", "request")
 """Keys of the header whose values are JSON."""
 
 
@@ -65,6 +65,19 @@ def _parse_header_value(name: str, text: str) -> Any:
         return text
 
 
+def _say_value(value: Any) -> str:
+    """Return a value of the header for people; digests and long lists are cut."""
+    if isinstance(value, dict):
+        return "; ".join(f"{key} {_say_value(one)}" for key, one in value.items())
+    if isinstance(value, list):
+        said = [_say_value(one) for one in value]
+        return ", ".join(said) or "none" if len(said) < 7 else f"{said[0]} and {len(said) - 1} more"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    text = str(value)
+    return text[:12] if len(text) in (40, 64) and set(text) <= set("0123456789abcdef") else text
+
+
 def _lost_document(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
     """Collect losses; times in seconds of log time, None for unknown."""
     return [
@@ -87,7 +100,7 @@ def info_parts(log: Log) -> list[str | ReportTable]:
     duration = "nothing was recorded"
     if info["first_s"] is not None:
         duration = f"{info['duration_s']:.3f} s from {info['first_s']:.3f} s on, {info['cycles']} cycles"
-    about = {name: log.header[name] for name in sorted(info["header"])}
+    about = {name: _say_value(info["header"][name]) for name in sorted(info["header"])}
     about |= {"format": FORMAT, "duration": duration, "end": state}
     rows = [
         (one["topic"], str(one["messages"]), f"{one['rate_hz']:.2f}", "truth" if one["truth"] else "")

@@ -7,12 +7,15 @@ import pytest
 
 from helpers.marks import slow_but
 from helpers.planar_arm import COUNT_RAD, RATE_HZ, commands, planar_arm, record, slow_logs, with_joint
+from helpers.robot_folder import COLUMNS, write_parquet, write_robot
 from simgap.checks.audit import audit
-from simgap.checks.records import RemarkKind, Samples
+from simgap.checks.records import REFUSED, RemarkKind, Samples
 from simgap.checks.signals import spike_flags
 from simgap.files.counters import unwrap_counters
 from simgap.files.robot_file import JointTable
+from simgap.loading import load
 from simgap.logs import Logs, Signal
+from simgap.robot import Robot
 
 
 @pytest.fixture(scope="module")
@@ -296,3 +299,70 @@ def test_what_the_logs_cannot_show_is_told(clean):
     blind = with_joint(clean, "elbow", lambda log: replace(log, command=None))
     blind = with_joint(blind, "shoulder", lambda log: replace(log, command=None))
     assert "exchanged and reversed joints" in audit(planar_arm(), blind).untested[0]
+
+
+def thin_out(every):
+    """Return a change of the log of a joint that keeps every so many rows."""
+
+    def change(log):
+        return replace(
+            log,
+            position=Signal(log.position.time_s[::every], log.position.value[::every]),
+            command=Signal(log.command.time_s[::every], log.command.value[::every]),
+        )
+
+    return change
+
+
+@pytest.mark.parametrize(("every", "is_slow"), [(1, False), (20, False), (60, True)])
+def test_a_command_of_few_rows_a_wave_is_too_fast_for_the_rate(clean, every, is_slow):
+    logs = with_joint(clean, "shoulder", thin_out(every))  # a wave of 6 s at 50 Hz
+    found = [one.joint for one in remarks(logs, RemarkKind.SLOW)]
+    assert found == ["shoulder"] * is_slow
+    assert not remarks(logs, RemarkKind.STILL)
+
+
+@pytest.mark.parametrize(("rows", "is_short"), [(4, True), (15, True), (20, False)])
+def test_a_motion_that_ends_before_a_joint_settles_is_refused_for_that_alone(clean, rows, is_short):
+    def cut(log):
+        return replace(
+            log,
+            position=Signal(log.position.time_s[:rows], log.position.value[:rows]),
+            command=Signal(log.command.time_s[:rows], log.command.value[:rows]),
+        )
+
+    logs = with_joint(with_joint(clean, "shoulder", cut), "elbow", cut)
+    found = [one.kind for one in audit(planar_arm(), logs).remarks if one.kind in REFUSED]
+    assert found == [RemarkKind.SHORT] * is_short
+
+
+@pytest.mark.parametrize(("key", "kind"), [("velocity", RemarkKind.MISSING), ("torque", RemarkKind.CONSTANT)])
+def test_a_signal_that_never_changes_while_the_joint_moves_was_not_measured(clean, key, kind):
+    def add(value):
+        return lambda log: replace(log, **{key: Signal(log.position.time_s, value(log.position.time_s))})
+
+    (found,) = remarks(with_joint(clean, "elbow", add(np.zeros_like)), kind)
+    assert f"the {key}" in found.text
+    assert "stays at 0 while the joint moves" in found.text
+    assert not remarks(with_joint(clean, "elbow", add(np.cos)), kind)
+
+
+def test_counts_that_are_too_many_for_the_model_are_asked_for_those_of_a_turn(tmp_path):
+    time_s = np.arange(100) / 100
+    turns = np.sin(6.0 * time_s)  # of the joint: 6.28 rad, and the model ends at 2
+    columns = {name: [0.0] * 100 for name in COLUMNS} | {"t": 1e3 * time_s, "motion": ["m"] * 100}
+    columns |= {"gain": [1.0] * 100, "q2": 50 * 4096 * turns}
+    robot = Robot.from_toml(write_robot(tmp_path))
+    logs = load(robot, write_parquet(tmp_path, **columns))
+    (found,) = [one for one in audit(robot, logs).remarks if one.kind is RemarkKind.UNIT]
+    assert "is counts_per_turn = 4096 right? With 16384 or more it would fit" in found.text
+
+
+@pytest.mark.parametrize(("says", "is_asked"), [("", True), ('angle="radian"', False)])
+def test_a_model_that_has_lost_its_unit_is_asked_for(clean, says, is_asked):
+    robot = planar_arm()
+    robot.model.jnt_range[:] = np.radians(robot.model.jnt_range)
+    robot = replace(robot, model_xml=robot.model_xml.replace('angle="radian"', says))
+    found = [one for one in audit(robot, clean).remarks if one.kind is RemarkKind.UNIT]
+    assert [one.joint for one in found] == ["shoulder", "elbow"]
+    assert all('or has the model lost angle="radian"?' in one.text for one in found) is is_asked

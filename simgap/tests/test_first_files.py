@@ -1,5 +1,6 @@
 """First robot files of logs that other programs write, and of robots with gears, shares and a free base."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -105,3 +106,79 @@ def test_what_never_changes_is_no_signal(tmp_path):
     joints, asked, _ = make(tmp_path, log)
     assert set(joints["lift"]) == {"mode", "command", "position"}
     assert "is lift, elbow the order of the joints" in asked
+
+
+def test_a_zero_that_is_off_by_half_a_turn_is_taken_and_asked(tmp_path):
+    moved = {f"{key}_lift": by_name()[f"{key}_lift"] + np.pi for key in ("command", "position")}
+    joints, asked, remarks = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**moved)))
+    assert [joints[one]["position"]["unit"] for one in JOINTS] == ["rad", "rad"]
+    assert [joints[one]["position"].get("zero_rad", 0.0) for one in JOINTS] == [-3.141593, 0.0]
+    assert "is the zero of the log another one" in asked
+    assert remarks == ()
+
+
+def test_records_with_names_give_the_joint_in_any_order(tmp_path):
+    one, lines = run(), []
+    for k, time_s in enumerate(one.clock_s):
+        own = [{"name": JOINTS[j], "pos": one.position[k, j], "target": one.command[k, j]} for j in (1, 0)]
+        lines.append(json.dumps({"time": time_s, "joints": own}))
+    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    joints, asked, _ = make(tmp_path, tmp_path / "log.jsonl")
+    assert [joints[name]["position"]["column"] for name in JOINTS] == ["joints[1].pos", "joints[0].pos"]
+    assert "order" not in asked
+
+
+def test_names_of_another_robot_are_taken_in_order_and_asked(tmp_path):
+    others = {name.replace("lift", "hip").replace("elbow", "knee"): one for name, one in by_name().items()}
+    joints, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **others))
+    assert [joints[name]["command"]["column"] for name in JOINTS] == ["command_hip", "command_knee"]
+    assert "is lift, elbow the order of the joints in command_hip, command_knee" in asked
+
+
+@pytest.mark.parametrize("pause_s", [4.0, 3600.0])
+def test_a_log_with_pauses_is_cut_there(tmp_path, pause_s):
+    clock_s = run().clock_s + pause_s * run().motion
+    _, _, remarks = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(t_s=clock_s, motion=None)))
+    windows_s = tomllib.loads((tmp_path / "robot.toml").read_text())["motion"]["windows_s"]
+    assert windows_s == {"part1": [0.0, 3.99], "part2": [4.0 + pause_s, 7.99 + pause_s]}
+    assert remarks == ()
+
+
+def test_a_column_of_repeats_is_found_where_the_time_goes_on(tmp_path):
+    again = {"t_s": run().clock_s, "repeat": np.repeat([2.0, 1.0], 400)}
+    make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**again)))
+    assert tomllib.loads((tmp_path / "robot.toml").read_text())["motion"]["repeat_column"] == "repeat"
+
+
+def test_what_cannot_be_simulated_is_asked_or_left_out(tmp_path):
+    ball = '<body><joint name="head" type="ball"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    tendon = '<tendon><fixed name="T"><joint joint="lift" coef="1"/></fixed></tendon>'
+    model = MODEL.replace("</worldbody>", f"{ball}</worldbody>{tendon}")
+    model = model.replace('<position name="lift" joint="lift"', '<position name="pull" tendon="T"')
+    _, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name()), model)
+    assert "the model drives it by pull through a tendon, which is not simulated" in asked
+    assert tomllib.loads((tmp_path / "robot.toml").read_text())["left_out"] == ["head"]
+
+
+def test_a_joint_that_texts_name_is_asked(tmp_path):
+    log = write_columns(tmp_path / "log.csv", **by_name())
+    rows = [line.split(",") for line in log.read_text().splitlines()]
+    column = rows[0].index("position_elbow")
+    for row in rows[1:]:
+        row[column] = "is " + row[column]
+    log.write_text("\n".join(map(",".join, rows)))
+    _, asked, _ = make(tmp_path, log)
+    assert "position_elbow holds texts: are they numbers?" in asked
+
+
+def test_a_turn_has_the_fewest_counts_with_which_positions_lie_within_the_model(tmp_path):
+    counts = {
+        name: np.round(one * 2**16 / np.pi) for name, one in by_name().items() if name[:3] in ("com", "pos")
+    }
+    log = write_columns(tmp_path / "log.csv", **by_name(**counts, velocity_lift=None, velocity_elbow=None))
+    joints, asked, _ = make(tmp_path, log)
+    ends = {"lift": 2.0, "elbow": 2.5}
+    share = max(np.abs(one).max() / ends[name.split("_")[1]] for name, one in counts.items())
+    turn = joints["lift"]["position"]["counts_per_turn"]
+    assert turn / 2 < 2.0 * np.pi * share <= turn
+    assert f"is a turn {turn} counts?" in asked

@@ -148,11 +148,11 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
         ({"q1": [None, None, None, 0.0, 0.0, 0.0, 0.0]}, "column 'q1' has no value in motion 'slow'"),
         (
             {"t": [0.0, 2.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
-            "motion 'slow': the time of 't' runs backwards to 0.001 s",
+            "motion 'slow': the time of 't' runs backwards from 0.002 s to 0.001 s in row 3",
         ),
         (
             {"t": [0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
-            "motion 'slow': the time of 't' stands still after 0.001 s",
+            "motion 'slow': the time of 't' repeats: 1 row has the time of the row before, the first",
         ),
         ({"t": [0.0, None, 1.0, 0.0, 1.0, 2.0, 3.0]}, "time column 't' has rows without a time; remove them"),
         (
@@ -350,3 +350,20 @@ def test_what_is_wrong_with_a_split_is_one_sentence(tmp_path, change, options, s
         logs(tmp_path, change, **options)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_an_hour_between_two_parts_is_told_with_the_windows_that_cut_it(tmp_path):
+    early = COLUMNS["t"][:3]
+    columns = COLUMNS | {"t": [*early, *(3.6e6 + np.array(COLUMNS["t"][3:]))]}
+    robot = write_robot(
+        tmp_path, ('columns = ["motion"]\ncondition_column = "gain"\n', ""), ('gain_column = "gain"\n', "")
+    )
+    path = write_parquet(tmp_path, **columns)
+    windows = "windows_s = { part1 = [0, 0.02], part2 = [3600, 3600.03] }"
+    with pytest.raises(RobotError) as error:
+        load(robot, path)
+    assert "has 100 a second with 1 gap of up to 3600 s: cut it there, in [motion] " + windows in str(
+        error.value
+    )
+    robot.write_text(robot.read_text().replace("[motion]\n", f"[motion]\n{windows}\n"))
+    assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [3, 4]

@@ -129,13 +129,18 @@ def test_numbers_that_are_none_before_the_first_are_left_out_and_told(robot, tmp
     assert any("is no number before its value 3; 2 are left out" in one for one in logs.losses)
 
 
-def test_a_pause_is_told_with_the_windows_that_cut_it(robot, tmp_path):
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log"])
+@pytest.mark.parametrize("early_s", [0, 2])
+def test_a_pause_is_told_with_the_windows_that_cut_it(robot, tmp_path, name, early_s):
     messages = rows(20)
     late = [(topic, time_ns + 10**9, content) for topic, time_ns, content in messages[20:]]
-    path = write_mcap(tmp_path / "log.mcap", messages[:20] + late)
+    early = [("/other", START_NS - early_s * 10**9, messages[0][2])]
+    write = write_mcap if name == "log.mcap" else write_bag
+    path = write(tmp_path / name, early + messages[:20] + late)
     read = Robot.from_toml(robot)
     (remark,) = [one for one in audit(read, load(read, path)).remarks if one.kind is RemarkKind.PAUSE]
-    windows = "windows_s = { part1 = [0, 0.09], part2 = [1.1, 1.19] }"
+    low, high = (([0, 0.09], [1.1, 1.19]), ([2, 2.09], [3.1, 3.19]))[early_s // 2]
+    windows = f"windows_s = {{ part1 = {low}, part2 = {high} }}"
     assert windows in remark.text
     robot.write_text(
         robot.read_text().replace("\n[joints.shoulder]", f"\n[motion]\n{windows}\n\n[joints.shoulder]")

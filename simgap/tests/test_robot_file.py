@@ -139,7 +139,12 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
             "time_step_s: should be greater than or equal to 0.000001, not 0",
         ),
         ("time_step_s = 0.002", 'time_step_s = "2 ms"', "time_step_s: should be a valid number, not '2 ms'"),
-        ("time_step_s = 0.002", "time_step_s = 0.003", "control_rate_Hz: its period is 1.33333 time steps"),
+        (
+            "time_step_s = 0.002",
+            "time_step_s = 0.003",
+            "control_rate_Hz: its period is 1.33333 time steps; write time_step_s = 0.002, or a rate",
+        ),
+        ("control_rate_Hz = 250.0", "control_rate_Hz = 2000.0", "write time_step_s = 0.0005, or a rate"),
         (
             'mode = "torque"',
             'mode = "force"',

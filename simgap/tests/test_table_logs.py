@@ -1,5 +1,6 @@
 """Logs that are tables: data sets of LeRobot, lists, JSON lines, and CSV as it comes."""
 
+import gzip
 import json
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_robot
 from simgap.common.errors import RobotError
-from simgap.files.log_file import open_log
+from simgap.files.log_file import list_columns, open_log, open_whole
 from simgap.files.robot_file import CsvTable
 from simgap.loading import load
 
@@ -139,3 +140,84 @@ def test_all_rows_of_a_csv_decide_its_types(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,a\n" + "".join(f"{k},0\n" for k in range(300_000)) + "300000,0.5\n")
     assert open_log(path, ["a"], [], CsvTable()).numbers("a").value[-1] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("head", "n_left_out"),
+    [
+        ("t,q\n", 0),
+        ("# t,q\n", 0),  # numpy.savetxt
+        ("run 3 of Monday\nt,q\n", 1),
+        ("Monday;arm A,\nt,q\n", 1),
+        ("t,q\ns,rad\n", 1),
+        ("# robot A\n# t,q\n", 1),
+        ("# robot A, Monday, 3\nt,q\n", 1),
+    ],
+)
+def test_lines_without_numbers_before_the_rows_are_header_or_left_out(tmp_path, head, n_left_out):
+    path = tmp_path / "log.csv"
+    path.write_text(head + "0.0,1.5\n0.1,2.5\n0.2,3.5\n0.3,4.5\n0.4")
+    log = open_log(path, ["t", "q"], [], CsvTable())
+    np.testing.assert_array_equal(log.numbers("q").value, [1.5, 2.5, 3.5, 4.5])
+    n_lines = head.count("\n") + 5
+    cut = f"line {n_lines} has 1 of 2 columns, where the file was cut; the 4 rows before it are used"
+    left_out = "1 line without numbers before the rows of numbers is left out"
+    assert log.losses == [left_out] * n_left_out + [cut]
+
+
+def test_numpy_and_fortran_separate_columns_by_spaces(tmp_path):
+    path = tmp_path / "log.txt"
+    np.savetxt(path, np.arange(8.0).reshape(4, 2), header="t q")
+    assert open_log(path, ["q"], [], CsvTable()).numbers("q").value.tolist() == [1.0, 3.0, 5.0, 7.0]
+    np.savetxt(path, np.arange(8.0).reshape(4, 2), header="made on Monday")
+    assert [one.name for one in list_columns(path)] == ["column[0]", "column[1]"]
+
+
+def test_columns_without_a_name_have_their_place_and_names_given_twice_are_told(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(",t,q,q,\n0,0.0,1,2,7\n1,0.1,3,4,8\n")
+    log = open_whole(path)
+    assert [one.name for one in log.describe()] == ["column[0]", "t", "q", "column[4]"]
+    assert log.losses == ["has 2 columns 'q'; give each its own name"]
+    assert open_log(path, ["column[4]"], [], CsvTable()).numbers("column[4]").value.tolist() == [7.0, 8.0]
+    with pytest.raises(RobotError, match="has 2 columns 'q'; give each its own name"):
+        open_log(path, ["q"], [], CsvTable())
+
+
+def test_nan_in_a_csv_is_an_empty_cell_and_a_word_is_none(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,q,name\n0,1,nan\n1,NaN,b\n2,nan,c\n3,,d\n4,5,e\n")
+    column = open_log(path, ["q"], ["name"], CsvTable())
+    assert column.numbers("q").is_present.tolist() == [True, False, False, False, True]
+    assert column.texts("name").tolist() == ["nan", "b", "c", "d", "e"]
+
+
+@pytest.mark.parametrize("times", ["9:30:00.5,9:30:01,10:00:00", "09:30:00,09:30:01,10:00:00"])
+def test_times_of_day_are_seconds(tmp_path, times):
+    path = tmp_path / "log.csv"
+    path.write_text("t,q\n" + "".join(f"{time},1\n" for time in times.split(",")))
+    found = open_log(path, ["t"], [], CsvTable()).numbers("t").value
+    assert found.tolist() == [34200.5 if "." in times else 34200.0, 34201.0, 36000.0]
+
+
+def test_text_is_read_as_it_is_packed(tmp_path):
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(b"t,q\n0,1\n1,2\n"))
+    assert open_log(path, ["q"], [], CsvTable()).numbers("q").value.tolist() == [1.0, 2.0]
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(RobotError, match="cannot be read"):
+        open_log(path, ["q"], [], CsvTable())
+    path.rename(tmp_path / "log.parquet.gz")
+    with pytest.raises(RobotError, match="is packed; unpack it with gunzip"):
+        open_log(tmp_path / "log.parquet.gz", ["q"], [], CsvTable())
+
+
+def test_an_array_with_a_row_a_joint_is_transposed_and_told(tmp_path):
+    q = np.arange(12.0).reshape(2, 6)
+    np.savez(tmp_path / "log.npz", t=np.arange(6.0), q=q, v=q.T, square=np.zeros((6, 6)))
+    log = open_whole(tmp_path / "log.npz")
+    names = [one.name for one in log.describe()]
+    assert names == ["t", "q[0]", "q[1]", "v[0]", "v[1]", *(f"square[{k}]" for k in range(6))]
+    assert log.losses == ["'q' has 2 rows of 6 values: it is transposed, to have a row a sample"]
+    read = open_log(tmp_path / "log.npz", ["t", "q[1]", "v[1]"], [], CsvTable())
+    np.testing.assert_array_equal(read.numbers("q[1]").value, read.numbers("v[1]").value)

@@ -153,7 +153,9 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
         logs = {joint: {key: own[k] for key, own in one.items()} for joint, (one, _) in unwrapped.items()}
         wraps = {joint: n for joint, (_, count) in unwrapped.items() if (n := count[k]) is not None}
         gained = {joint: gain[joint][k] if joint in gain else 1.0 for joint in file.joints}
-        motions.append(Motion(name, _joint_logs(logs), gained, repeats[k], conditions[k], wraps))
+        start_s, joint_logs = _joint_logs(logs)
+        since_s = start_s - rows.start_s
+        motions.append(Motion(name, joint_logs, gained, repeats[k], conditions[k], wraps, since_s))
     return motions, rows.losses
 
 
@@ -182,13 +184,13 @@ def _column_by_name(log: LogFile, file: RobotFile, joint: str, key: str, column:
     return f"{whole}[{own or stood[0]}]"
 
 
-def _joint_logs(signals: Mapping[str, Mapping[str, Signal]]) -> dict[str, JointLog]:
-    """Count the times of a motion, by joint and signal, from its first sample."""
+def _joint_logs(signals: Mapping[str, Mapping[str, Signal]]) -> tuple[float, dict[str, JointLog]]:
+    """Count the times of a motion, by joint and signal, from its first sample; return it too [s]."""
     every = [one for own in signals.values() for one in own.values()]
     start_s = min(float(one.time_s[0]) for one in every)
     times = {id(one.time_s): one.time_s for one in every}
     moved = {key: time_s - start_s for key, time_s in times.items()}  # signals with one clock share one array
-    return {
+    return start_s, {
         joint: JointLog(**{key: Signal(moved[id(one.time_s)], one.value) for key, one in own.items()})
         for joint, own in signals.items()
     }

@@ -57,6 +57,8 @@ class Motion:
     """Setting, such as a gain, that a split may hold out."""
     unwrapped: Mapping[str, int] = field(default_factory=dict)
     """Joint -> how often its counter began anew, so that turns were added when it was read."""
+    start_s: float = 0.0
+    """Its zero of time, since the start of the log [s]: there, windows of a robot file count."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,7 +142,7 @@ BOTH = {
     "robot.toml huge.parquet": "reaches 1e+300 in SI units",
     "robot.toml one_row.parquet": "motion 'motion 0' has 1 position; a motion needs several",
     # time
-    "robot.toml gap.parquet": "end the motion where the gap is",
+    "robot.toml gap.parquet": "with 1 gap of up to",
     "robot.toml time_1000.parquet": "the times look 1000 times too long; write time.unit = 'ms'",
     "robot.toml time_1_1000.parquet": "the times look 1000 times too short",
     "milliseconds.toml log.parquet": "the times look 1000 times too short; write time.unit = 's'",

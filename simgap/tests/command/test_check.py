@@ -13,6 +13,7 @@ from helpers.message_logs import BY_TOPIC, rows, write_bag, write_mcap
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
 from helpers.robot_folder import MODEL as LINKS
 from simgap.command.check import check_robot, drawn_motions, print_check, summarize_joints
+from simgap.command.columns import list_logs
 from simgap.command.request import CheckRequest
 from simgap.common.files import file_sha256
 
@@ -64,7 +65,7 @@ def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     logs = slow_logs(planar_arm(), count=2)
     write_logs(folder / "degrees.parquet", logs, command_elbow=np.degrees(columns_of(logs)["command_elbow"]))
     done = run_simgap(folder, "check", "robot.toml", "degrees.parquet")
-    assert done.returncode == 0
+    assert done.returncode == 3
     words = " ".join(done.stdout.split())
     assert (
         "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"
@@ -127,6 +128,18 @@ def test_the_page_draws_each_joint_and_asks_for_nothing(written):
     assert len(motions) == 4
     assert list(motions[0]["panels"][0]["series"]) == ["refused", "measured", "nominal", "command"]
     assert "simgap check robot.toml log.parquet" in text
+
+
+def test_a_list_has_the_rate_of_each_column_of_a_table_or_says_why_not(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{20 * k},{k},{k if k % 5 == 0 else ''}" for k in range(20)]
+    path.write_text("\n".join(["t_ms,q,q_cmd", *rows]))
+    (log,) = list_logs(CheckRequest(path))
+    assert [one.rate_Hz for one in log.columns] == pytest.approx([50.0, 50.0, 10.0])
+    path.write_text("\n".join(["t_ms,q,q_cmd", *rows, *rows[-2:]]))
+    (log,) = list_logs(CheckRequest(path))
+    assert [one.rate_Hz for one in log.columns] == [None] * 3
+    assert log.losses[0].startswith("the time 't_ms' does not increase at row 21")
 
 
 def test_the_help_shows_an_example(tmp_path):

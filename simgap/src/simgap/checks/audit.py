@@ -13,7 +13,9 @@ from simgap.checks.rates import audit_rates
 from simgap.checks.records import Audit, Faulty, RemarkKind
 from simgap.checks.signals import (
     describe_spikes,
+    find_idle_signals,
     find_late_starts,
+    find_low_rates,
     find_still_joints,
     find_wraps,
     flag_samples,
@@ -24,7 +26,10 @@ from simgap.logs import Logs, Motion
 from simgap.result import Refusal
 from simgap.robot import ControlMode, Robot
 
-TESTS: Final = (audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_late_starts)
+TESTS: Final = (
+    *(audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_low_rates),
+    *(find_late_starts, find_idle_signals),
+)
 """Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2
 """The second pass predicts free positions without the samples that the first has found held back."""

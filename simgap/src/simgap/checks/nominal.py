@@ -3,20 +3,17 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
 import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Flags
 from simgap.checks.records import hold, joint_samples
-from simgap.logs import JointLog, Motion
+from simgap.logs import JointLog, Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.robot import Robot
 from simgap.simulation.compiled import compile_for, control_laws, nominal_gains
-
-START_S: Final = 0.1
-"""Time over which the first positions give the velocity at the start: several samples of a slow log."""
+from simgap.simulation.windows import SLOPE_SAMPLES, held_means, local_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +22,8 @@ class NominalMotion:
 
     motion: str
     position: Mapping[str, Array]
-    """Joint -> predicted position at the times of the logged ones, (n,) [rad]; NaN if it blew up."""
+    """Joint -> predicted position at the times of the logged ones, (n,) [rad]; NaN if it blew up, and before
+    all joints have a position."""
     mean_abs_rad: Mapping[str, float]
     """Joint -> mean absolute difference from the logged position."""
 
@@ -43,9 +41,12 @@ class NominalModel:
                 self.model.actuator_forcerange[joint.actuator_index] = (-limit_Nm, limit_Nm)
 
     def simulate(self, motion: Motion) -> NominalMotion:
-        """Simulate a motion once, and compare."""
+        """Simulate a motion once, and compare.
+
+        Start and commands are those of a window of a diagnosis, so that both have one error.
+        """
         samples = {one.name: joint_samples(motion.joints[one.name]) for one in self.robot.joints}
-        begin_s = min((one.time_s[0] for one in samples.values() if one.time_s.size), default=0.0)
+        begin_s = max((one.time_s[0] for one in samples.values() if one.time_s.size), default=0.0)
         end_s = max((one.time_s[-1] for one in samples.values() if one.time_s.size), default=0.0)
         period_s = self.robot.control_period_s
         tick_s = begin_s + period_s * np.arange(math.ceil((end_s - begin_s) / period_s) + 1)
@@ -53,8 +54,8 @@ class NominalModel:
         predicted, error = {}, {}
         for k, (name, one) in enumerate(samples.items()):
             at = motion.joints[name].position.time_s
-            predicted[name] = np.interp(at, tick_s, path[:, k])
-            difference = np.abs(predicted[name][one.index] - one.position)
+            predicted[name] = np.interp(at, tick_s, path[:, k], left=math.nan)
+            difference = np.abs(predicted[name][one.index] - one.position)[one.time_s >= begin_s]
             error[name] = float(np.mean(difference)) if difference.size else math.nan
         return NominalMotion(motion.name, predicted, error)
 
@@ -66,10 +67,11 @@ class NominalModel:
         joints, model, data = self.robot.joints, self.model, mujoco.MjData(self.model)
         if not all(one.knows_gains for one in joints):
             return np.full((tick_s.size, len(joints)), np.nan)
-        command = np.stack([_commands(motion.joints[one.name], tick_s) for one in joints], axis=1)
-        is_on = np.stack([_enabled(motion.joints[one.name], tick_s) for one in joints], axis=1)
+        edges_s = np.append(tick_s, tick_s[-1] + self.robot.control_period_s) - 0.5 * model.opt.timestep
+        command = np.stack([_commands(motion.joints[one.name], edges_s) for one in joints], axis=1)
+        is_on = np.stack([_enabled(motion.joints[one.name], edges_s[:-1]) for one in joints], axis=1)
         for one in joints:
-            data.qpos[one.qpos_index], data.qvel[one.dof_index] = _start(motion.joints[one.name])
+            data.qpos[one.qpos_index], data.qvel[one.dof_index] = _start(motion.joints[one.name], tick_s[0])
         place_tied(model, [one.dof_index for one in joints], data.qpos, data.qvel)
         qpos = [one.qpos_index for one in joints]
         actuators = [one.actuator_index for one in joints]
@@ -99,13 +101,18 @@ class NominalModel:
         self.model.actuator_biasprm[actuators, :3] = bias[0] * is_on[:, None]
 
 
-def _commands(log: JointLog, tick_s: Array) -> Array:
-    """Return the command at each tick, (n,); the last number holds where there is none."""
+def _commands(log: JointLog, edges_s: Array) -> Array:
+    """Return the mean of the command in each control period, (n,); the last number holds where there is none.
+
+    Args:
+        edges_s: Edges of the periods, (n + 1,), half a step early as in `simulation.windows`.
+    """
     if log.command is None:
-        return np.zeros(tick_s.size)
-    value = hold(log.command, tick_s)
-    last = np.maximum.accumulate(np.where(np.isfinite(value), np.arange(value.size), 0))
-    return np.nan_to_num(value[last])
+        return np.zeros(edges_s.size - 1)
+    is_number = np.isfinite(log.command.value)
+    if not np.any(is_number):
+        return np.zeros(edges_s.size - 1)
+    return held_means(Signal(log.command.time_s[is_number], log.command.value[is_number]), edges_s)
 
 
 def _enabled(log: JointLog, tick_s: Array) -> Flags:
@@ -115,13 +122,9 @@ def _enabled(log: JointLog, tick_s: Array) -> Flags:
     return np.asarray(hold(log.enabled, tick_s) > 0.5)
 
 
-def _start(log: JointLog) -> tuple[float, float]:
-    """Return position and velocity at the first sample [rad, rad/s]."""
+def _start(log: JointLog, time_s: float) -> tuple[float, float]:
+    """Return position and velocity at the start [rad, rad/s]."""
     one = joint_samples(log)
-    if one.time_s.size == 0:
-        return 0.0, 0.0
-    early = one.time_s <= one.time_s[0] + START_S
-    if early.sum() < 2:
-        return float(one.position[0]), 0.0
-    slope, _ = np.polyfit(one.time_s[early] - one.time_s[0], one.position[early], 1)
-    return float(one.position[0]), float(slope)
+    if one.time_s.size < SLOPE_SAMPLES:
+        return (float(one.position[0]) if one.time_s.size else 0.0), 0.0
+    return local_line(Signal(one.time_s, one.position), time_s)

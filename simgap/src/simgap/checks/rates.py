@@ -3,25 +3,29 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, joint_samples, say_times
+from simgap.checks.records import (
+    SETTLING_S,
+    Faulty,
+    Remark,
+    RemarkKind,
+    SignalRate,
+    is_short,
+    joint_samples,
+    say_times,
+)
+from simgap.common.console import pluralize
+from simgap.files.pauses import GAP, GAP_S, MAX_WINDOWS, cut_at_pauses, find_pauses, windows_text
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 
-GAP: Final = 2.5
-"""A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
-GAP_S: Final = 0.3
-"""A gap of this length, or a step of the clock, is worth a remark: a joint settles in it unseen."""
 JITTER_SHARE: Final = 0.25
 """Jitter of this share of the period is worth a remark: linear interpolation is then wrong by as much."""
 REMARK_SHARE: Final = 0.01
 """Share of missing or stale rows that is worth a remark."""
-MAX_WINDOWS: Final = 8
-"""Windows that a remark lists: more are no sentence."""
 Pauses = Mapping[str, Sequence[tuple[float, float]]]
 """Motion -> last time before and first time after each of its pauses [s]."""
 
@@ -36,7 +40,11 @@ def audit_rates(
         for motion in motions
         for name, log in motion.joints.items()
     )
-    return rates, [*_describe_pauses(robot, motions, pauses), *_remarks(rates)]
+    return rates, [
+        *_describe_pauses(robot, motions, pauses),
+        *_describe_short(motions, rates),
+        *_remarks(rates),
+    ]
 
 
 def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
@@ -46,8 +54,7 @@ def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
     clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
     time_s = np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
     periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
-    least_s = max(GAP_S, GAP * max(periods_s, default=0.0))
-    return [(float(time_s[k]), float(time_s[k + 1])) for k in np.flatnonzero(np.diff(time_s) > least_s)]
+    return find_pauses(time_s, max(periods_s, default=0.0))
 
 
 def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
@@ -59,16 +66,33 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
     table = None if robot.file is None else robot.file.motion
     advice = "end the motion there"
     if table and len(motions) == 1 and not (table.columns or table.windows_s) and len(every) < MAX_WINDOWS:
-        end_s = max(float(log.position.time_s[-1]) for log in motions[0].joints.values())
-        ends = [(0.0, 0.0), *pauses[names[0]], (end_s, 0.0)]
-        parts = [
-            (math.floor(one[1] * 100 + 1e-3), math.ceil(two[0] * 100 - 1e-3)) for one, two in pairwise(ends)
-        ]
-        shown = (f"part{k} = [{a / 100:g}, {b / 100:g}]" for k, (a, b) in enumerate(parts, 1))
-        advice = f"cut it into motions there, in [motion] windows_s = {{ {', '.join(shown)} }}"
+        windows = windows_text(pause_windows_s(motions[0]))
+        advice = f"cut it into motions there, in [motion] {windows}"
     most = f"{max(every):.3g} s{' at most' * (len(every) > 1)}"
     text = f"no signal is logged for {most}, {say_times(len(every))}: {advice}"
     yield Remark(RemarkKind.PAUSE, "", names, text, max(every), unit="s")
+
+
+def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
+    """Return the windows that cut the log of a motion at its pauses, by name [s]; none if it has no pause."""
+    start_s = motion.start_s
+    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion)]
+    end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
+    return cut_at_pauses(start_s, pauses, start_s + end_s) if pauses else {}
+
+
+def _describe_short(motions: Sequence[Motion], rates: Sequence[SignalRate]) -> Iterator[Remark]:
+    """Remark motions in which nothing can show."""
+    short = {(one.name, name) for one in motions for name, log in one.joints.items() if is_short(log)}
+    own = [rate for rate in rates if (rate.motion, rate.joint) in short]
+    if own:
+        least = min(own, key=lambda rate: (rate.duration_s, rate.n_samples))
+        text = (
+            f"it has {pluralize(least.n_samples, 'row')} in {least.duration_s:.3g} s, and a joint needs "
+            f"{SETTLING_S:g} s to settle: leave it out, or record for some seconds"
+        )
+        names = tuple(dict.fromkeys(rate.motion for rate in own))
+        yield Remark(RemarkKind.SHORT, "", names, text, least.duration_s, unit="s")
 
 
 def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:

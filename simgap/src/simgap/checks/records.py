@@ -11,6 +11,7 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.logs import JointLog, Motion, Signal
 from simgap.result import Refusal
+from simgap.simulation.windows import SLOPE_SAMPLES
 
 
 class RemarkKind(StrEnum):
@@ -20,8 +21,10 @@ class RemarkKind(StrEnum):
     WRAP = "lost turns"
     ORDER = "joints look exchanged"
     AHEAD = "position is ahead of its command"
-    CONSTANT = "position is constant"
+    CONSTANT = "signal is constant"
+    SHORT = "motion is too short"
     STILL = "no excitation"
+    SLOW = "rate is too low"
     SPIKE = "spikes"
     START = "standstill at the start"
     CONTACT = "contact with a plane"
@@ -36,7 +39,9 @@ class RemarkKind(StrEnum):
     JITTER = "uneven rate"
 
 
-REFUSED: Final = frozenset({RemarkKind.UNIT, RemarkKind.WRAP, RemarkKind.ORDER, RemarkKind.CONSTANT})
+REFUSED: Final = frozenset(
+    {RemarkKind.UNIT, RemarkKind.WRAP, RemarkKind.ORDER, RemarkKind.CONSTANT, RemarkKind.SHORT}
+)
 """Remarks on logs that say something else than happened: a diagnosis refuses them."""
 
 
@@ -128,6 +133,16 @@ def samples_of(motions: Sequence[Motion], joint: str) -> dict[str, Samples]:
     """Return the finite samples of a joint by motion, of motions that have any."""
     found = {one.name: joint_samples(one.joints[joint]) for one in motions if joint in one.joints}
     return {name: one for name, one in found.items() if one.position.size}
+
+
+SETTLING_S: Final = 0.3
+"""Time in which the position loop of an arm settles, or less."""
+
+
+def is_short(log: JointLog) -> bool:
+    """Tell whether a motion has too few positions for a velocity, or ends before a joint settles."""
+    time_s = joint_samples(log).time_s
+    return time_s.size < SLOPE_SAMPLES or bool(time_s[-1] - time_s[0] < SETTLING_S)
 
 
 def span(values: Array) -> float:

@@ -24,7 +24,7 @@ from simgap.checks.records import (
     span,
 )
 from simgap.logs import Motion, Signal
-from simgap.robot import ControlMode, Robot
+from simgap.robot import ControlMode, Robot, RobotJoint
 
 WINDOW: Final = 21
 """Steps around one that say what is usual there: a spike makes two of them, and five may be larger."""
@@ -178,6 +178,8 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
         own = samples_of(motions, joint.name)
         positions = [one.position for one in own.values()]
         step_rad = encoder_step_rad(motions, joint.name)
+        if any(_is_coarse(one, joint) for one in own.values()):
+            continue
         noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
         ranges_rad = [float(np.ptp(np.quantile(one, [0.01, 0.99]))) for one in positions]  # without outliers
         spread_rad = max(ranges_rad, default=math.inf)
@@ -202,6 +204,57 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
         )
         text += ". Nothing about this joint can be identified"
         yield Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit)
+
+
+def find_idle_signals(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Find velocities and torques that never change while position and command do: they are not measured."""
+    for joint in robot.joints:
+        least_rad = COARSE_RAD * joint.per_rad
+        moves = {
+            name
+            for name, one in samples_of(motions, joint.name).items()
+            if min(span(one.position), span(one.command)) > least_rad
+        }
+        names = tuple(one.name for one in motions if one.name in moves)
+        logs = [one.joints[joint.name] for one in motions if one.name in moves]
+        for key, what, kind in (
+            ("velocity", "velocity", RemarkKind.MISSING),
+            ("torque", "torque (or current)", RemarkKind.CONSTANT),
+        ):
+            signals = [signal for log in logs if (signal := getattr(log, key)) is not None]
+            values = np.concatenate([np.zeros(0), *(one.value for one in signals)])
+            if values.size and np.ptp(values) == 0.0 and joint.mode is ControlMode.POSITION:
+                text = (
+                    f"the {what} stays at {values[0]:.3g} while the joint moves: it was not measured; "
+                    "take it out of the robot file, or name another column"
+                )
+                yield Remark(kind, joint.name, names, text, float(values[0]))
+
+
+def find_low_rates(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Find joints that move so fast that a log has few samples of each wave."""
+    for joint in robot.joints:
+        own = samples_of(motions, joint.name)
+        coarse = {name: one for name, one in own.items() if _is_coarse(one, joint)}
+        if coarse:
+            rate_Hz = min(1.0 / float(np.median(np.diff(one.time_s))) for one in coarse.values())
+            text = (
+                f"{rate_Hz:.3g} rows a second are fewer than nine in a wave of the command: what "
+                "the joint does between them is not known; record ten times as fast"
+            )
+            yield Remark(RemarkKind.SLOW, joint.name, tuple(coarse), text, rate_Hz, unit="Hz")
+
+
+def _is_coarse(samples: Samples, joint: RobotJoint) -> bool:
+    """Tell whether a joint moves with a command that has fewer than nine samples a wave.
+
+    The second differences of a command, which has no noise, are then as large as noise of a tenth of its
+    range: for a sine of n samples a wave the ratio of range to this noise is 1.17 / sin(pi / n)^2, and 10 at
+    n = 9. What lies between the samples is then off the straight line by up to 6 % of the amplitude.
+    """
+    sent, least_rad = samples.command[np.isfinite(samples.command)], COARSE_RAD * joint.per_rad
+    is_moving = min(span(sent), span(samples.position)) > least_rad
+    return is_moving and span(sent) < SPREAD * _noise_rad(sent)
 
 
 def _noise_rad(position: Array) -> float:

@@ -13,15 +13,13 @@ import numpy as np
 from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.checks.records import hold, joint_samples, robust_sigma, runs, span
+from simgap.checks.records import SETTLING_S, hold, joint_samples, robust_sigma, runs, span
 from simgap.logs import Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.robot import ControlMode, Robot
 
 PERIOD_S: Final = 0.05
 """Period of the samples here: slow motion needs no finer one."""
-SETTLING_S: Final = 0.3
-"""Time in which the position loop of an arm settles, or less."""
 SLOW_SHARE: Final = 0.2
 """A joint is slow while its command moves by less than this share of its travel in the settling time: a term
 for the lag in proportion to the speed is then enough. From 0.1 to 0.4 the results change by under 1 %."""

@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, joint_samples, span
+from simgap.checks.records import COARSE_RAD, Remark, RemarkKind, Samples, hold, is_short, joint_samples, span
 from simgap.checks.signals import ROUND
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
+from simgap.units import COUNTS
 
 FACTORS: Final = {180.0 / math.pi: "degrees", 1000.0: "thousandths"}
 """Factors of units that are mistaken for each other, and the name of the smaller unit."""
@@ -27,7 +28,7 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     """Yield remarks about units that look wrong, those of the times among them."""
     speeds: dict[str, float] = {}
     for joint in robot.joints:
-        own = [motion for motion in motions if joint.name in motion.joints]
+        own = [one for one in motions if joint.name in one.joints and not is_short(one.joints[joint.name])]
         names = tuple(motion.name for motion in own)
         samples = [joint_samples(motion.joints[joint.name]) for motion in own]
         speeds[joint.name] = speed_ratio(own, joint.name)
@@ -35,7 +36,7 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
         ratio = _ratio((one.command, one.position) for one in samples) if is_told else math.nan
         wrong = [*_compare(ratio, joint, names, "the position", "its command")]
         if own and not wrong:
-            wrong = [*_beyond_range(joint, robot.range_rad(joint.name), names, samples)]
+            wrong = [*_beyond_range(robot, joint, names, samples)]
         yield from wrong or (_beside_command(joint, names, samples) if ratio > 0.0 else ())
     yield from _compare_velocities(robot, speeds, tuple(motion.name for motion in motions))
 
@@ -152,7 +153,7 @@ def _factors(joint: RobotJoint) -> dict[float, str]:
 
 
 def _beyond_range(
-    joint: RobotJoint, range_rad: tuple[float, float], motions: tuple[str, ...], samples: Sequence[Samples]
+    robot: Robot, joint: RobotJoint, motions: tuple[str, ...], samples: Sequence[Samples]
 ) -> Iterator[Remark]:
     """Remark positions far beyond the range of the model that would lie within it in another unit.
 
@@ -160,11 +161,11 @@ def _beyond_range(
     """
     positions = np.concatenate([one.position for one in samples])
     low, high = float(positions.min(initial=math.inf)), float(positions.max(initial=-math.inf))
+    range_rad = robot.range_rad(joint.name)
     if not math.isfinite(range_rad[1]):
         if not joint.is_slide and high - low > math.tau * TURNS:
-            text = (
-                f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
-            )
+            question = _ask_counts(robot, joint, (high - low) / math.tau) or "is the log in degrees?"
+            text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: {question}"
             yield Remark(RemarkKind.TURNS, joint.name, motions, text, high - low, unit="rad")
         return
     if turns := 0 if joint.is_slide else _turns_off(range_rad, positions):
@@ -176,14 +177,45 @@ def _beyond_range(
         yield Remark(RemarkKind.UNIT, joint.name, motions, text, float(turns))
         return
     allowed, largest = max(map(abs, range_rad)), max(-low, high)
+    if largest <= 3.0 * allowed:
+        return
+    question = _ask_counts(robot, joint, largest / allowed) or _ask_unit(robot, joint, largest / allowed)
+    if question:
+        text = (
+            f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}: {question}"
+        )
+        yield Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)
+
+
+def _ask_unit(robot: Robot, joint: RobotJoint, ratio: float) -> str:
+    """Ask whether a log is in the unit in which positions that are too large would lie in the range."""
     for factor, unit in _factors(joint).items():
-        if allowed * 3.0 < largest <= factor * allowed * CLOSE:
-            text = (
-                f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}: "
-                f"is the log in {unit}? That is a factor of {factor:.4g}"
+        if ratio <= factor * CLOSE:
+            lost = (
+                ', or has the model lost angle="radian"?' if unit == "degrees" and _looks_lost(robot) else ""
             )
-            yield Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)
-            return
+            return f"is the log in {unit}? That is a factor of {factor:.4g}{lost}"
+    return ""
+
+
+def _looks_lost(robot: Robot) -> bool:
+    """Tell whether all hinges have ranges of a turn or less if the degrees of the model are radians.
+
+    Those of a model that says so, or is in degrees, are larger: no arm moves each joint by 6.3 degrees alone.
+    """
+    ranges_rad = [robot.range_rad(one.name) for one in robot.joints if not one.is_slide]
+    largest_rad = max((abs(end) for one in ranges_rad for end in one if math.isfinite(end)), default=math.inf)
+    return math.degrees(largest_rad) < 1.01 * math.tau and 'angle="radian"' not in robot.model_xml
+
+
+def _ask_counts(robot: Robot, joint: RobotJoint, ratio: float) -> str:
+    """Ask for the counts of a turn where positions in counts are too large by a ratio; else nothing."""
+    table = None if robot.file is None else robot.file.joints[joint.name]
+    counts = table.position.counts_per_turn if table and table.position.unit in COUNTS else None
+    if counts is None:
+        return ""
+    more = counts * 2 ** math.ceil(math.log2(ratio))
+    return f"is counts_per_turn = {counts:g} right? With {more:g} or more it would fit"
 
 
 def _turns_off(range_rad: tuple[float, float], positions: Array) -> int:

@@ -31,6 +31,7 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
 
     It lists rates, missing and stale rows, units that look wrong, saturation, commands that are cut off and
     contact with a plane, and says which rows a diagnosis will leave out. docs/simgap.md describes the files.
+    Exit status 3 says that a diagnosis will refuse the logs.
 
     Without a robot file it lists what is in the logs: columns, rates and ranges.
 
@@ -46,7 +47,7 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     report = check_robot(request, progress)
     if request.report is not None:
         save_check_page(report, request.report)
-    return VerbResult(check_json(report), lambda: print_check(report))
+    return VerbResult(check_json(report), lambda: print_check(report), is_done=not report.refusal)
 
 
 @app.command()

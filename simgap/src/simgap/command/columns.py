@@ -9,12 +9,15 @@ from rich.table import Table
 
 from simgap.command.request import CheckRequest
 from simgap.common.console import plain_console, pluralize
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import to_json
 from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import open_whole
+from simgap.files.table_log import TableLog
+from simgap.setup.times import find_times
+from simgap.units import UNITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +43,22 @@ def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[
     found = []
     for number, path in enumerate(paths):
         progress(number, len(paths), f"reading {path.name}")
-        log = open_whole(path)
-        found.append(LogContent(path, log.describe(), tuple(log.losses)))
+        found.append(_describe(path))
     return tuple(found)
+
+
+def _describe(path: Path) -> LogContent:
+    """Describe a log; a table has its rates by the column that is a time by its name, if there is one."""
+    log = open_whole(path)
+    columns, losses = log.describe(), list(log.losses)
+    if isinstance(log, TableLog) and not log.time_column:
+        try:
+            times = find_times(log, columns)
+        except RobotError as error:
+            losses.append(str(error).removeprefix(f"{path}: "))
+        else:
+            columns = log.describe(log.numbers(times.column).value * UNITS[times.unit].factor)
+    return LogContent(path, columns, tuple(losses))
 
 
 def columns_json(logs: Sequence[LogContent]) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-from simgap.setup.compose import KEYS, draft_robot_file
+from simgap.setup.compose import draft_robot_file
 from simgap.setup.draft import list_questions, robot_file_text
+from simgap.setup.signals import KEYS
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ RobotArgument = Annotated[
 LogsArgument = Annotated[
     tuple[Path, ...],
     Option(
-        "Logs: .csv, .tsv, .txt, .parquet, .npz, .jsonl, .mcap, .bag, .db3; or folders of LeRobot data sets "
-        "and ROS 2 bags.",
+        "Logs: .csv, .tsv, .txt, .jsonl (also with .gz), .parquet, .npz, .mcap, .bag, .db3; or folders of "
+        "LeRobot data sets and ROS 2 bags.",
         "LOG...",
         is_argument=True,
         is_read=True,

@@ -56,7 +56,7 @@ class VerbResult:
     document: dict[str, Any]
     print_table: Callable[[], None]
     is_done: bool = True
-    """False if it was not done although nothing is wrong with the request: an arm refused, or faulted."""
+    """False although nothing is wrong with the request: an arm refused or faulted, or a diagnosis will."""
     save: Callable[[], None] | None = None
     """Function that writes files; a result that took minutes is printed first."""
     play: Callable[[], None] | None = None

@@ -76,7 +76,8 @@ def _read(path: Path, names: Sequence[str] | None) -> MessageFile:
             for one, time_ns, data in (reader.messages(chosen) if chosen else ())
             if is_wanted(one.topic, len(data), names)
         ]
-        return MessageFile(path, sorted({one.topic for one in reader.connections}), messages)
+        topics = sorted({one.topic for one in reader.connections})
+        return MessageFile(path, topics, messages, start_ns=reader.start_time)
 
 
 def _check_index(reader: Reader1) -> None:

@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 
 N_NAMES: Final = 8
@@ -113,6 +114,39 @@ def describe_numbers(
     if column.time_s is not None:
         rate_Hz = median_rate_Hz(column.time_s)
     return ColumnInfo(name, kind, n, rate_Hz, lowest, highest, unit)
+
+
+def say_disorder(time_s: Array, rows: Integers | None = None) -> str:
+    """Say where times (n,) do not increase, and what would be right; empty if they do.
+
+    Args:
+        rows: Their rows in the file, from 1; None: they are all.
+    """
+    step_s = np.diff(time_s)
+    back = np.flatnonzero(step_s <= 0.0)
+    if not back.size:
+        return ""
+    row = int(back[0]) + 2 if rows is None else int(rows[back[0] + 1])
+    if 2 * np.sum(step_s == 0.0) > step_s.size:
+        return (
+            "stands still in most rows: are rows twice, or has it too few digits, as seconds since 1970 in "
+            "single precision?"
+        )
+    if np.all(step_s[back] == 0.0):
+        return say_repeats(back.size, row)
+    before, after = time_s[back[0]], time_s[back[0] + 1]
+    return (
+        f"runs backwards from {before:.10g} s to {after:.10g} s in row {row}; sort the rows, or name the "
+        "columns of a motion"
+    )
+
+
+def say_repeats(n_rows: int, row: int) -> str:
+    """Say how many rows repeat the time of the row before them, and which is the first, from 1."""
+    return (
+        f"repeats: {pluralize(n_rows, 'row')} {'have' if n_rows > 1 else 'has'} the time of the row before, "
+        f"the first is row {row}; remove one of each two, or give it its own time"
+    )
 
 
 def median_rate_Hz(time_s: Array) -> float | None:

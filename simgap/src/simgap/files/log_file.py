@@ -20,6 +20,8 @@ from simgap.files.text_files import open_csv, open_json_lines
 LogFile = TableLog | MessageLog
 """Log that is open for reading, one column at a time."""
 TEXT_SUFFIXES: Final = (".csv", ".tsv", ".txt")
+PACKED: Final = (*TEXT_SUFFIXES, ".jsonl", ".ndjson")
+"""Suffixes of files that are read as they are packed by gzip, with `.gz` behind."""
 Opener = Callable[[Path, Sequence[str] | None], LogFile]
 TABLES: Final[dict[str, Opener]] = {
     ".parquet": open_parquet,
@@ -73,6 +75,10 @@ def _open(path: Path, numbers: Sequence[str] | None, texts: Sequence[str], csv_t
             return _open_folder(path, numbers, wanted)
         _check_file(path)
         suffix = path.suffix.lower()
+        if suffix == ".gz":
+            suffix = Path(path.stem).suffix.lower()
+            if suffix not in PACKED:
+                raise RobotError(f"{path}: is packed; unpack it with gunzip, and name what it holds")
         if suffix in TEXT_SUFFIXES:
             return open_csv(path, wanted, texts, csv_table)
         if suffix in TABLES:

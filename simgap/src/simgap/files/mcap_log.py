@@ -76,7 +76,8 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
     cut = [scan for scan in scans if scan.loss]
     losses = [one.loss if one.path == path else f"{one.path.name} {one.loss}" for one in cut]
     try:
-        return open_messages(MessageFile(path, topics, messages, losses), names)
+        start_ns = min((scan.first_ns for scan in scans if scan.first_ns is not None), default=None)
+        return open_messages(MessageFile(path, topics, messages, losses, start_ns), names)
     except BadMessage as error:
         raise RobotError(f"{path}: cannot be read: {error}") from error
 
@@ -170,7 +171,7 @@ def _keep(scan: _Scan, record: McapRecord) -> None:
         scan.channels[record.id] = record
     elif isinstance(record, McapMessage):
         scan.n_messages += 1
-        scan.first_ns = record.log_time if scan.first_ns is None else scan.first_ns
+        scan.first_ns = record.log_time if scan.first_ns is None else min(scan.first_ns, record.log_time)
         scan.last_ns = max(scan.last_ns, record.log_time)
         found = scan.channels.get(record.channel_id)
         if found is None:

@@ -53,6 +53,8 @@ class MessageFile:
     """Those of the wanted topics."""
     losses: Sequence[str] = ()
     """Sentences about what could not be read."""
+    start_ns: int | None = None
+    """Time of the first message of all topics; None: that of `messages`."""
 
 
 def is_wanted(topic: str, n_bytes: int, names: Sequence[str] | None) -> bool:
@@ -208,7 +210,7 @@ def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
     by_topic = {topic: [one for one in wholes.values() if one.topic == topic] for topic in topics}
     reader = _Reader(file.path, {name: {} for name in wholes}, {})
     counts = dict.fromkeys(topics, 0)
-    start_ns: int | None = None
+    start_ns = file.start_ns
     try:
         for message in file.messages:
             if message.topic not in counts:

@@ -7,9 +7,11 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array, Flags
+from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
-from simgap.files.columns import Column
+from simgap.files.columns import Column, say_disorder
 from simgap.files.log_file import LogFile
+from simgap.files.pauses import MAX_WINDOWS, LongGap, cut_at_pauses, find_pauses, windows_text
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
@@ -137,10 +139,22 @@ class MotionRows:
             )
         mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
         if mean_s > MAX_PERIOD_S:
-            raise RobotError(
-                f"{where} has a position every {mean_s:.3g} s on average, at least one a second is needed; "
-                "end the motion where the gap is"
+            said = (
+                f"{where} has a position every {mean_s:.3g} s on average, at least one a second is needed; it"
             )
+            raise self._long_gap(time_s, period_s, said)
+
+    def _long_gap(self, time_s: Array, period_s: float, said: str) -> LongGap:
+        """Return the error for a motion with gaps, with the windows that cut a log of one motion there."""
+        pauses = find_pauses(time_s, period_s)
+        longest_s = max((after - before for before, after in pauses), default=0.0)
+        gaps = f"{pluralize(len(pauses), 'gap')} of up to {longest_s:.4g} s"
+        gaps = f"has {1.0 / period_s:.4g} a second with {gaps}"
+        if any(self._columns) or self._windows_s or not 0 < len(pauses) < MAX_WINDOWS:
+            return LongGap(f"{said} {gaps}: end the motion there", {})
+        ends_s = np.array([time_s[0], *np.ravel(pauses), time_s[-1]]) - self.start_s
+        windows_s = cut_at_pauses(ends_s[0], ends_s[1:-1].reshape(-1, 2), ends_s[-1])
+        return LongGap(f"{said} {gaps}: cut it there, in [motion] {windows_text(windows_s)}", windows_s)
 
     def labels(self, column: str) -> list[str]:
         """Return the text of a column for each motion; empty texts for no column.
@@ -199,9 +213,9 @@ class MotionRows:
                 "name a time_column as long as it"
             )
         if not name:
-            return self._divide_times(time_s, one.column, 0.0)
+            return self._divide_times(time_s, one.column)
         if name not in self._pieces:
-            self._pieces[name] = self._divide_times(time_s, name, self._start_s() if self._windows_s else 0.0)
+            self._pieces[name] = self._divide_times(time_s, name)
         return self._pieces[name]
 
     def _clock(self, name: str) -> Array:
@@ -215,32 +229,27 @@ class MotionRows:
             self._clocks[name] = clock.value * UNITS[self._time_unit].factor
         return self._clocks[name]
 
-    def _start_s(self) -> float:
-        """Return the first time of all time columns, from which windows count."""
+    @property
+    def start_s(self) -> float:
+        """First time of all time columns, from which windows count; 0 for messages, which do so already."""
         signals = (one for table in self._file.joints.values() for one, _ in table.columns().values())
         names = {one.time_column or self._time_column for one in signals}
-        return min(float(self._clock(name).min()) for name in names if name)
+        return min((float(self._clock(name).min()) for name in names if name), default=0.0)
 
-    def _divide_times(self, time_s: Array, name: str, start_s: float) -> Pieces:
+    def _divide_times(self, time_s: Array, name: str) -> Pieces:
         """Divide times by motion, and refuse those that do not increase."""
         self._check_length(time_s, name)
         parts = self._parts
         if self._windows_s:
-            since_s = time_s - start_s
+            since_s = time_s - self.start_s
             parts = [
                 np.flatnonzero((since_s >= low - ROUNDING_s) & (since_s <= high + ROUNDING_s))
                 for low, high in self._windows_s
             ]
         for motion, part in zip(self.names, parts, strict=True):
-            one = time_s[part]
-            back = np.flatnonzero(np.diff(one) <= 0.0)
-            if back.size:
-                before, after = one[back[0]], one[back[0] + 1]
-                what = "stands still" if before == after else f"runs backwards to {after:.6g} s"
-                raise RobotError(
-                    f"{self._log.path}: motion {motion!r}: the time of {name!r} {what} after {before:.6g} s; "
-                    "sort the rows, or name the columns of a motion"
-                )
+            what = say_disorder(time_s[part], np.arange(1, time_s.size + 1)[part])
+            if what:
+                raise RobotError(f"{self._log.path}: motion {motion!r}: the time of {name!r} {what}")
         return [(part, time_s[part]) for part in parts]
 
 

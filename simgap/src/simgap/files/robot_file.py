@@ -1,5 +1,6 @@
 """The robot file: its model, its joints, and the columns of its logs, in TOML."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -284,9 +285,10 @@ class RobotFile(Record):
         steps = 1.0 / (self.control_rate_Hz * self.time_step_s)
         # A part in a million: steps such as 1/3000 s are written with a few digits.
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
+            step_s = 1.0 / (self.control_rate_Hz * math.ceil(steps))
             raise ValueError(
-                f"control_rate_Hz: its period is {steps:.6g} time steps; write a rate whose period is a "
-                "whole number of time_step_s"
+                f"control_rate_Hz: its period is {steps:.6g} time steps; write time_step_s = {step_s:.9g}, "
+                "or a rate whose period is a whole number of steps"
             )
         self._check_columns()
         return self

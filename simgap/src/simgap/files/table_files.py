@@ -78,6 +78,8 @@ def open_lerobot(folder: Path, wanted: Sequence[str] | None) -> TableLog:
 def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
     """Open an npz file; an array of several dimensions is a column of lists.
 
+    An array with a column for each sample, as columns of one dimension tell, is transposed.
+
     Each array is read to its end, because only then is its checksum compared.
 
     Raises:
@@ -97,7 +99,18 @@ def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
         raise RobotError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     if wanted is None:  # a number alone is no column
         arrays = {name: array for name, array in arrays.items() if array.ndim and array.size}
-    return open_table(path, {name: _to_arrow(path, name, one) for name, one in arrays.items()}, wanted or ())
+    n_rows = max((one.size for one in arrays.values() if one.ndim == 1), default=0)
+    turned = {name: one.T for name, one in arrays.items() if one.ndim == 2 and _has_row_a_joint(one, n_rows)}
+    losses = [
+        f"{name!r} has {one.shape[1]} rows of {n_rows} values: it is transposed, to have a row a sample"
+        for name, one in turned.items()
+    ]
+    columns = {name: _to_arrow(path, name, one) for name, one in (arrays | turned).items()}
+    return open_table(path, columns, wanted or (), losses=losses)
+
+
+def _has_row_a_joint(array: NDArray[Any], n_rows: int) -> bool:
+    return bool(array.shape[1] == n_rows > array.shape[0])
 
 
 def _to_arrow(path: Path, name: str, array: NDArray[Any]) -> pa.Array:

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.columns import (
     MAX_LISTED,
@@ -78,14 +79,20 @@ class TableLog:
         del name
         return ()
 
-    def describe(self) -> tuple[ColumnInfo, ...]:
-        """Describe all columns; the items of lists and the fields of records are columns of their own."""
-        rate_Hz = median_rate_Hz(self.numbers(self.time_column).value) if self.time_column else None
+    def describe(self, time_s: Array | None = None) -> tuple[ColumnInfo, ...]:
+        """Describe all columns; the items of lists and the fields of records are columns of their own.
+
+        Args:
+            time_s: Times of the rows, (n,), if the file does not know which column has them.
+        """
+        if self.time_column:
+            time_s = self.numbers(self.time_column).value
         found = []
         for base, whole in self.columns.items():
             for name, column in expand(base, whole, self.names.get(base)):
                 kind = _kind(column.type)
                 unit = self.units.get(base, "")
+                rate_Hz = _rate_Hz(column, time_s)
                 if kind in ("number", "flag", "time"):
                     found.append(describe_numbers(name, self._numbers(name, column), kind, unit, rate_Hz))
                 else:
@@ -172,6 +179,13 @@ def expand(name: str, column: pa.Array, names: Sequence[str] | None) -> Iterator
             yield from expand(f"{name}[{place}]", pc.list_element(column, k), None)
     else:
         yield name, column
+
+
+def _rate_Hz(column: pa.Array, time_s: Array | None) -> float | None:
+    """Return the rate of the cells that have a value; None for a column with other rows than the times."""
+    if time_s is None or len(column) != time_s.size:
+        return None
+    return median_rate_Hz(time_s[column.is_valid().to_numpy(zero_copy_only=False)])
 
 
 def _is_list(kind: pa.DataType) -> bool:

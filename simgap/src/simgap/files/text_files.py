@@ -1,15 +1,19 @@
 """Tables in files of text: CSV with any separator, and JSON lines."""
 
 import csv
+import gzip
 import io
 import json
 import re
-from collections.abc import Sequence
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 
 from simgap.common.console import pluralize
@@ -32,19 +36,50 @@ PLACE: Final = "column"
 """Name of the list that the columns of a table without a header form."""
 
 
+NO_NUMBERS: Final = ("", "nan", "NaN", "NAN", "-nan")
+"""Cells without a number: numpy and pandas write NaN where others leave a cell empty."""
+CLOCK: Final = r"^(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d(?:[.,]\d+)?)$"
+"""Time of day."""
+Row = tuple[int, list[str]]
+"""Lines of the file up to the end of a row, and its cells."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Form:
     separator: str
     decimal: str
     header: list[str] | None
-    """Names of the columns; None if the first row has numbers."""
+    """Names of the columns; None if there are none."""
     n_columns: int
+    n_head: int
+    """Lines before the first row of numbers."""
+    n_left_out: int
+    """Rows among them that are not the header."""
+
+
+def read_whole(path: Path) -> bytes:
+    """Read a file of text, which may be packed by gzip.
+
+    Raises:
+        RobotError: it is too large, or damaged.
+    """
+    check_size(path, 0 if path.stat().st_size <= MAX_BYTES else MAX_BYTES)
+    if path.suffix.lower() != ".gz":
+        return path.read_bytes()
+    try:
+        with gzip.open(path) as file:
+            data = file.read(MAX_BYTES + 1)
+    except (EOFError, zlib.error) as error:
+        raise RobotError(f"{path}: cannot be read: {error}") from error
+    check_size(path, 0 if len(data) <= MAX_BYTES else MAX_BYTES)
+    return data
 
 
 def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], given: CsvTable) -> TableLog:
     """Open a CSV file; what the robot file does not say of its form is found by the first rows.
 
-    A last row that is cut is left out, and the log tells it.
+    Lines without numbers before the rows, beside the header, are left out, and so is a last row that is cut;
+    the log tells both.
 
     Args:
         path: Path of the file.
@@ -55,13 +90,12 @@ def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], giv
     Raises:
         RobotError: it is no text, a column is missing, or a row has another number of cells.
     """
-    check_size(path, 0 if path.stat().st_size <= MAX_BYTES else MAX_BYTES)
-    data = path.read_bytes()
+    data = read_whole(path)
     form = _find_form(path, data, given, wanted)
     if form.separator == " ":  # aligned columns have several spaces
         data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
-    there = form.header or [f"{PLACE}[{k}]" for k in range(form.n_columns)]
-    chosen = there if wanted is None else _exact(path, wanted, there)
+    there = [name or f"{PLACE}[{k}]" for k, name in enumerate(form.header or [""] * form.n_columns)]
+    chosen = base_columns(path, None, there) if wanted is None else _exact(path, wanted, there)
     bad: list[pacsv.InvalidRow] = []
 
     def skip(row: pacsv.InvalidRow) -> str:
@@ -74,19 +108,48 @@ def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], giv
             use_threads=False,  # rows have their numbers only so
             block_size=max(len(data), 1),
             column_names=there,
-            skip_rows=0 if form.header is None else 1,
+            skip_rows=form.n_head,
         ),
         parse_options=pacsv.ParseOptions(delimiter=form.separator, invalid_row_handler=skip),
         convert_options=pacsv.ConvertOptions(
             column_types=dict.fromkeys((one for one in texts if one in chosen), pa.string()),
             include_columns=chosen,
-            null_values=[""],
+            null_values=NO_NUMBERS,
             decimal_point=form.decimal,
             strings_can_be_null=False,
         ),
     )
-    losses = _judge_rows(path, data, bad, table.num_rows)
-    return open_table(path, dict(zip(chosen, table.columns, strict=True)), wanted or (), losses=losses)
+    losses = [*_tell_head(form, there), *_judge_rows(path, data, bad, table.num_rows)]
+    columns = {
+        name: column if name in texts else _seconds_of_day(column)
+        for name, column in zip(chosen, table.columns, strict=True)
+    }
+    return open_table(path, columns, wanted or (), losses=losses)
+
+
+def _seconds_of_day(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return times of day in seconds; any other column as it is."""
+    if not (pa.types.is_string(column.type) or pa.types.is_time(column.type)):
+        return column
+    parts = pc.extract_regex(column.cast(pa.string()), CLOCK)
+    if parts.null_count > column.null_count or parts.null_count == len(column):
+        return column
+    hours, minutes, seconds = (
+        pc.replace_substring(pc.struct_field(parts, k), ",", ".").cast(pa.float64()) for k in range(3)
+    )
+    return pc.add(pc.multiply(pc.add(pc.multiply(hours, 60.0), minutes), 60.0), seconds)
+
+
+def _tell_head(form: _Form, there: Sequence[str]) -> Iterator[str]:
+    """Tell of lines that are left out before the rows, and of names that several columns have."""
+    if form.n_left_out:
+        yield (
+            f"{pluralize(form.n_left_out, 'line')} without numbers before the rows of numbers "
+            f"{'is' if form.n_left_out == 1 else 'are'} left out"
+        )
+    twice = next((name for name in there if there.count(name) > 1), None)
+    if twice is not None:
+        yield f"has {there.count(twice)} columns {twice!r}; give each its own name"
 
 
 def _exact(path: Path, wanted: Sequence[str], there: Sequence[str]) -> list[str]:
@@ -123,30 +186,62 @@ def _find_form(path: Path, data: bytes, given: CsvTable, wanted: Sequence[str] |
         if given.separator in ("", separator) and given.decimal in ("", decimal)
     ] or [(given.separator or ("," if given.decimal != "," else ";"), given.decimal or ".")]
     try:
-        tried = [(_rows(text, separator), separator, decimal) for separator, decimal in forms]
+        tried = [
+            _try_form(_rows(text, separator), separator, decimal, wanted) for separator, decimal in forms
+        ]
     except (csv.Error, TypeError) as error:
         raise RobotError(f"{path}: cannot be read as a table: {error}") from error
-    rows, separator, decimal = max(tried, key=lambda one: _score(one[0], one[2], wanted))
-    if not rows:
+    form, _ = max(tried, key=lambda one: one[1])
+    if form.n_columns == 0:
         raise RobotError(f"{path}: has no rows; name a log with samples")
-    first = rows[0]
-    is_header = not all(_is_number(cell, decimal) for cell in first) or _is_named(first, wanted)
-    return _Form(separator, decimal, first if is_header else None, len(first))
+    return form
 
 
-def _rows(text: str, separator: str) -> list[list[str]]:
+def _rows(text: str, separator: str) -> list[Row]:
     if separator == " ":
-        return [line.split() for line in text.splitlines() if line.strip()]
-    return [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
+        return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    return [(reader.line_num, row) for row in reader if row]
 
 
-def _score(rows: Sequence[Sequence[str]], decimal: str, wanted: Sequence[str] | None) -> tuple[bool, int]:
-    """Return whether the header has all wanted names, and the numbers in rows as long as the first."""
-    if not rows:
-        return False, 0
-    body = [row for row in rows[1:] or rows if len(row) == len(rows[0])]
-    has_names = bool(wanted) and set(wanted or ()) <= set(rows[0])
-    return has_names, sum(_is_number(cell, decimal) for row in body for cell in row)
+def _try_form(
+    rows: Sequence[Row], separator: str, decimal: str, wanted: Sequence[str] | None
+) -> tuple[_Form, tuple[bool, int]]:
+    """Divide rows into head and body, and find the header.
+
+    Returns:
+        The form, whether the header has all wanted names, and the numbers in rows as long as it.
+    """
+    cells = [row for _, row in rows]
+    counts = [sum(_is_number(cell, decimal) for cell in row) for row in cells]
+    n = 0
+    while n < len(cells) and (not counts[n] or cells[n][0].startswith("#")):
+        n += 1
+    if n == len(cells):
+        n = min(n, 1)  # a header alone, or texts alone
+    elif n == 0 and (_is_named(cells[0], wanted) or _has_text_over_numbers(cells, decimal)):
+        n = 1
+        while n < len(cells) and not counts[n]:
+            n += 1
+    length = Counter(map(len, cells[n:] or cells)).most_common(1)[0][0] if cells else 0
+    heads = [name for name in map(_plain_names, cells[:n]) if len(name) == length]
+    if not heads and not all(row[0].startswith("#") for row in cells[:n]):
+        heads = cells[:1]  # rows of another length are told when they are read
+    wished = [name for name in heads if wanted is not None and set(wanted) <= set(name)]
+    header = max(wished or heads, key=lambda name: len({*name} - {""}), default=None)
+    n_columns = length if header is None else len(header)
+    fitting = sum(count for row, count in zip(cells[n:], counts[n:], strict=True) if len(row) == n_columns)
+    n_left_out = n if header is None else n - 1
+    form = _Form(separator, decimal, header, n_columns, rows[n - 1][0] if n else 0, n_left_out)
+    return form, (bool(wished) and bool(wanted), fitting)
+
+
+def _plain_names(row: list[str]) -> list[str]:
+    """Return the cells of a row without the mark of a comment, which numpy writes before its header."""
+    if not row[0].startswith("#"):
+        return row
+    first = row[0].lstrip("#").strip()
+    return [first, *row[1:]] if first else row[1:]
 
 
 def _is_number(cell: str, decimal: str) -> bool:
@@ -160,6 +255,15 @@ def _is_named(first: Sequence[str], wanted: Sequence[str] | None) -> bool:
     return list(first) == [str(k) for k in range(len(first))] and len(first) > 1
 
 
+def _has_text_over_numbers(rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Tell whether the first row has a word where a later one has a number, so that it is a header."""
+    return any(
+        cell.strip() and not _is_number(cell, decimal) and k < len(row) and _is_number(row[k], decimal)
+        for row in rows[1:]
+        for k, cell in enumerate(rows[0])
+    )
+
+
 def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
     """Open a file with one JSON object a line; objects in it are records, lists are lists.
 
@@ -168,7 +272,7 @@ def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
     Raises:
         RobotError: a line is no JSON object, a column is missing, or its values are of several kinds.
     """
-    lines = path.read_bytes().rstrip().split(b"\n")
+    lines = read_whole(path).rstrip().split(b"\n")
     rows: list[dict[str, Any]] = []
     losses = []
     for number, line in enumerate(lines, 1):

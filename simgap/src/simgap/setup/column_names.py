@@ -28,7 +28,7 @@ SIGNAL_WORDS: Final = {
     "torque": _words("torque torques tau effort efforts trq force"),
     "voltage": _words("voltage"),
     "temperature": _words("temperature temp"),
-    "position": _words("position positions pos angle angles qpos q p encoder"),
+    "position": _words("position positions pos angle angles qpos q p encoder enc"),
     "current": _words("current currents cur i"),
 }
 """Words of each signal, the surest first: the current position is no current."""

@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 
 from simgap.checks.audit import audit
+from simgap.checks.rates import pause_windows_s
 from simgap.checks.records import REFUSED, Remark, RemarkKind
-from simgap.checks.units import speed_ratio
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
 from simgap.common.toml import parse_record
 from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import LogFile, open_whole
+from simgap.files.pauses import LongGap
 from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
@@ -28,15 +29,8 @@ from simgap.setup.draft import Draft
 from simgap.setup.gains import ask_about_gains, ask_about_torques, estimate_gain, sag_gains, set_unknown_gains
 from simgap.setup.loops import loop_gains
 from simgap.setup.matching import Match, match_columns
+from simgap.setup.signals import settle_speeds, write_columns
 from simgap.setup.times import Times, find_times
-from simgap.setup.units import (
-    UnitGuess,
-    describe_values,
-    fits_speed,
-    guess_position_units,
-    guess_speed_unit,
-    si_unit,
-)
 
 JITTER: Final = 0.005
 """Share by which the rate of a log may be off that of its loop: a round number within it is taken."""
@@ -50,9 +44,6 @@ GRIPPERS: Final = frozenset(("gripper", "jaw", "finger", "hand"))
 TOOL_WORDS: Final = frozenset(
     ("gripper", "gripperframe", "tool", "tcp", "flange", "attachment", "ee", "pinch")
 )
-SIGNALS: Final = ("command", "position", "secondary", "velocity", "torque", "current", "voltage")
-KEYS: Final = (*SIGNALS, "temperature", "enabled")
-"""Keys of a joint with a column, in the order of the file."""
 
 
 def draft_robot_file(
@@ -73,7 +64,8 @@ def draft_robot_file(
     opened = [open_whole(one) for one in log_paths]
     columns = _common_columns(opened)
     times = find_times(opened[0], columns)
-    matches = match_columns(columns, names, _driven(model), (times.column, *times.motions))
+    others = (times.column, *times.motions, times.repeat)
+    matches = match_columns(columns, names, _driven(model), others, _named_records(opened, columns, names))
     if not matches.by_joint:
         there = ", ".join(one.name for one in columns)
         raise RobotError(
@@ -85,18 +77,20 @@ def draft_robot_file(
     _write_head(draft, model_path, path, model, times)
     for question in matches.questions:
         draft.ask(question, "joints")
+    if matches.still:
+        draft.reasons["joints",] = f"left away, as they never change: {', '.join(matches.still)}"
     by_joint = _without_followers(draft, model, by_joint)
     draft.content["joints"] = {
         joint: _head_of_joint(draft, model, joint, own) for joint, own in by_joint.items()
     }
     of_lerobot = all(any(one.name.startswith(f"{name}[") for one in columns) for name in LEROBOT)
     grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
-    _write_columns(draft, opened, model, by_joint, unit, grippers)
+    write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
     unknown = set_unknown_gains(draft, model, path)
     progress(2, 4, "comparing signals")
-    robot, logs = _read(draft, path, log_paths)
-    _settle_speeds(draft, robot, logs, by_joint)
+    robot, logs = _cut_at_pauses(draft, path, log_paths)
+    settle_speeds(draft, robot, logs, by_joint)
     if unknown is not None:
         sags = sag_gains(robot, logs)
         ask_about_gains(draft, robot, loop_gains(robot, logs.motions) | sags)
@@ -131,11 +125,31 @@ def _turn(draft: Draft, robot: Robot, remark: Remark) -> None:
     draft.ask(f"{said}, so it is turned here; or is the other one to be turned?", "joints", joint, key)
 
 
+def _named_records(
+    logs: Sequence[LogFile], columns: Sequence[ColumnInfo], joints: Sequence[str]
+) -> dict[str, str]:
+    """Return the joints that texts such as `joints[0].name` name, by the beginning `joints[0].`."""
+    found = {}
+    for one in columns:
+        start, dot, field = one.name.rpartition(".")
+        if one.kind == "text" and dot and field == "name":
+            there = {str(text) for log in logs for text in np.unique(log.texts(one.name))}
+            if len(there) == 1 and there <= set(joints):
+                found[start + dot] = there.pop()
+    return found
+
+
 def _compile(path: Path) -> mujoco.MjModel:
     try:
         model = mujoco.MjModel.from_xml_string(read_model_text(path))
     except ValueError as error:
-        raise RobotError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+        said = f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}"
+        if "opening file" in said:
+            said += (
+                ". Put the files that it names beside it; or, if each body has an inertial, remove its "
+                "assets and its geoms of meshes"
+            )
+        raise RobotError(said) from error
     if not _moving(model):
         raise RobotError(
             f"{path}: has no hinge and no slide with a name; give each joint of the robot a name"
@@ -163,10 +177,16 @@ def _name_of(model: mujoco.MjModel) -> str:
 
 def _common_columns(logs: Sequence[LogFile]) -> list[ColumnInfo]:
     """Return the columns of the first log that all others have too."""
-    names = [{one.name for one in log.describe()} for log in logs]
-    common = [one for one in logs[0].describe() if all(one.name in own for own in names)]
-    if not common:
-        raise RobotError(f"logs: {logs[1].path} has no column of {logs[0].path}; give logs of one kind")
+    columns = logs[0].describe()
+    common = [*columns]
+    for log in logs[1:]:
+        there = [one.name for one in log.describe()]
+        common = [one for one in common if one.name in there]
+        if 2 * len(common) < len(columns):
+            raise RobotError(
+                f"logs: {logs[0].path} has {', '.join(one.name for one in columns)}, and {log.path} has "
+                f"{', '.join(there)}; give logs with the same columns"
+            )
     return common
 
 
@@ -283,60 +303,20 @@ def _follows(log: LogFile, command: str, position: str) -> bool:
     return bool(use.any() and np.std(sent[use] - found[use]) < NEAR * np.std(sent[use]))
 
 
-def _write_columns(
-    draft: Draft,
-    logs: Sequence[LogFile],
-    model: mujoco.MjModel,
-    by_joint: Mapping[str, Mapping[str, Match]],
-    unit: str,
-    grippers: Sequence[str],
-) -> None:
-    """Write the columns of all joints with their units."""
-    slides = {joint: model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE for joint in by_joint}
-    values = {}
-    for joint, match in by_joint.items():
-        value = np.concatenate([log.numbers(match["position"].info.name).value for log in logs])
-        known = model.joint(joint)
-        limits = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
-        values[joint] = describe_values(value, (float(limits[0]), float(limits[1])), slides[joint])
-    positions = guess_position_units(values, unit, grippers)
-    for joint, own in by_joint.items():
-        table = draft.joint(joint)
-        gain = own.get("gain")
-        if gain is not None and gain.info.lowest != gain.info.highest and table["mode"] == "position":
-            table |= {"gain_column": gain.info.name, "kp_Nm_rad": 1.0}
-            draft.reasons["joints", joint, "gain_column"] = "by its name"
-        for key in KEYS:
-            if key in own:
-                signal = table["mode"] if key == "command" else "position" if key == "secondary" else key
-                guess = _unit_of(own[key], signal, positions[joint], own["position"], slides[joint])
-                table[key] = {"column": own[key].info.name, "unit": guess.unit, **guess.keys}
-                draft.reasons["joints", joint, key] = f"{own[key].reason}; {guess.unit}: {guess.reason}"
-                if key == "position":
-                    draft.ask(guess.question, "joints", joint, key)
-
-
-def _unit_of(one: Match, signal: str, position: UnitGuess, measured: Match, is_slide: bool) -> UnitGuess:
-    """Return the unit of a column: of its name, of the file, or a guess."""
-    if one.name.unit and one.name.unit != "count":
-        return UnitGuess(one.name.unit, "it stands in the name")
-    if one.info.unit:
-        return UnitGuess(one.info.unit, "the file says so")
-    if signal == "position":
-        of_position = measured.name.unit or measured.info.unit
-        if of_position and of_position != "count":
-            return UnitGuess(of_position, "as the position")
-        return position
-    return si_unit(signal, is_slide)
-
-
 def _leave_out(draft: Draft, model: mujoco.MjModel) -> None:
-    """Leave out joints that commands drive, or that are free, and that no column shows."""
+    """Leave out joints that commands drive, or that are free or balls, and that no column shows."""
     named = draft.content["joints"].keys()
-    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    free = np.flatnonzero(np.isin(model.jnt_type, [mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL]))
     driven = [model.joint(name).id for name in _driven(model)]
     for k in np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON):
-        driven += joints_of_tendon(model, int(model.actuator_trnid[k, 0]))
+        pulled = joints_of_tendon(model, int(model.actuator_trnid[k, 0]))
+        driven += pulled
+        for one in named & {model.joint(one).name for one in pulled}:
+            draft.ask(
+                f"the model drives it by {model.actuator(int(k)).name} through a tendon, which is not "
+                "simulated: what drives it alone?",
+                *("joints", one),
+            )
     groups = [[joint_name(model, int(k))] for k in free] + [tied_joints(model, k) for k in driven]
     out = dict.fromkeys(name for group in groups if not named & set(group) for name in group)
     if out:
@@ -345,44 +325,23 @@ def _leave_out(draft: Draft, model: mujoco.MjModel) -> None:
         draft.reasons["left_out",] = "no column shows them: they stand where the model has them"
 
 
+def _cut_at_pauses(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:
+    """Read the logs; a log of one motion is cut where nothing is logged for a while."""
+    try:
+        robot, read = _read(draft, path, logs)
+        is_whole = len(read.motions) == 1 and "motion" not in draft.content
+        windows_s = pause_windows_s(read.motions[0]) if is_whole else {}
+    except LongGap as error:
+        if not error.windows_s or len(logs) > 1:
+            raise
+        windows_s = error.windows_s
+    if not windows_s:
+        return robot, read
+    draft.content["motion"] = {"windows_s": windows_s}
+    draft.reasons["motion",] = "no signal is logged between these times"
+    return _read(draft, path, logs)
+
+
 def _read(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:
     robot = Robot.from_file(parse_record(RobotFile, draft.content, path), path)
     return robot, load(robot, logs)
-
-
-def _settle_speeds(
-    draft: Draft, robot: Robot, logs: Logs, by_joint: Mapping[str, Mapping[str, Match]]
-) -> None:
-    """Set the unit of velocities by the change of the positions, or leave them away where none fits."""
-    ratios = {
-        joint: speed_ratio(logs.motions, joint)
-        for joint, own in by_joint.items()
-        if "velocity" in own and not (own["velocity"].name.unit or own["velocity"].info.unit)
-    }
-    for is_slide in (False, True):
-        own = {joint: one for joint, one in ratios.items() if robot.joint(joint).is_slide == is_slide}
-        unit = guess_speed_unit(list(own.values()), is_slide)
-        for joint, ratio in own.items():
-            match, table = by_joint[joint]["velocity"], draft.joint(joint)
-            if math.isnan(ratio) or fits_speed(ratio, unit):
-                table["velocity"]["unit"] = unit
-                draft.reasons["joints", joint, "velocity"] = (
-                    f"{match.reason}; {unit} fits the change of positions"
-                )
-                continue
-            del table["velocity"]
-            draft.ask(
-                f"{match.info.name} is {ratio:.3g} times the change of the position, if it is in {unit}: has "
-                f"the position another unit{_ask_fraction(robot, logs, joint)}? Until then the velocity is "
-                "left away",
-                *("joints", joint, "position"),
-            )
-
-
-def _ask_fraction(robot: Robot, logs: Logs, joint: str) -> str:
-    """Return the keys of a position that is a share of the range; empty if it cannot be one."""
-    values = np.concatenate([motion.joints[joint].position.value for motion in logs.motions])
-    low, high = robot.range_rad(joint)
-    if values.min() < 0.0 or values.max() > 1.0 or not math.isfinite(high):
-        return ""
-    return f', such as unit = "fraction", at_0_rad = {low:.6g}, at_1_rad = {high:.6g}'

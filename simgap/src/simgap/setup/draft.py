@@ -57,7 +57,7 @@ def _lines(draft: Draft, source: str) -> Iterator[str]:
             yield f"[{key}]"
             for name, value in tables[key].items():
                 yield f"{name} = {_value(value)}"
-    if ("joints",) in draft.questions:
+    if ("joints",) in draft.questions or ("joints",) in draft.reasons:
         yield ""
         yield from _comments(draft, ("joints",))
     for joint, table in tables["joints"].items():

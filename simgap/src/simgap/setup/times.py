@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz
+from simgap.files.columns import ColumnInfo, Kind, median_rate_Hz, say_repeats
 from simgap.files.log_file import LogFile
 from simgap.setup.column_names import MOTIONS, REPEATS, TIMES, parse_name, split_words
 from simgap.units import UNITS
@@ -123,7 +123,9 @@ def _find_motions(
     by_name = [name for name in texts if set(split_words(name)) & set(MOTIONS)]
     if not restarts.size:
         name = min(by_name, key=lambda one: texts[one].size, default="")
-        return ((name,), "", "by its name") if name else ((), "", "")
+        same = [one for one in texts if set(split_words(one)) & REPEATS]
+        repeat = next((one for one in same if name and np.isin(texts[one], texts[name]).all()), "")
+        return ((name,), repeat, "by its name") if name else ((), "", "")
     inside = {name: at for name, at in texts.items() if np.isin(at, restarts).all() and at.size}
     repeat = next((name for name in inside if set(split_words(name)) & REPEATS), "")
     inside.pop(repeat, None)
@@ -136,6 +138,8 @@ def _find_motions(
             left = np.setdiff1d(left, inside[name])
     if left.size:
         row = int(left[0]) + 1
+        if np.all(clock[left] == clock[left - 1]):
+            raise RobotError(f"{log.path}: the time {time!r} {say_repeats(left.size, row)}")
         raise RobotError(
             f"{log.path}: the time {time!r} does not increase at row {row}, and no column says that a motion "
             "begins there; add a column that names the motions, or give each motion a file of its own"

@@ -12,7 +12,7 @@ from simgap.files.robot_file import SIGNALS
 from simgap.units import UNITS
 
 COUNTS: Final = 4096
-"""Counts of a turn of most bus servos."""
+"""Counts of a turn of most bus servos; finer encoders have a power of two more."""
 WHOLE: Final = 30.0
 """Range of whole numbers from which they are counts: a log in whole degrees shows no error of a servo."""
 TOLD: Final = "as --unit says"
@@ -74,8 +74,12 @@ def _told(one: Values, unit: str) -> UnitGuess:
 def _counts(values: Sequence[Values], reason: str) -> UnitGuess:
     """Return counts of a turn; where none is below 0, the zero of the model is in the middle."""
     is_signed = min(one.low for one in values) < 0.0
-    keys = {"counts_per_turn": COUNTS} | ({} if is_signed else {"zero_rad": round(-math.pi, 6)})
-    asked = f"is a turn {COUNTS} counts? zero_rad and factor = -1 say another zero and direction"
+    highest = max(one.high for one in values)
+    turns = [COUNTS * 2**k for k in range(13)]
+    fitting = [n for n in turns if (_fits(values, CLOSE * math.tau / n) if is_signed else highest < n)]
+    n = next(iter(fitting), COUNTS)
+    keys = {"counts_per_turn": n} | ({} if is_signed else {"zero_rad": round(-math.pi, 6)})
+    asked = f"is a turn {n} counts? zero_rad and factor = -1 say another zero and direction"
     return UnitGuess("count", reason, keys, asked)
 
 
@@ -98,12 +102,47 @@ def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
         )
     if all(one.are_whole for one in every) and max(one.high - one.low for one in every) > WHOLE:
         return dict.fromkeys(values, _counts(every, "whole numbers"))
+    if (zeros := _quarter_turns(values)) is not None:
+        return {joint: _moved(one, zeros[joint]) for joint, one in values.items()}
     reason = "all positions lie within the range of the model in degrees, and beyond it in rad"
     if not _fits(every, UNITS["deg"].factor):
         reason = "no unit fits the range of the model"
     inside = max(max(abs(one.low), abs(one.high)) for one in every) <= PERCENT
     asked = "are these degrees, or percent of the range? For percent, write the file anew with --unit percent"
     return dict.fromkeys(values, UnitGuess("deg", reason, question=asked if inside else ""))
+
+
+def _quarter_turns(values: Mapping[str, Values]) -> dict[str, int] | None:
+    """Return the quarter turns to add to hinges in rad, so that all lie within the model; None if none do.
+
+    Encoders are mounted a quarter or a half of a turn off; a log in degrees moves too far to fit.
+    """
+    found = {}
+    for joint, one in values.items():
+        low, high = one.range_rad if math.isfinite(one.range_rad[1]) else (-math.tau, math.tau)
+        beyond = {
+            n: max(low - one.low - n * math.pi / 2.0, one.high + n * math.pi / 2.0 - high, 0.0)
+            for n in (0, 1, -1, 2, -2)
+        }
+        room = (CLOSE - 1.0) * max(abs(low), abs(high))
+        found[joint] = 0 if beyond[0] <= room else min(beyond, key=lambda n: beyond[n])
+        if beyond[found[joint]] > room:
+            return None
+    return found
+
+
+def _moved(one: Values, n_quarters: int) -> UnitGuess:
+    """Return rad, and ask whether the zero of a joint is another one."""
+    if n_quarters == 0:
+        return UnitGuess("rad", "all positions lie within the range of the model in rad")
+    end = max(abs(one.low), abs(one.high))
+    asked = (
+        f"the positions reach {end:.3g} rad and the model {max(map(abs, one.range_rad)):.3g}: is the zero of "
+        "the log another one, as zero_rad says here? Or are these degrees? Then write the file anew with "
+        "--unit deg"
+    )
+    zero_rad = round(n_quarters * math.pi / 2.0, 6)
+    return UnitGuess("rad", "so that the positions lie within the model", {"zero_rad": zero_rad}, asked)
 
 
 def _guess_slides(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
