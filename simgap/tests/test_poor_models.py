@@ -7,12 +7,14 @@ import pytest
 
 from helpers.pendulum import motion, pendulum, simulated, waves
 from helpers.toy import CATALOGUE, NAMES, Toy, draw_toy
+from helpers.verdicts import ARMATURE, FRICTION, GAIN
 from simgap.arrays import Array
-from simgap.assemble import list_base
+from simgap.assemble import doubt_names, list_base
 from simgap.catalogue.catalogue import base_effects
 from simgap.effects.actuation import DampingGain
 from simgap.effects.effect import Size
 from simgap.logs import Logs, Motion, Signal
+from simgap.report.sentences import bound_sentences, finding_sentence
 from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.selection.acceptance import Candidate, pays
@@ -97,3 +99,17 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion() -> None:
     assert judge(one_motion, 2)
     assert not judge(one_motion, 3)
     assert judge(0.8 * before[rows] * np.linspace(0.9, 1.0, rows.size), 3)
+
+
+def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name() -> None:
+    known, elsewhere = FRICTION, replace(FRICTION, place="elbow")
+    unknown = replace(FRICTION, families=(), effects=())
+    found = doubt_names([known, unknown, elsewhere])
+    assert [one.effects for one in found] == [(), (), FRICTION.effects]
+    assert [one.families for one in found] == [FRICTION.families, (), FRICTION.families]
+    assert "95 % sure of the kind" in finding_sentence(found[0])
+
+
+def test_a_base_parameter_at_a_contradicted_bound_is_told() -> None:
+    (line,) = bound_sentences([GAIN, replace(ARMATURE, value=0.0, is_pushed=True)])
+    assert line.startswith("armature of pan ends at its bound, 0, ")

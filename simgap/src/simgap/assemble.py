@@ -73,7 +73,7 @@ def assemble(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
+        findings=tuple(doubt_names([describe_finding(context, chosen, one, sets) for one in sets])),
         base=tuple(list_base(robot, context, chosen, sets)),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
@@ -197,6 +197,15 @@ def describe_finding(
         effects=effects,
         next_motion=separating_motion(context, found),
     )
+
+
+def doubt_names(findings: Sequence[Finding]) -> list[Finding]:
+    """Take the names of effects from findings beside one at the same place whose cause is not known.
+
+    Other effects were excluded beside that one, so with a model that is known to be wrong.
+    """
+    unknown = {one.place for one in findings if not one.families}
+    return [replace(one, effects=()) if one.place in unknown else one for one in findings]
 
 
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:

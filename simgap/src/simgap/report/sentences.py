@@ -300,7 +300,7 @@ def _certainty(finding: Finding) -> str:
         return "95 % sure: no other effect explains it"
     if found == "effect":
         return "95 % sure that it is one of these; they cannot be told apart"
-    if not finding.effects:
+    if not finding.families:
         return "no effect in the catalogue is known to cause it"
     if found == "family":
         return "95 % sure of the kind; its effects cannot be told apart"
