@@ -84,4 +84,5 @@ def _base(one: Base) -> dict[str, Any]:
         "high_90": number(high),
         "is_identifiable": one.is_identifiable,
         "is_at_bound": one.is_pushed,
+        "share": number(one.share),
     }
