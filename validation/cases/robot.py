@@ -190,7 +190,7 @@ def write_robot(
 
 
 def write_logs(path: Path, logs: Logs) -> None:
-    """Write all motions in one Parquet file."""
+    """Write all motions in one Parquet file; those of a servo with its gain and its power."""
     columns: dict[str, list[NDArray[Any]]] = {}
 
     def add(name: str, values: NDArray[Any]) -> None:
@@ -201,9 +201,9 @@ def write_logs(path: Path, logs: Logs) -> None:
         add("motion", np.full(first.size, motion.name))
         add("repeat", np.full(first.size, motion.repeat_of))
         add("t_s", first)
-        add("gain", np.full(first.size, next(iter(motion.gain.values()))))
         enabled = next(iter(motion.joints.values())).enabled
         if enabled is not None:
+            add("gain", np.full(first.size, next(iter(motion.gain.values()))))
             add("enabled", enabled.value)
         for joint, log in motion.joints.items():
             assert log.command is not None
