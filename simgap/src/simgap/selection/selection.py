@@ -60,8 +60,6 @@ from simgap.selection.screening import (
 )
 from simgap.selection.sharing import ALL_JOINTS
 
-MAX_EFFECTS: Final = 3
-"""Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
 SHORTLIST: Final = 8
 """Effects of a joint that are refitted in a round: a third of its catalogue."""
 FINALISTS: Final = 4
@@ -118,8 +116,6 @@ def select_effects(
             if merged := merge_findings(context, present):
                 present, others = merged
                 competitors[present.effects[-1].key] = others
-        taken = [context.joint_of(one) for one in present.effects]
-        open_joints -= {joint for joint in open_joints if taken.count(joint) >= MAX_EFFECTS}
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
 

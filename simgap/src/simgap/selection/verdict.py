@@ -158,6 +158,27 @@ def size_intervals(context: Context, fit: JointFit) -> Array:
     Returns:
         Low and high ends, (n_free, 2), in the units of the sizes.
     """
+    _, half = _estimate(context, fit)
+    at = fit.sizes[fit.columns]
+    return np.column_stack([at - half, at + half])
+
+
+def find_pushed(context: Context, fit: JointFit) -> Integers:
+    """Return the columns of base parameters whose bound the residuals contradict, (n,).
+
+    Such a parameter ends at a bound, and without bounds its interval would lie beyond. A parameter that is
+    really 0 ends at its bound too, but then the interval holds the bound.
+    """
+    at, (step, half) = fit.sizes[fit.columns], _estimate(context, fit)
+    sizes = context.union.sizes_at(fit.columns)
+    low, high = np.array([(size.low, size.high) for size in sizes]).reshape(-1, 2).T
+    is_pushed = ((at <= low) & (at + step + half < low)) | ((at >= high) & (at + step - half > high))
+    pushed: Integers = fit.columns[is_pushed & np.isin(fit.columns, context.union.columns(context.base))]
+    return pushed
+
+
+def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
+    """Return the step to the optimum without bounds, and half of each interval, (n_free,) in their units."""
     weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
     z = fit.residuals * weight
     sizes = context.union.sizes_at(fit.columns)
@@ -174,8 +195,8 @@ def size_intervals(context: Context, fit: JointFit) -> Array:
     else:
         covariance = inverse @ (_scatter_of_motions(context, fit, a, slope) + np.diag(prior)) @ inverse
     half = quantile * unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    at = fit.sizes[fit.columns]
-    return np.column_stack([at - half, at + half])
+    step = -unit * (inverse @ (a.T @ slope + prior * fit.sizes[fit.columns] / unit))
+    return step, half
 
 
 def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array) -> Array:
