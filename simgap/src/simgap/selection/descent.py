@@ -80,13 +80,14 @@ class Descent:
             if self._unknown.any():
                 self._set_derivatives((yield self._difference_points()))
             trial, expected = self._step()
-            if expected > CONVERGED * self.loss:
+            is_last = expected <= CONVERGED * self.loss
+            if is_last and not self._is_exact:
+                self._unknown[:] = True
+                continue
+            if expected > 0.0:  # what a last step gains is small beside the loss, not beside the noise
                 (moved,) = yield [(self.joint, trial)]
                 self._go(trial, moved, expected)
-            elif self._is_exact:
-                self.has_converged = True
-            else:
-                self._unknown[:] = True
+            self.has_converged |= is_last
 
     def _begin(self, found: list[Array]) -> None:
         losses = [self._loss_of(residuals, x) for residuals, x in zip(found, self._starts, strict=True)]
@@ -161,8 +162,10 @@ class Descent:
         loss, was_exact = self._loss_of(moved, trial), self._is_exact
         decrease = self.loss - loss
         if decrease > 0.0:
-            self._passed.append((self.sizes[self.free], self.residuals))
-            self.sizes, self.residuals, is_small = trial, moved, decrease <= CONVERGED * self.loss
+            is_small = decrease <= CONVERGED * self.loss
+            if not is_small:  # after a small step the roughness of the residuals would count as a slope
+                self._passed.append((self.sizes[self.free], self.residuals))
+            self.sizes, self.residuals = trial, moved
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
             self.has_converged = is_small and was_exact
