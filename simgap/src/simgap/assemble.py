@@ -20,7 +20,8 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection
-from simgap.selection.fit import evaluate_points, select_rows
+from simgap.selection.fit import select_rows
+from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
 from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (

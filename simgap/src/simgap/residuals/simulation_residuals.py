@@ -168,10 +168,12 @@ class SimulationResiduals:
         sizes = np.asarray(sizes, dtype=float)
         if sizes.ndim == 3:
             sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
-        residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
+        residual = engine.positions(sizes)  # changed in place: those of long logs are large
+        np.subtract(self.measured_rad - self._refined_rad, residual, out=residual)
         for part, basis in self._bases:
             residual[:, part] -= (residual[:, part] @ basis) @ basis.T
-        return np.where(np.isfinite(residual), residual, PENALTY_rad)
+        residual[~np.isfinite(residual)] = PENALTY_rad
+        return residual
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
         """Return the residuals of these motions alone, in their old order."""

@@ -21,10 +21,13 @@ from simgap.selection.sharing import ALL_JOINTS
 
 def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
     """Return the mean improvement of left-out losses as a share, -1 to 1, of what can be explained."""
-    loss = pseudo_huber(before)
-    mean = float(np.mean(loss - pseudo_huber(after)))
-    explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
-    return mean / max(explainable, abs(mean), 1e-12)
+    change = float(np.sum(pseudo_huber(before) - pseudo_huber(after)))
+    return change / max(explainable_loss(context, rows, before), abs(change), 1e-12)
+
+
+def explainable_loss(context: Context, rows: Integers, residuals: Array) -> float:
+    """Return the loss of residuals over their scales, (n_rows,), beyond that of the noise."""
+    return float(np.sum(pseudo_huber(residuals) - context.noise_loss[context.model.joint_of[rows]]))
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:

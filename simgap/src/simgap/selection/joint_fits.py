@@ -125,7 +125,8 @@ def add_effects(
     context = replace(context, base_left_out=cross_validate(context, base.fits))
     more = (*present.effects, *effects)
     fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
-    return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
+    left_out = resume_step(cross_validate, context, fits)
+    return context, FittedModel(more, fits[0].sizes, fits, left_out)
 
 
 def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel, tuple[Score, ...]] | None:
@@ -268,7 +269,7 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
     fits = resume_step(fit_joints, context, rest, sizes, present.fits)
-    return FittedModel(rest, fits[0].sizes, fits, cross_validate(context, fits))
+    return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
