@@ -43,7 +43,7 @@ def _candidates(robot: Robot, places: Sequence[str]) -> Iterator[Effect]:
     moved_kg = float(sum(model.body_mass[body] for body in range(model.nbody) if _is_moved(model, body)))
     holder = _holder(robot, body_of)
     if holder in places:
-        yield Payload(holder, robot.tool_site, 0.1 * moved_kg, moved_kg)
+        yield Payload(holder, robot.tool_site, 0.1 * moved_kg, moved_kg, _link_length_m(model, body_of[holder]))
     for place in places:
         body, dof = body_of[place], robot.joint(place).dof_index
         mass_kg = float(model.body_mass[body])
