@@ -11,6 +11,7 @@ from helpers.real_robots import load_real
 from helpers.two_joint_arm import PERIOD_s, arm, check_promises, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
+from simgap.diagnosis import diagnose
 from simgap.effects.command import EncoderScale, MeasurementDelay
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
@@ -228,3 +229,9 @@ def test_the_compliance_of_axis_1_has_no_name_for_it_has_two_signs(real_data):
     assert why_refused(robot, effects["a1: joint compliance"])
     a, b = intervals(real_data, "a1", ("measurement delay", "joint compliance"))[:, 1].mean(axis=1)
     assert a < 0 < b
+
+
+def test_base_parameters_alone_need_a_command_or_a_torque():
+    logs = {name: replace(log, command=None, torque=None) for name, log in second_log().joints.items()}
+    with pytest.raises(RobotError, match="they show no base parameter"):
+        diagnose(arm(), [Motion("m", logs, {})], base_only=True)

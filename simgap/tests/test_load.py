@@ -7,6 +7,7 @@ from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, w
 from simgap.checks.records import RemarkKind
 from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
+from simgap.files.pauses import cut_at_pauses
 from simgap.loading import load
 from simgap.robot import Robot
 
@@ -91,6 +92,25 @@ def test_motions_that_repeat_one_another_share_a_text(tmp_path):
     robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"')))
     path = write_parquet(tmp_path, again=["x"] * 7)
     assert [one.repeat_of for one in load(robot, path).motions] == ["x", "x"]
+
+
+def test_motions_that_repeat_one_another_can_be_named(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeats = [["slow", "fast"]]')))
+    assert [one.repeat_of for one in load(robot, write_parquet(tmp_path)).motions] == ["slow", "slow"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('repeats = [["slow", "fats"]]', "repeats: 'fats' is no motion, condition or file .* 'fast'"),
+        ('repeats = [["slow"]]', "repeats"),
+        ('repeats = [["slow", "fast"], ["fast", "slow"]]', "repeats: 'fast' stands there twice"),
+        ('repeats = [["slow", "fast"]]\nrepeat_column = "again"', "repeat_column and repeats exclude"),
+    ],
+)
+def test_repeats_that_are_wrong_are_refused(tmp_path, line, message):
+    with pytest.raises(RobotError, match=message):
+        load(write_robot(tmp_path, ("[motion]", f"[motion]\n{line}")), write_parquet(tmp_path))
 
 
 def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
@@ -367,3 +387,10 @@ def test_an_hour_between_two_parts_is_told_with_the_windows_that_cut_it(tmp_path
     )
     robot.write_text(robot.read_text().replace("[motion]\n", f"[motion]\n{windows}\n"))
     assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [3, 4]
+
+
+def test_parts_in_which_no_joint_settles_are_no_windows():
+    assert cut_at_pauses(0.0, [(0.01, 2.0), (6.004, 7.0), (7.2, 9.0)], 12.0) == {
+        "part1": [2.0, 6.01],
+        "part2": [9.0, 12.0],
+    }

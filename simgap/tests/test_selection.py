@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from helpers.marks import slow_but
-from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
 from simgap import assemble
 from simgap.assemble import (
     describe_finding,
@@ -128,6 +128,18 @@ def test_an_effect_of_all_joints_is_named_at_its_body() -> None:
     body = Toy("base", "square of all", np.square)
     chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
     assert [effect.key for effect in chosen.effects] == [body.key]
+
+
+@pytest.mark.parametrize(("far", "is_one"), [(0.1, True), (0.06, False)])
+def test_findings_of_one_size_are_one_finding_of_all_joints(far: float, is_one: bool) -> None:
+    model = draw_toy(1, {"near: square": 0.1, "far: square": far})
+    shared = [SharedToy("both", label, SHAPES[label]) for label in ("square", "cube")]
+    selection = select_effects(model, BASE, (*CATALOGUE, *shared), seed=1)
+    keys = [effect.key for effect in selection.chosen.effects]
+    assert sorted(keys) == (["both: square"] if is_one else ["far: square", "near: square"])
+    assert [one.effect.key for one in selection.competitors.get("both: square", ())] == [
+        "both: cube"
+    ] * is_one
 
 
 def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:

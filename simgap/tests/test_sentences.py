@@ -27,6 +27,7 @@ TWO = finding(effects=("lift: Coulomb friction", "lift: gain error"), next_motio
 FOUR_EFFECTS = finding(effects=tuple("abcd"))
 FOUR_FAMILIES = finding(effects=tuple("abcd"), families=tuple(Family)[:4])
 FOUR_PLACES = finding(effects=tuple("abcd"), families=tuple(Family)[:4], places=tuple("pqrs"))
+LARGE = replace(REST, mean_abs=2.5 * PAN.noise_floor)
 NO_EFFECT = finding(effects=(), families=(), places=("lift",))
 
 
@@ -57,7 +58,7 @@ def test_an_error_that_grows_is_told():
 
 def test_what_is_left_beyond_twice_the_noise_stands_in_the_first_line():
     much = replace(LIFT, explained=0.0124)
-    (where, *_) = lines(errors=(much,), remaining=(replace(REST, joint="lift"),))
+    (where, *_) = lines(errors=(much,), remaining=(replace(REST, joint="lift", mean_abs=0.0124),))
     assert where.endswith("Something more remains at lift, 12.4 mrad at lift, which is 6.2 times the noise.")
 
 
@@ -119,21 +120,37 @@ def test_an_empty_set_says_none_of_these_and_keeps_the_place():
 
 
 def test_no_finding_and_no_remainder_is_none():
-    nothing = diagnosis(findings=(), effects=(), sizes=())
+    nothing = diagnosis(findings=(), base=(), effects=(), sizes=())
     where, what, *_ = verdict_lines(nothing)
     assert verdict_word(nothing) == "none"
     assert where.startswith("Where: nowhere")
+    assert what == "What: none of the effects in the catalogue."
+
+
+def test_a_base_parameter_that_accounts_for_most_of_an_error_says_where_and_what():
+    rest = replace(REST, mean_abs=1.5 * PAN.noise_floor)
+    small = replace(GAIN, name="armature", nominal=0.1, value=0.101, interval=(0.1005, 0.1015), share=0.02)
+    only = diagnosis(findings=(), base=(small, GAIN), remaining=(rest,), effects=(), sizes=())
+    where, what, _, following = verdict_lines(only)
+    assert where == "Where: lift."
     assert what == (
-        "What: none of the effects in the catalogue; "
-        "fitted base parameters differ: gain of lift 17.8 to 12.2."
+        "What: gain of lift is 12.2, in the model 17.8; none of the effects in the catalogue explains what "
+        "remains."
     )
+    assert following == "Next: nothing; what remains is less than twice the noise."
+    said = detail_lines(only)
+    assert said[1] == (
+        "gain of lift is 12.2, in the model 17.8; with 90 % probability from 11.9 to 12.5. "
+        "With that of the model, 90 % of the error of its joint comes back."
+    )
+    assert not any("armature" in one for one in said)
 
 
 def test_base_parameters_alone_tell_the_error_of_each_joint_and_no_verdict():
     base = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=(), is_base_only=True)
     where, what, _, following = verdict_lines(base)
     assert where == "Where: no effect was looked for."
-    assert what == "What: fitted base parameters differ: gain of lift 17.8 to 12.2."
+    assert what == "What: gain of lift is 12.2, in the model 17.8."
     assert following == "Next: look for effects: diagnose with the whole catalogue."
     assert verdict_word(base) == "unknown"
     said = detail_lines(base)
@@ -142,16 +159,17 @@ def test_base_parameters_alone_tell_the_error_of_each_joint_and_no_verdict():
 
 
 def test_a_remainder_without_a_finding_is_unknown_at_its_joint():
-    only = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=())
+    only = diagnosis(findings=(), base=(), remaining=(LARGE,), effects=(), sizes=())
     where, what, _, following = verdict_lines(only)
     assert verdict_word(only) == "unknown"
     assert where == "Where: pan."
-    assert "none of the effects in the catalogue explains it" in what
+    assert "none of the effects in the catalogue explains what remains" in what
     assert following == "Next: write an effect of your own at pan that depends on position."
 
 
 def test_a_named_effect_is_not_withdrawn_because_something_else_remains():
-    where, what, *_ = lines(remaining=(REST,))
+    assert lines(remaining=(REST,))[0] == "Where: lift."
+    where, what, *_ = lines(remaining=(LARGE,))
     assert where == "Where: lift. Something more remains at pan."
     assert "Coulomb friction at lift" in what
     assert verdict_word(diagnosis(remaining=(REST,))) == "named"
@@ -207,7 +225,7 @@ def test_details_give_interval_share_and_what_the_remainder_depends_on():
 
 
 def test_three_refusals_are_listed_and_the_others_counted():
-    said = detail_lines(diagnosis(refused=REFUSED))
+    said = detail_lines(diagnosis(base=(), refused=REFUSED))
     assert said[1] == "p: 40 samples took no part: the command is cut off at -1.034 rad."
     assert said[-1] == "2 more refusals are in the JSON document."
 

@@ -20,7 +20,7 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection
-from simgap.selection.fit import select_rows
+from simgap.selection.fit import evaluate_points, select_rows
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
 from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (
@@ -73,7 +73,7 @@ def assemble(
         kind=context.model.kind,
         seed=0,
         findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
-        base=tuple(list_base(robot, context, chosen, sets)),
+        base=tuple(add_shares(context, chosen, held_out, list_base(robot, context, chosen, sets))),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
         refused=(),
@@ -254,7 +254,7 @@ def list_base(
     """
     found = []
     with_gain = {one.place for one in context.base if isinstance(one, GainError | CurrentScale)}
-    for effect in context.base:
+    for effect in _base_of_joints(context):
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
             low, high = find_interval(context, chosen, sets, int(column))
             known = high - low < min(2.0 * size.prior_std, size.high - size.low)
@@ -270,6 +270,34 @@ def list_base(
                     is_identifiable=bool(known and has_scale),
                 )
             )
+    return found
+
+
+def _base_of_joints(context: Context) -> list[Effect]:
+    return [one for one in context.base if one.place in context.model.joints]
+
+
+def add_shares(
+    context: Context, chosen: FittedModel, held_out: ResidualModel, base: Sequence[Base]
+) -> list[Base]:
+    """Add to base parameters that differ the share of the error that comes back without them.
+
+    Args:
+        base: Those of `list_base`.
+    """
+    columns = context.union.columns(_base_of_joints(context))
+    differing = [k for k, one in enumerate(base) if one.differs]
+    joints = [held_out.joints.index(base[k].place) for k in differing]
+    points = [(joint, chosen.sizes) for joint in joints]
+    for k, joint in zip(differing, joints, strict=True):
+        without = chosen.sizes.copy()
+        without[columns[k]] = 0.0
+        points.append((joint, without))
+    rows = evaluate_points(held_out, context.union, points, sharing=context.sharing)
+    errors = [float(np.mean(np.abs(one))) if one.size else 0.0 for one in rows]
+    found = list(base)
+    for k, after, before in zip(differing, errors[: len(joints)], errors[len(joints) :], strict=True):
+        found[k] = replace(base[k], share=1.0 - after / before if before > 0.0 else 0.0)
     return found
 
 

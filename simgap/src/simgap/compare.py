@@ -50,6 +50,11 @@ class Change(Effect):
             for one in self.effect.sizes
         )
 
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Changes at the joints, where the effect acts at each of them."""
+        return tuple(Change(one.place, one) for one in self.effect.parts)
+
     def describe(self, size: Array) -> str:
         """Return the changes with their signs."""
         names = (one.name for one in self.effect.sizes)

@@ -55,7 +55,8 @@ def diagnose(
 
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands;
-            the audit has a remark that refuses logs, or refuses all samples; or two effects have one name.
+            the audit has a remark that refuses logs, or refuses all samples; the logs show no base parameter
+            where they alone are wanted; or two effects have one name.
     """
     usable = None
     if audit is not None:
@@ -64,6 +65,11 @@ def diagnose(
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
     check_motions(robot, motions, held_out)
     kinds = [one for one in list_kinds(robot, motions, usable) if one.has_base or not base_only]
+    if not kinds:
+        raise RobotError(
+            "the logs have no command and no torque, so that they show no base parameter; diagnose with the "
+            "whole catalogue"
+        )
     logs = Logs(tuple(motions))
     known = [] if base_only else [*catalogue(robot, logs), *effects]
     check_names(known)

@@ -11,7 +11,7 @@ from simgap.files.counters import unwrap_counters
 from simgap.files.log_file import LogFile, open_log
 from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile
-from simgap.files.splits import Member, choose_motions, read_split
+from simgap.files.splits import Member, choose_motions, find_members, read_split
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
 
@@ -47,6 +47,9 @@ def load(
     motions, members = _name_motions(files, converted)
     if not motions:
         raise RobotError("logs: none is given; name at least one log file")
+    for group in robot.file.motion.repeats:
+        alike = find_members(group, members, "repeats")
+        motions = [replace(one, repeat_of=group[0]) if one.name in alike else one for one in motions]
     splits = read_split(robot.folder / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(splits, members, split, held_out)
     losses = [f"{path}: {one}" for path, (_, lost) in zip(files, loaded, strict=True) for one in lost]

@@ -1,5 +1,6 @@
 """Records of a diagnosis: what was found, how sure, how far, and what remains."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +12,8 @@ from simgap.logs import Motion
 from simgap.residuals.residuals import SECOND_ENCODER
 from simgap.robot import Robot
 
+MOST: Final = 0.5
+"""Share of an error from which on a cause accounts for most of it."""
 MIN_REMAINDER: Final = 1.2
 """Least error over that of noise that is told to remain: the noise is known from few repeats."""
 
@@ -50,6 +53,14 @@ class Base:
     interval: tuple[float, float]
     is_identifiable: bool
     """False if the data show nothing of it, or only its ratio to the gain where that is fitted too."""
+    share: float = math.nan
+    """Share of the mean error of its joint that comes back with the number of the model; NaN if not known."""
+
+    @property
+    def differs(self) -> bool:
+        """Return whether the model is wrong here: the interval says so, and so does half of the error."""
+        low, high = self.interval
+        return self.is_identifiable and not low <= self.nominal <= high and not self.share < MOST
 
 
 @dataclass(frozen=True, slots=True)

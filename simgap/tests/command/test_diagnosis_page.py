@@ -108,7 +108,7 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
 def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
     print_diagnosis(made(tmp_path))
     shown = " ".join(capsys.readouterr().out.split())
-    assert shown.startswith("Where: lift. Something more remains at pan. What: Coulomb friction at lift")
+    assert shown.startswith("Where: lift. What: Coulomb friction at lift")
     assert "Without it, 80 % of the explainable error of its joint comes back." in shown
 
 

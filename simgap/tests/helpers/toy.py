@@ -32,6 +32,15 @@ class Toy(Effect):
         return (Size(self.label, -5.0, 5.0, 1.0, self.prior_std),)
 
 
+@dataclass(frozen=True)
+class SharedToy(Toy):
+    """Effect that adds the same function at both joints, and may replace findings of its label."""
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        return tuple(Toy(name, self.label, self.shape) for name in NAMES)
+
+
 class ToyResiduals:
     """Measured minus predicted values of the toys."""
 

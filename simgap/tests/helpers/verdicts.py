@@ -37,7 +37,7 @@ FRICTION = Finding(
     effects=("lift: Coulomb friction",),
     next_motion="",
 )
-GAIN = Base("lift", "gain", 17.8, 12.2, (11.9, 12.5), True)
+GAIN = Base("lift", "gain", 17.8, 12.2, (11.9, 12.5), True, 0.9)
 ARMATURE = Base("pan", "armature", 0.028, 0.02, (0.0, 0.1), False)
 LIFT = JointError("lift", "rad", 0.0255, 0.012, 0.0024, 0.002)
 PAN = JointError("pan", "rad", 0.0043, 0.003, 0.002, 0.0018)

@@ -18,6 +18,13 @@ def test_the_time_left_follows_from_the_work_done() -> None:
     assert state.line(50.0) == "arms: 40% after 50 s, 60 s left"
 
 
+def test_work_of_which_no_share_is_done_counts_its_steps() -> None:
+    state = ProgressState(started_s=0.0)
+    for now_s in range(1, 8):
+        state.update(0.0, 1.0, "fit", now_s)
+    assert state.line(90.0) == "fit: step 7 after 90 s, time left not known"
+
+
 def test_results_of_an_earlier_command_took_no_time() -> None:
     state = ProgressState(started_s=0.0)
     state.update(5, 10, "arms", 0.0)

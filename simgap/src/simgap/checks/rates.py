@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from simgap.checks.records import (
-    SETTLING_S,
     Faulty,
     Remark,
     RemarkKind,
@@ -18,7 +17,7 @@ from simgap.checks.records import (
     say_times,
 )
 from simgap.common.console import pluralize
-from simgap.files.pauses import GAP, GAP_S, MAX_WINDOWS, cut_at_pauses, find_pauses, windows_text
+from simgap.files.pauses import GAP, MAX_WINDOWS, SETTLING_S, cut_at_pauses, find_pauses, windows_text
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 
@@ -149,7 +148,9 @@ def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
 
 
 def _has_gaps(rate: SignalRate) -> bool:
-    return rate.n_missing > 0 and (rate.n_missing > REMARK_SHARE * rate.n_samples or rate.longest_s > GAP_S)
+    return rate.n_missing > 0 and (
+        rate.n_missing > REMARK_SHARE * rate.n_samples or rate.longest_s > SETTLING_S
+    )
 
 
 def _names(rates: Sequence[SignalRate]) -> tuple[str, ...]:

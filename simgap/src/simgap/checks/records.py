@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.files.pauses import SETTLING_S
 from simgap.logs import JointLog, Motion, Signal
 from simgap.result import Refusal
 from simgap.simulation.windows import SLOPE_SAMPLES
@@ -133,10 +134,6 @@ def samples_of(motions: Sequence[Motion], joint: str) -> dict[str, Samples]:
     """Return the finite samples of a joint by motion, of motions that have any."""
     found = {one.name: joint_samples(one.joints[joint]) for one in motions if joint in one.joints}
     return {name: one for name, one in found.items() if one.position.size}
-
-
-SETTLING_S: Final = 0.3
-"""Time in which the position loop of an arm settles, or less."""
 
 
 def is_short(log: JointLog) -> bool:

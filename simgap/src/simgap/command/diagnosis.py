@@ -248,6 +248,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     digests = digest_files({"robot": [request.robot], "log": request.logs, "effects": request.effects})
     progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
+    progress(0.0, 0.0, "preparing the fit")
     try:
         result = diagnose(
             robot,

@@ -45,6 +45,8 @@ class ProgressState:
     """Time of the first report."""
     total_s: float | None = None
     """Estimated time from the first report to the end; None before there is an estimate."""
+    n_reports: int = 0
+    """Reports, which show that the work goes on while no share of it is known to be done."""
 
     def update(self, done: float, total: float, what: str, now_s: float) -> None:
         """Take a report of progress at a time of the clock.
@@ -52,6 +54,7 @@ class ProgressState:
         A total of 0 means that nobody knows yet how much of the work an earlier command has done.
         """
         self.what = what
+        self.n_reports += 1
         if total <= 0:
             return
         self.share = max(self.share, min(done / total, 1.0))
@@ -73,7 +76,8 @@ class ProgressState:
     def line(self, now_s: float) -> str:
         """Return the state as one line of text."""
         spent = format_duration(now_s - self.started_s)
-        return f"{self.what}: {self.share:.0%} after {spent}, {self.left_text(now_s)}"
+        done = f"{self.share:.0%}" if self.share > 0.0 or self.n_reports < 2 else f"step {self.n_reports}"
+        return f"{self.what}: {done} after {spent}, {self.left_text(now_s)}"
 
 
 def format_duration(duration_s: float) -> str:

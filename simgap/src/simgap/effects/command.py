@@ -7,7 +7,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.actuation import limit_of
-from simgap.effects.effect import Family, JointEffect, Size
+from simgap.effects.effect import Effect, Family, JointEffect, Size
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +184,74 @@ class MeasurementDelay(JointEffect):
     def sample_delay_s(self, size: Array) -> Array:
         """Return the delay."""
         return np.asarray(size[:, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class _CommonDelay(Effect):
+    """One delay of all joints.
+
+    A robot that gets its commands later by a time does the same later, and one whose positions are older than
+    their stamps is seen to do it later. From a measured start no log of positions tells these two apart, so
+    they are simulated alike.
+    """
+
+    family: ClassVar[Family] = Family.TIMING
+    at_joints: tuple[JointEffect, ...]
+    """The delay of each joint alone."""
+    period_s: float
+    """Control period."""
+    place: str = "all joints"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Delay, the same at each joint."""
+        return self.at_joints[0].sizes
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Delays of the joints."""
+        return tuple(
+            _SharedDelay(one.place, one.index, one.joint, one.scales, period_s=self.period_s)
+            for one in self.at_joints
+        )
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the delay of a joint has its own version of any of these hooks."""
+        return self.at_joints[0].overrides(*hooks)
+
+
+@dataclass(frozen=True, slots=True)
+class CommonCommandDelay(_CommonDelay):
+    """The commands of all joints arrive late by one time, as over a bus."""
+
+    name: ClassVar[str] = CommandDelay.name
+
+
+@dataclass(frozen=True, slots=True)
+class CommonMeasurementDelay(_CommonDelay):
+    """The positions of all joints are older than their time stamps by one time, as with another clock."""
+
+    name: ClassVar[str] = MeasurementDelay.name
+
+
+@dataclass(frozen=True, slots=True)
+class _SharedDelay(CommandDelay):
+    """Delay of all joints at one of them: of its command by whole periods, and of its samples by the rest.
+
+    The mean of the command in a period would be no delay by a part of it where a torque is at its limit: a
+    part of a step takes it there as well as the whole step.
+    """
+
+    period_s: float = 1.0
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Shift the command by whole periods."""
+        return CommandDelay.shape_command(self, size - self.sample_delay_s(size)[:, None], command, period_s)
+
+    def sample_delay_s(self, size: Array) -> Array:
+        """Return what whole periods leave of the delay; all of it if it is negative."""
+        whole = np.floor(np.maximum(size[:, 0], 0.0) / self.period_s + 1e-9)
+        return np.asarray(size[:, 0] - self.period_s * whole)
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,6 +184,14 @@ class Effect(ABC):
         """Value of the model to which the first size is added; 0 unless the effect is a base parameter."""
         return 0.0
 
+    @property
+    def parts(self) -> "tuple[Effect, ...]":
+        """Effects, each with these sizes, whose hooks are called: itself, or one at each joint.
+
+        One of several parts has no trial of its own: it may replace findings that have the keys of its parts.
+        """
+        return (self,)
+
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
         """Return whether sizes, (n_sizes,), can be real beside those of others at the place, by name."""
         return True

@@ -12,8 +12,9 @@ from simgap.common.errors import RobotError
 
 GAP: Final = 2.5
 """A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
-GAP_S: Final = 0.3
-"""A gap of this length, or a step of the clock, is worth a remark: a joint settles in it unseen."""
+SETTLING_S: Final = 0.3
+"""Time in which the position loop of an arm settles, or less. A gap as long, or a step of the clock, is worth
+a remark: a joint settles in it unseen."""
 MAX_WINDOWS: Final = 8
 """Windows that a sentence lists: more are none."""
 ROUNDING_s: Final = 1e-5
@@ -35,7 +36,7 @@ def find_pauses(time_s: Array, period_s: float) -> list[tuple[float, float]]:
     Returns:
         The last time before and the first time after each of them [s].
     """
-    long = np.flatnonzero(np.diff(time_s) > max(GAP_S, GAP * period_s))
+    long = np.flatnonzero(np.diff(time_s) > max(SETTLING_S, GAP * period_s))
     return [(float(time_s[k]), float(time_s[k + 1])) for k in long]
 
 
@@ -44,15 +45,15 @@ def cut_at_pauses(
 ) -> dict[str, list[float]]:
     """Return the windows between pauses, as `motion.windows_s` of a robot file: name -> start and end.
 
-    They end at whole hundredths of a second, which are outwards of their rows.
+    They end at whole hundredths of a second, which are outwards of their rows. Parts that are too short for a
+    joint to settle are left out, unless all are such.
     """
     ends_s = [(begin_s, begin_s), *pauses, (end_s, end_s)]
+    parts = [(one[1], two[0]) for one, two in pairwise(ends_s)]
+    parts = [(low, high) for low, high in parts if high - low >= SETTLING_S] or parts
     return {
-        f"part{k}": [
-            math.floor((one[1] + ROUNDING_s) * 100) / 100,
-            math.ceil((two[0] - ROUNDING_s) * 100) / 100,
-        ]
-        for k, (one, two) in enumerate(pairwise(ends_s), 1)
+        f"part{k}": [math.floor((low + ROUNDING_s) * 100) / 100, math.ceil((high - ROUNDING_s) * 100) / 100]
+        for k, (low, high) in enumerate(parts, 1)
     }
 
 

@@ -209,6 +209,8 @@ class MotionTable(Record):
     `{ chirp = [2.0, 30.0] }`; the rest of the log is left out."""
     repeat_column: str = ""
     """Column whose value is the same in motions that repeat one another."""
+    repeats: list[Annotated[list[Text], Field(min_length=2)]] = Field(default_factory=list)
+    """Names of motions that repeat one another, in place of a column: `[["2", "7"]]`."""
     condition_column: str = ""
     """Column whose value, such as a gain, a split may hold out."""
 
@@ -216,6 +218,14 @@ class MotionTable(Record):
     def _check(self) -> "MotionTable":
         if self.columns and self.windows_s:
             raise ValueError("columns and windows_s exclude each other; give one of the two")
+        if self.repeat_column and self.repeats:
+            raise ValueError("repeat_column and repeats exclude each other; give one of the two")
+        names = [name for group in self.repeats for name in group]
+        twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+        if twice is not None:
+            raise ValueError(
+                f"repeats: {twice!r} stands there twice; put a motion and its repeats in one list"
+            )
         for name, (start_s, end_s) in self.windows_s.items():
             if not 0.0 <= start_s < end_s:
                 raise ValueError(

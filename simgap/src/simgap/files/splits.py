@@ -75,7 +75,7 @@ def choose_motions(
     """
     everything = frozenset(one.motion for one in members)
     if held_out:
-        judged = _members(held_out, members, "held out")
+        judged = find_members(held_out, members, "held out")
         fitted = everything - judged
     elif file is None:
         if split:
@@ -101,11 +101,15 @@ def choose_motions(
 
 
 def _part_members(file: SplitFile, parts: Sequence[str], members: Sequence[Member]) -> frozenset[str]:
-    return frozenset().union(*(_members(file.parts[part], members, f"part {part}") for part in parts))
+    return frozenset().union(*(find_members(file.parts[part], members, f"part {part}") for part in parts))
 
 
-def _members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
-    """Return the motions with these names, of these conditions or in these files."""
+def find_members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
+    """Return the motions with these names, of these conditions or in these files.
+
+    Raises:
+        RobotError: a name is unknown.
+    """
     found: set[str] = set()
     for name in names:
         chosen = {one.motion for one in members if name and name in (one.motion, *one.others)}

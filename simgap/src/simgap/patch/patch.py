@@ -117,7 +117,10 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
         RobotError: An effect changes what MJCF cannot say.
     """
     active = [
-        (effect, np.asarray(size, float)) for effect, size in zip(effects, sizes, strict=True) if any(size)
+        (one, np.asarray(size, float))
+        for effect, size in zip(effects, sizes, strict=True)
+        for one in effect.parts
+        if any(size)
     ]
     text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
     if varied:

@@ -83,4 +83,5 @@ def _base(one: Base) -> dict[str, Any]:
         "low_90": number(low),
         "high_90": number(high),
         "is_identifiable": one.is_identifiable,
+        "share": number(one.share),
     }

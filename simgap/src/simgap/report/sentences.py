@@ -73,7 +73,12 @@ def finding_lines(diagnosis: Diagnosis) -> list[str]:
         for one in diagnosis.rejected
     ]
     unnamed = _shorten(rejected, "effect that is not named", "effects that are not named")
-    return [*found, *rest, *unnamed, *unknown_sentences(diagnosis.base)]
+    base = _shorten(
+        [base_sentence(one) for one in _differing(diagnosis)],
+        "base parameter that differs",
+        "base parameters that differ",
+    )
+    return [*found, *rest, *unnamed, *base, *unknown_sentences(diagnosis.base)]
 
 
 def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
@@ -130,6 +135,14 @@ def finding_sentence(finding: Finding) -> str:
     own = f" With 90 % probability {intervals}." if intervals else ""
     lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
     return first + own + (lost if isfinite(finding.share) else "")
+
+
+def base_sentence(one: Base) -> str:
+    """Return a base parameter that differs from the model with its interval and its own share."""
+    low, high = one.interval
+    lost = f" With that of the model, {percent(one.share)} of the error of its joint comes back."
+    words = f"{_base_words(one)}; with 90 % probability from {low:.4g} to {high:.4g}."
+    return words + (lost if isfinite(one.share) else "")
 
 
 def error_sentence(one: JointError) -> str:
@@ -213,7 +226,9 @@ def _where(diagnosis: Diagnosis) -> str:
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
         words.append(NOT_LOCATED)
-    elsewhere = [one.joint for one in diagnosis.remaining]
+    if not words:
+        words = list(dict.fromkeys(one.place for one in _differing(diagnosis)))
+    elsewhere = [one.joint for one in (_much_remaining(diagnosis) if words else diagnosis.remaining)]
     if not words and not elsewhere:
         if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
             return "nowhere; without repeated motions nobody knows if what remains is more than noise."
@@ -223,6 +238,16 @@ def _where(diagnosis: Diagnosis) -> str:
         return f"{join_words(elsewhere, 'and')}{much}."
     more = f" Something more remains at {join_words(elsewhere, 'and')}{much}." if elsewhere else ""
     return f"{join_words(words, 'and')}.{more}"
+
+
+def _much_remaining(diagnosis: Diagnosis) -> list[Remainder]:
+    """Return what remains beyond MUCH times the noise, or beside a noise that is not known."""
+    noise = {(one.joint, one.unit): one.noise_floor for one in diagnosis.errors}
+    return [
+        one
+        for one in diagnosis.remaining
+        if not one.mean_abs <= MUCH * noise.get((one.joint, one.unit), math.nan)
+    ]
 
 
 def _much_left(errors: Sequence[JointError]) -> str:
@@ -248,11 +273,12 @@ def _ranked(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def _what(diagnosis: Diagnosis) -> str:
-    if diagnosis.is_base_only:
-        return f"{_base_words(diagnosis.base)[2:] or 'no base parameter differs'}."
     if not diagnosis.findings:
-        explains = " explains it" if diagnosis.remaining else ""
-        return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
+        base = join_words([_base_words(one) for one in _differing(diagnosis)], "and")
+        if diagnosis.is_base_only:
+            return f"{base or 'no base parameter accounts for half of the error of its joint'}."
+        explains = " explains what remains" if diagnosis.remaining else ""
+        return f"{f'{base}; ' if base else ''}none of the effects in the catalogue{explains}."
     ranked = _ranked(diagnosis)
     shown = ranked[:MAX_MEMBERS]
     groups: dict[str, list[str]] = {}
@@ -267,14 +293,14 @@ def _what(diagnosis: Diagnosis) -> str:
     return first + "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
 
 
-def _base_words(base: Sequence[Base]) -> str:
-    """Return the base parameters whose 90 % interval excludes the number of the model, the surest first."""
-    other = [
-        one for one in base if one.is_identifiable and not one.interval[0] <= one.nominal <= one.interval[1]
-    ]
-    other.sort(key=lambda one: -abs(one.value - one.nominal) / max(one.interval[1] - one.interval[0], 1e-300))
-    words = [f"{one.name} of {one.place} {one.nominal:.3g} to {one.value:.3g}" for one in other]
-    return f"; fitted base parameters differ: {join_words(words, 'and')}" if words else ""
+def _differing(diagnosis: Diagnosis) -> list[Base]:
+    """Return the base parameters that differ from the model, first that which accounts for most."""
+    found = [one for one in diagnosis.base if one.differs]
+    return sorted(found, key=lambda one: -one.share if isfinite(one.share) else 0.0)
+
+
+def _base_words(one: Base) -> str:
+    return f"{one.name} of {one.place} is {one.value:.3g}, in the model {one.nominal:.3g}"
 
 
 def _certainty(finding: Finding) -> str:
@@ -332,7 +358,7 @@ def _next(diagnosis: Diagnosis) -> str:
     if pairs:
         return (
             f"no recorded motion tells {_effects_words(pairs[0])} apart above the noise; record one that is "
-            "faster, slower or with another load."
+            "faster, slower, with another load or without torque."
         )
     if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
@@ -340,9 +366,12 @@ def _next(diagnosis: Diagnosis) -> str:
         return "look for effects: diagnose with the whole catalogue."
     if not has_floor(diagnosis):
         return "repeat some motions without a change, so that the noise floor is known."
-    if diagnosis.remaining:
-        one = max(diagnosis.remaining, key=lambda each: each.depends_share)
+    remaining = _much_remaining(diagnosis)
+    if remaining:
+        one = max(remaining, key=lambda each: each.depends_share)
         if one.depends_on:
             return f"write an effect of your own at {one.joint} that depends on {one.depends_on}."
         return f"log more of {one.joint}, such as torque, temperature or a second encoder."
+    if diagnosis.remaining:
+        return "nothing; what remains is less than twice the noise."
     return "nothing; these motions leave no question open."

@@ -38,7 +38,7 @@ from simgap.robot import Robot
 
 def shows(effect: Effect) -> bool:
     """Return whether the difference of two encoders can show an effect."""
-    return effect.overrides(*ENCODER_HOOKS)
+    return effect.overrides(*ENCODER_HOOKS) and len(effect.parts) == 1
 
 
 def why_refused(robot: Robot, effect: Effect) -> str:

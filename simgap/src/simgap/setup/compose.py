@@ -221,7 +221,10 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
         if times.repeat:
             draft.content["motion"]["repeat_column"] = times.repeat
         else:
-            draft.ask("does a column say which motions repeat one another? They show the noise", "motion")
+            draft.ask(
+                "which motions repeat one another? Write repeats or repeat_column; they show the noise",
+                "motion",
+            )
         draft.reasons["motion",] = times.reasons["motion"]
 
 

@@ -139,7 +139,8 @@ def _find_motions(
     if left.size:
         row = int(left[0]) + 1
         if np.all(clock[left] == clock[left - 1]):
-            raise RobotError(f"{log.path}: the time {time!r} {say_repeats(left.size, row)}")
+            n_rows = int(np.sum(np.diff(clock) == 0.0))
+            raise RobotError(f"{log.path}: the time {time!r} {say_repeats(n_rows, row)}")
         raise RobotError(
             f"{log.path}: the time {time!r} does not increase at row {row}, and no column says that a motion "
             "begins there; add a column that names the motions, or give each motion a file of its own"

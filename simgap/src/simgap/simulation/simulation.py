@@ -286,11 +286,12 @@ class Engine:
             n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
         """
         self.models = models
-        self.effects = tuple(effects)
         self.windows = tuple(windows)
         self.n_threads = n_threads
         first = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
-        self._sizes = [slice(int(a), int(b)) for a, b in pairwise(first)]
+        columns = [slice(int(a), int(b)) for a, b in pairwise(first)]
+        parts = [(one, own) for effect, own in zip(effects, columns, strict=True) for one in effect.parts]
+        self.effects, self._sizes = [one for one, _ in parts], [own for _, own in parts]
 
     def positions(self, sizes: Array) -> Array:
         """Simulate candidates and sample what the encoders show.

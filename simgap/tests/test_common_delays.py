@@ -1,0 +1,119 @@
+"""Delays that all joints have in common, on a small arm whose joints move one another."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.effect_lab import ARM_XML, robot_of, simulate
+from simgap.arrays import Array
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.effects.effect import Effect, Family
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.patch.patch import make_patch
+from simgap.patch.text import read_effect
+from simgap.residuals.simulation_residuals import list_kinds
+from simgap.selection.selection import select_effects
+from simgap.selection.verdict import find_confidence_sets, list_members
+
+ARM = robot_of(ARM_XML)
+TRUTH = robot_of(ARM_XML.replace('timestep="0.001"', 'timestep="0.000125"'))
+TRUTH = replace(TRUTH, control_period_s=ARM.control_period_s)
+"""The same arm in steps that are short beside any delay."""
+REST_S, MOVING_S, DELAY_S, NOISE_RAD = 0.8, 1.2, 0.02, 2e-4
+N_REST, N_TICKS = (round(one / ARM.control_period_s) for one in (REST_S, REST_S + MOVING_S))
+COMMON = ("all joints: command delay", "all joints: measurement delay")
+
+
+def commands(seed: int) -> Array:
+    """Return commands of a motion that begins at rest, (n_ticks, n_joints)."""
+    rng, time_s = np.random.default_rng(seed), ARM.control_period_s * np.arange(N_TICKS)
+    angular, size = rng.uniform(3.0, 12.0, (2, 3)), rng.uniform(0.1, 0.3, (2, 3))
+    waves = size[:, None] * (1.0 - np.cos(angular[:, None] * np.maximum(time_s - REST_S, 0.0)[:, None]))
+    return np.asarray(waves.sum(axis=0))
+
+
+def log_of(name: str, command: Array, shown_rad: Array, repeat: str) -> Motion:
+    time_s = ARM.control_period_s * np.arange(N_TICKS - N_REST)
+    joints = {
+        joint.name: JointLog(
+            Signal(time_s, shown_rad[j, N_REST:]), command=Signal(time_s, command[N_REST:, j])
+        )
+        for j, joint in enumerate(ARM.joints)
+    }
+    return Motion(name, joints, {}, repeat)
+
+
+def logs_with(effects: Sequence[Effect], sizes: Sequence[float]) -> Logs:
+    """Simulate motions with these effects; the last one repeats that before it."""
+    rng, motions = np.random.default_rng(1), []
+    for k in range(6):
+        command = commands(min(k, 4))
+        (shown,) = simulate(TRUTH, effects, [sizes], command, command[0])
+        noise = NOISE_RAD * rng.standard_normal(shown.shape)
+        motions.append(log_of(f"m{k}", command, shown + noise, "r" if k > 3 else ""))
+    return Logs(tuple(motions))
+
+
+@cache
+def delays() -> dict[str, Effect]:
+    """Return all delays, by key."""
+    return {one.key: one for one in catalogue(ARM, logs_with([], [])) if one.name.endswith(" delay")}
+
+
+def findings(logs: Logs) -> list[tuple[str, ...]]:
+    """Return the sets of the findings among delays, the best first."""
+    (kind,) = list_kinds(ARM, logs.fit, None)
+    selection = select_effects(
+        kind.make(logs.fit, False), base_effects(ARM, logs), [*delays().values()], seed=1
+    )
+    return [list_members(one)[2] for one in find_confidence_sets(selection)]
+
+
+def own(common: str) -> list[Effect]:
+    """Return the delays of this kind at each joint."""
+    return [one for one in delays().values() if one.name == delays()[common].name and one.key != common]
+
+
+def test_a_delay_of_all_joints_acts_as_one_at_each() -> None:
+    command = commands(0)
+    for n_periods, key in ((4.0, COMMON[0]), (0.4, COMMON[1]), (3.7, COMMON[1]), (-1.3, COMMON[1])):
+        assert delays()[key].family == Family.TIMING
+        one, each = (
+            simulate(ARM, effects, [[n_periods * ARM.control_period_s] * len(effects)], command, command[0])
+            for effects in ([delays()[key]], own(key))
+        )
+        np.testing.assert_allclose(one[..., N_REST:], each[..., N_REST:], atol=1e-6)
+
+
+def test_an_arm_with_one_joint_has_no_delay_of_all_joints() -> None:
+    logs = logs_with([], [])
+    one = Logs(tuple(Motion(m.name, {"elbow": m.joints["elbow"]}, {}) for m in logs.motions))
+    assert not {*COMMON} & {effect.key for effect in catalogue(ARM, one)}
+
+
+def test_a_patch_has_the_delay_of_each_joint() -> None:
+    runtime = tomllib.loads(make_patch(ARM, [delays()[COMMON[0]]], [[DELAY_S]]).runtime)
+    assert [(one["place"], one["effect"], one["size"]) for one in runtime["effects"]] == [
+        (joint.name, "command delay", {"delay_s": DELAY_S}) for joint in ARM.joints
+    ]
+    (first, _) = read_effect(runtime["effects"][0], Path("runtime.toml"))
+    assert np.isclose(first.sample_delay_s(np.array([[0.0225]])), 0.0025)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", COMMON)
+def test_one_delay_of_all_joints_is_one_finding_and_may_be_either(key: str) -> None:
+    (members,) = findings(logs_with(own(key), [DELAY_S] * 3))
+    assert {*members} == {*COMMON}
+
+
+@pytest.mark.slow
+def test_a_delay_of_one_joint_stays_there() -> None:
+    (members,) = findings(logs_with([delays()["elbow: command delay"]], [DELAY_S]))
+    assert members[0] == "elbow: command delay"
+    assert not {*COMMON} & {*members}
