@@ -49,6 +49,8 @@ class Payload(Effect):
     high_kg: float
     reach_m: float
     """Largest displacement along an axis of the site."""
+    axes: str = "xyz"
+    """Axes of the site along which a displacement can be seen."""
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -56,7 +58,7 @@ class Payload(Effect):
         mass = Size("payload_kg", 0.0, self.high_kg, self.typical_kg)
         return (
             mass,
-            *(Size(f"{axis}_m", -self.reach_m, self.reach_m, 0.2 * self.reach_m) for axis in "xyz"),
+            *(Size(f"{axis}_m", -self.reach_m, self.reach_m, 0.2 * self.reach_m) for axis in self.axes),
         )
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
@@ -64,7 +66,8 @@ class Payload(Effect):
         rows = np.asarray(size[:, 0] != 0)
         if not rows.any():
             return
-        model, added_kg, at_m = fields.batch.model, size[rows, 0], size[rows, 1:]
+        model, added_kg, at_m = fields.batch.model, size[rows, 0], np.zeros((int(rows.sum()), 3))
+        at_m[:, ["xyz".index(axis) for axis in self.axes]] = size[rows, 1:]
         body = _body(fields, robot, self.place)
         if self.site:
             site = model.site(self.site).id
