@@ -34,7 +34,6 @@ from marsarm.diagnosis.arm.output_files import effects_of_findings as effects_of
 from marsarm.diagnosis.arm.record import record_logs as record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from marsarm.diagnosis.arm.request import RecordRequest as RecordRequest
-from marsarm.diagnosis.result import verdict_lines as verdict_lines
 from marsarm.replaying.replay import ReplayRequest as ReplayRequest
 from marsarm.replaying.replay import replay as replay
 from marsarm.runs.place import place as place

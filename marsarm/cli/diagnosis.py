@@ -43,8 +43,8 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     Example: marsarm gap demo --seed 3
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
-    from marsarm.diagnosis.result import print_diagnosis
     from sim.plant import PlantDiverged
+    from simgap.command.diagnosis import print_lines
     from simgap.common.console import plain_console
 
     def publish(digest: str) -> None:
@@ -56,7 +56,7 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
         raise BadRequest(str(error)) from error
 
     def print_demo() -> None:
-        print_diagnosis(found.result)
+        print_lines(found.diagnosis)
         truth = found.truth
         on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
         plain_console().print(
@@ -77,8 +77,9 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     """
     from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
     from marsarm.diagnosis.arm.output_files import save_diagnosis_files
-    from marsarm.diagnosis.result import print_diagnosis, to_json
     from sim.plant import PlantDiverged
+    from simgap.command.diagnosis import print_lines
+    from simgap.report.document import to_document
 
     job = prepare_diagnosis(request)
     try:
@@ -90,4 +91,4 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
         for sentence in save_diagnosis_files(result, request, job):
             print(sentence, file=sys.stderr)
 
-    return VerbResult(to_json(result), lambda: print_diagnosis(result), save=save)
+    return VerbResult(to_document(result.diagnosis), lambda: print_lines(result.diagnosis), save=save)

@@ -63,8 +63,6 @@ class FeatureGroup:
     rows: Ints
     Q: Array
     """Orthonormal directions, shape (n, d)."""
-    AQ: Array
-    """Projected columns A'Q, shape (q + k, d)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +134,7 @@ def alias_cosines(equations: NormalEquations) -> Array:
     Returns:
         Absolute cosines, shape (h, h).
     """
-    of = [np.flatnonzero(equations.owner == h) for h in range(len(equations.hypotheses))]
+    of = [np.flatnonzero(equations.owner == h) for h in range(equations.owner[-1] + 1)]
     roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
     whole = block_diag(*roots)
     cosines = whole.T @ equations.R @ whole
@@ -223,7 +221,7 @@ def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
             if rows.size >= MIN_GROUP_FEATURES:
                 U, s, _ = np.linalg.svd(condition_directions(layout, rows), full_matrices=False)
                 Q = U[:, s > MIN_DIRECTION_SHARE * s[0]]
-                result.append(FeatureGroup(int(channel), regime, rows, Q, equations.A[rows].T @ Q))
+                result.append(FeatureGroup(int(channel), regime, rows, Q))
     return tuple(result)
 
 

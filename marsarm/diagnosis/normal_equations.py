@@ -1,29 +1,25 @@
 """Normal equations of the linear model, with nuisances eliminated, and the fit to a case.
 
-The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v have a
-Gaussian prior of precision P. With G = A'A and c = A'y, the nuisances are eliminated by the Schur complement:
+The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v are in units
+of their sigma, so that their prior has unit covariance too. With G = A'A, they are eliminated by the Schur
+complement:
 
-    C = (G_NN + P)^-1
-    W = G_SN C
-    R = G_SS - W G_NS
-    r = c_S - W c_N
+    R = G_SS - G_SN (G_NN + 1)^-1 G_NS
 
-The amplitudes a solve R a = r. Shapes use m features, q shared nuisances and k columns of h hypotheses.
+Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Flags
-from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Ints
+from marsarm.diagnosis.problem import FeatureLayout, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities
 
 ABSORBED_SHARE: Final = 1e-6
 """A column counts as not identifiable if the nuisances leave less than this share of its square."""
-FLAT_PRIOR_SHARE: Final = 1e-9
-"""Prior precision of a nuisance with infinite sigma, as a share of its information in all data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +76,8 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
 def build_full_whitener(sensitivities: Sensitivities) -> Whitener:
     """Build the whitener from the noise floor and all nuisances with their priors."""
     first = build_whitener(sensitivities)
-    N, prior, _ = nuisance_columns(sensitivities, first)
-    shared = _block_covariance(np.arange(len(N)), N / np.sqrt(prior))
+    N = _nuisance_columns(sensitivities, first)
+    shared = _block_covariance(np.arange(len(N)), N)
     return Whitener(first.sigma, (*first.scatter, shared))
 
 
@@ -99,7 +95,6 @@ class NormalEquations:
     """
 
     layout: FeatureLayout
-    hypotheses: tuple[Hypothesis, ...]
     owner: Ints
     """Index of the hypothesis that each column belongs to, shape (k,)."""
     whiten: Whitener
@@ -107,28 +102,22 @@ class NormalEquations:
     """Whitened nuisances and columns, [N S], shape (m, q + k)."""
     G: Array
     """Normal matrix A'A, shape (q + k, q + k)."""
-    prior: Array
-    """Prior precision P of the nuisances, shape (q,)."""
-    nuisance_unit: Array
-    """Size of 1 of each nuisance in its own unit: its sigma if that is finite, shape (q,)."""
+    nuisance_sigma: Array
+    """Sigma of each shared nuisance in its own unit, shape (q,)."""
     R: Array
     """Information of the columns with nuisances eliminated, shape (k, k)."""
-    W: Array
-    """Elimination matrix G_SN C, shape (k, q)."""
-    C: Array
-    """Covariance of the nuisances without effects, shape (q, q)."""
     scale: Array
     """Standard errors per typical size, shape (k,); 0 for a column that is not identifiable."""
 
     @property
     def q(self) -> int:
         """Number of shared nuisances."""
-        return self.prior.size
+        return self.nuisance_sigma.size
 
     @property
     def identifiable(self) -> Flags:
         """Flags of the hypotheses whose columns are all identifiable beside the nuisances, shape (h,)."""
-        hidden = np.zeros(len(self.hypotheses), bool)
+        hidden = np.zeros(self.owner[-1] + 1, bool)
         hidden[self.owner[self.scale == 0.0]] = True
         return ~hidden
 
@@ -138,53 +127,28 @@ class NormalEquations:
 
 
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
-    """Form the normal equations of all hypotheses, with nuisances eliminated.
-
-    Returns:
-        Normal equations with columns in units of their standard error.
-    """
+    """Form the normal equations of all hypotheses; columns that are not identifiable become 0."""
     whiten = build_whitener(sensitivities)
-    N, prior, unit = nuisance_columns(sensitivities, whiten)
-    A = np.hstack([N, whiten(sensitivities.effect)])
-    G = A.T @ A
-    return _scale_columns(NormalEquations(
-        sensitivities.layout, sensitivities.hypotheses, sensitivities.owner, whiten, A, G, prior, unit,
-        *_eliminate_nuisances(G, prior), np.ones(sensitivities.owner.size),
-    ))  # fmt: skip
+    N, S = _nuisance_columns(sensitivities, whiten), whiten(sensitivities.effect)
+    across = N.T @ S
+    R = S.T @ S - across.T @ np.linalg.solve(N.T @ N + np.eye(N.shape[1]), across)
+    information = np.diagonal(R)
+    is_seen = information > ABSORBED_SHARE * np.sum(S**2, axis=0)
+    scale = np.sqrt(np.where(is_seen, information, 0.0))
+    by = np.where(is_seen, 1.0 / np.where(is_seen, scale, 1.0), 0.0)
+    A = np.hstack([N, S * by])
+    R = (R + R.T) / 2.0 * np.outer(by, by)
+    sigma = _shared_sigma(sensitivities)
+    return NormalEquations(sensitivities.layout, sensitivities.owner, whiten, A, A.T @ A, sigma, R, scale)
 
 
-def nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
-    """Whiten the columns of the shared nuisances.
-
-    Returns:
-        Columns in the units of the nuisances, (m, q), prior precisions, (q,), and these units, (q,): sigma if
-        it is finite.
-    """
-    sigma = np.array([sensitivities.nuisances[index].sigma for index in sensitivities.shared_nuisances])
-    known = np.isfinite(sigma)
-    N = whiten(sensitivities.nuisance[:, sensitivities.shared_nuisances])
-    norm = np.linalg.norm(N, axis=0)
-    unit = np.where(known, sigma, 1.0 / np.where(norm == 0.0, 1.0, norm))
-    return N * unit, np.where(known, 1.0, FLAT_PRIOR_SHARE), unit
+def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> Array:
+    """Whiten the columns of the shared nuisances, in units of their sigma, (m, q)."""
+    return whiten(sensitivities.nuisance[:, sensitivities.shared_nuisances]) * _shared_sigma(sensitivities)
 
 
-def _eliminate_nuisances(G: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """Return R, W and C; see the module."""
-    q = prior.size
-    C = np.linalg.inv(G[:q, :q] + np.diag(prior))
-    W = G[q:, :q] @ C
-    R = G[q:, q:] - W @ G[:q, q:]
-    return np.asarray((R + R.T) / 2.0), W, np.asarray(C, np.float64)
-
-
-def _scale_columns(raw: NormalEquations) -> NormalEquations:
-    """Scale the columns to units of their standard error; set those that are not identifiable to 0."""
-    q, of = raw.q, np.diagonal(raw.R)
-    scale = np.sqrt(np.where(of > ABSORBED_SHARE * np.diagonal(raw.G)[q:], of, 0.0))
-    by = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
-    all_by = np.concatenate([np.ones(q), by])
-    G, R = raw.G * np.outer(all_by, all_by), raw.R * np.outer(by, by)
-    return replace(raw, A=raw.A * all_by, G=G, R=R, W=raw.W * by[:, None], scale=scale)
+def _shared_sigma(sensitivities: Sensitivities) -> Array:
+    return np.array([sensitivities.nuisances[index].sigma for index in sensitivities.shared_nuisances])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +159,7 @@ class LinearFit:
     """Indices of the fitted columns of `NormalEquations.A`: all nuisances, then the chosen columns, shape
     (n,)."""
     theta: Array
-    """Fitted values, shape (n,): nuisances in `nuisance_unit`, amplitudes in standard errors."""
+    """Fitted values, shape (n,): nuisances in sigmas, amplitudes in standard errors."""
     covariance: Array
     """Posterior covariance, shape (n, n)."""
 
@@ -212,6 +176,6 @@ def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit
     """
     active = np.concatenate([np.arange(equations.q), equations.q + columns])
     information = equations.G[np.ix_(active, active)]
-    information[: equations.q, : equations.q] += np.diag(equations.prior)
+    information[: equations.q, : equations.q] += np.eye(equations.q)
     covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
     return LinearFit(active, covariance @ (equations.A[:, active].T @ y), covariance)

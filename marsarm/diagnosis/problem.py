@@ -10,19 +10,14 @@ variance. N and S are the sensitivities. The diagnosis finds the few hypotheses 
 These classes are all that the diagnosis knows about a robot.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
-
-INTERVAL_LEVEL: Final = 0.9
-INTERVAL_QUANTILES: Final = ((1.0 - INTERVAL_LEVEL) / 2.0, (1.0 + INTERVAL_LEVEL) / 2.0)
-"""Lower and upper quantile of an interval of this level."""
-
 
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
@@ -84,6 +79,11 @@ class Hypothesis:
         return f"{self.effect} at {self.place}"
 
     @property
+    def key(self) -> str:
+        """Name of its effect in the engine: `Effect.key`."""
+        return f"{self.place}: {self.effect}"
+
+    @property
     def amplitudes(self) -> tuple[Parameter, ...]:
         """Amplitude parameters: those that the selection fits."""
         return tuple(parameter for parameter in self.parameters if parameter.is_amplitude)
@@ -117,15 +117,34 @@ class Hypothesis:
         Returns:
             All parameters in their units, shape (p,); shape parameters have their typical values.
         """
+        return self.fill(self.amplitude_values(departures))
+
+    def fill(self, amplitudes: Array) -> Array:
+        """Return the values of all parameters; shape parameters have their typical values.
+
+        Args:
+            amplitudes: Values of the amplitude parameters in their units, shape (n,).
+
+        Returns:
+            All parameters in their units, shape (p,).
+        """
         values = self.absent
-        is_amplitude = np.array([parameter.is_amplitude for parameter in self.parameters])
-        values[is_amplitude] += np.array([parameter.typical for parameter in self.amplitudes]) * departures
+        values[[parameter.is_amplitude for parameter in self.parameters]] = amplitudes
         return values
+
+    def amplitude_values(self, departures: Array) -> Array:
+        """Return the values of the amplitude parameters in their units, shape (n,).
+
+        Args:
+            departures: Departures from neutral, without a unit (multiples of typical), shape (n,).
+        """
+        typical, absent = np.array([(one.typical, one.absent) for one in self.amplitudes]).T
+        return np.asarray(absent + typical * departures)
 
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0.
+    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0 and finite.
 
     A shared nuisance has one value in all blocks: calibration leaves it uncertain. A random nuisance is drawn
     independently in every block: it makes repeats differ.
@@ -134,13 +153,13 @@ class Nuisance:
     name: str
     unit: str
     sigma: float
-    """Prior standard deviation; infinite if nothing is known (not for a random nuisance)."""
+    """Prior standard deviation."""
     random_per_block: bool = False
     """Random nuisance: drawn independently in every block."""
 
     def __post_init__(self) -> None:
-        if not self.sigma > 0.0 or (self.random_per_block and self.sigma == float("inf")):
-            raise ValueError(f"{self.name}: sigma must be above 0, and finite if it is drawn in every block")
+        if not 0.0 < self.sigma < float("inf"):
+            raise ValueError(f"{self.name}: sigma must be above 0 and finite")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,52 +219,9 @@ class FeatureLayout:
         return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
-    """Measured residuals of a campaign's features; ValueError if they do not fit the layout."""
-
-    layout: FeatureLayout
-    value: Array
-    """Measured minus nominal simulation, in the units of the channels, shape (m,)."""
-
-    def __post_init__(self) -> None:
-        if self.value.shape != (self.layout.size,):
-            raise ValueError(f"value is {self.value.shape}; wanted {(self.layout.size,)}")
-        if not np.all(np.isfinite(self.value)):
-            at = int(np.flatnonzero(~np.isfinite(self.value))[0])
-            channel = self.layout.channels[self.layout.channel[at]]
-            raise ValueError(f"feature {at} ({channel}) is not finite")
-
-
 EffectValues = Mapping[Hypothesis, Array]
 """Values of all parameters of the effects that are switched on, in their order and units."""
 
-
-class Simulator(Protocol):
-    """Simulator bound to one campaign: to the recorded commands and to the start of each motion.
-
-    It is deterministic. A prediction depends only on effects and nuisances, never on the measured features.
-    """
-
-    @property
-    def layout(self) -> FeatureLayout:
-        """Description of the m features."""
-
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Candidate causes, each once."""
-
-    @property
-    def nuisances(self) -> tuple[Nuisance, ...]:
-        """Nuisance parameters, q of them."""
-
-    def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features with these effects and nuisances.
-
-        Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,). A random nuisance has
-                the same departure in all blocks here.
-
-        Returns:
-            Features in the units of their channels, shape (m,); NaN if no such robot can be simulated.
-        """
+Simulate = Callable[[EffectValues], Array]
+"""Simulator of a case: the change of its m features by effects, in the units of the channels, shape (m,); NaN
+if no such robot can be simulated. It never depends on the measured features."""

@@ -20,10 +20,10 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
-from marsarm.diagnosis.problem import Ints, Simulator
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Simulate
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
 from simgap import Effect, ResidualModel, Size, select_effects
-from simgap.selection.context import Selection as EngineSelection
+from simgap.selection.context import Selection
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""
@@ -42,7 +42,7 @@ MORE_ROOM: Final = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Selection:
+class FeatureSelection:
     """Selected hypotheses, with their amplitudes."""
 
     chosen: tuple[int, ...]
@@ -54,7 +54,7 @@ class Selection:
     """Number of tests that share the probability of a false alarm."""
     sensitivities: Sensitivities
     """Sensitivities that it was made with."""
-    engine: EngineSelection
+    engine: Selection
 
     def change(self) -> Array:
         """Compute the change of the features by the selected effects.
@@ -68,13 +68,13 @@ class Selection:
 
 
 def select_simulated(
-    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulator: Simulator | None
-) -> Selection:
+    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulate: Simulate | None
+) -> FeatureSelection:
     """Select effects, simulate those beyond the reach of their sensitivities, and select again.
 
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
-        simulator: Simulator of the case; None to extrapolate.
+        simulate: Simulator of the case; None to extrapolate.
 
     Returns:
         The last selection.
@@ -87,11 +87,12 @@ def select_simulated(
             for h, a in zip(selection.chosen, selection.departures, strict=True)
             if _is_far(model.sensitivities, h, a, simulated)
         ]
-        if simulator is None or not far:
+        if simulate is None or not far:
             break
         for h, a in far:
-            change = _simulate(model, simulator, h, a)
-            if change is None:
+            hypothesis = model.sensitivities.hypotheses[h]
+            change = simulate({hypothesis: hypothesis.values(a)})
+            if not np.all(np.isfinite(change)) or not np.any(change):
                 excluded |= {h}
             else:
                 simulated[h] = a, change
@@ -114,14 +115,6 @@ def _is_far(
     return bool(np.any(np.abs(a) > (1.0 + MOVED) * sensitivities.reach[sensitivities.owner == h]))
 
 
-def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
-    """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
-    hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
-    changed = simulator.predict({hypothesis: hypothesis.values(a)}, zero)
-    change = changed - simulator.predict({}, zero)
-    return change if np.all(np.isfinite(change)) and np.any(change) else None
-
-
 def select(
     model: DiagnosisModel,
     sensitivities: Sensitivities,
@@ -129,7 +122,7 @@ def select(
     value: Array,
     seed: int,
     excluded: Collection[int] = (),
-) -> Selection:
+) -> FeatureSelection:
     """Select the effects that a case needs.
 
     Args:
@@ -144,11 +137,11 @@ def select(
     residuals = FeatureResiduals(sensitivities, whiten, value)
     effects = list_feature_effects(model, excluded)
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
-    chosen = [one for one in found.chosen.effects if isinstance(one, FeatureEffect)]
+    chosen = found.chosen.effects
     union, sizes = found.context.union, found.chosen.sizes
     before = np.concatenate([fit.residuals for fit in found.base.fits])
-    return Selection(
-        tuple(one.index for one in chosen),
+    return FeatureSelection(
+        tuple(sensitivities.index(one.key) for one in chosen),
         tuple(sizes[union.columns([one])] for one in chosen),
         float(before @ before),
         found.context.n_distinct,
@@ -162,19 +155,17 @@ class FeatureEffect(Effect):
     """Hypothesis of a campaign as an effect; its sizes are departures from neutral in typical sizes."""
 
     place: str
-    index: int
-    """Index of the hypothesis."""
-    effect: str
+    hypothesis: Hypothesis
     kind: StrEnum
     departures: tuple[Size, ...]
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """Name of the effect."""
-        return self.effect
+        return self.hypothesis.effect
 
     @property
-    def family(self) -> StrEnum:  # type: ignore[override]
+    def family(self) -> StrEnum:
         """Family of the effect."""
         return self.kind
 
@@ -182,6 +173,20 @@ class FeatureEffect(Effect):
     def sizes(self) -> tuple[Size, ...]:
         """Amplitudes."""
         return self.departures
+
+    def describe(self, size: Array) -> str:
+        """Return the amplitudes in their units; a factor as its change in percent.
+
+        Args:
+            size: Departures in typical sizes, without a unit, (n_sizes,).
+        """
+        values = zip(self.hypothesis.amplitudes, self.hypothesis.amplitude_values(size), strict=True)
+        return ", ".join(
+            f"{one.name} {100.0 * np.expm1(value):+.3g} %"
+            if one.unit == LOG_UNIT
+            else f"{one.name} = {value:.4g}"
+            for one, value in values
+        )
 
 
 def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) -> tuple[FeatureEffect, ...]:
@@ -234,7 +239,7 @@ def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
         least, most = parameter.departure_range
         typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
         sizes.append(Size(parameter.name, least, most, typical))
-    return FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))
+    return FeatureEffect(hypothesis.place, hypothesis, model.families[k], tuple(sizes))
 
 
 class FeatureResiduals:
@@ -261,9 +266,10 @@ class FeatureResiduals:
         self._effect = whiten(sensitivities.effect)
         self._curve = whiten(sensitivities.curve)
         self._reach = sensitivities.reach
-        self._columns = [
-            np.flatnonzero(sensitivities.owner == h) for h in range(len(sensitivities.hypotheses))
-        ]
+        self._columns = {
+            one.key: np.flatnonzero(sensitivities.owner == h)
+            for h, one in enumerate(sensitivities.hypotheses)
+        }
         present, self.motion_of = np.unique(layout.block, return_inverse=True)
         self.motions = tuple(layout.blocks[block] for block in present)
         self.repeat_of = ("",) * len(self.motions)
@@ -282,7 +288,7 @@ class FeatureResiduals:
         Returns:
             (n_candidates, m).
         """
-        own = [self._columns[one.index] for one in effects if isinstance(one, FeatureEffect)]
+        own = [self._columns[one.key] for one in effects]
         columns = np.concatenate([np.zeros(0, np.intp), *own])
         parts = self._effect[:, columns], self._curve[:, columns], self._reach[columns]
         return self._y - continue_parabola(*parts, sizes)

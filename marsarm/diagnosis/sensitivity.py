@@ -82,6 +82,10 @@ class Sensitivities:
         """Indices of the nuisances with one value in all blocks."""
         return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
 
+    def index(self, key: str) -> int:
+        """Return the index of the hypothesis with this key."""
+        return next(k for k, one in enumerate(self.hypotheses) if one.key == key)
+
     def change(self, settings: EffectValues) -> Array:
         """Compute the change of the features by effects: parabolas, linear beyond the simulated departures.
 

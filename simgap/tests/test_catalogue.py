@@ -192,7 +192,8 @@ def kinds():
     """All classes of effects that the catalogue and its parts import."""
     folder = Path(inspect.getfile(interface)).parent
     found = set(_below(Effect))
-    return {kind for kind in found if Path(inspect.getfile(kind)).parent == folder and hasattr(kind, "name")}
+    mine = [kind for kind in found if Path(inspect.getfile(kind)).parent == folder]
+    return {kind for kind in mine if isinstance(kind.name, str)}
 
 
 def _below(kind):

@@ -29,13 +29,13 @@ from marsarm.diagnosis.arm.case import (
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from marsarm.diagnosis.result import to_json as diagnosis_json
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference
 from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from sim.scenario.effects import effect_text
+from simgap import to_document
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress, part_of
 from simgap.common.report import to_json
@@ -48,7 +48,7 @@ from validation.cases.arm_features import (
     classes_json,
     load_classes,
 )
-from validation.cases.arm_score import NAMED_LEVELS, make_tables, score
+from validation.cases.arm_score import make_tables, score
 from validation.cases.arm_truth import (
     PlannedCase,
     SealedEffect,
@@ -137,7 +137,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         try:
             fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
             fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
-            return diagnosis_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
+            return to_document(diagnose_fitted_case(fitted_case, campaign).diagnosis)
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
 
@@ -146,7 +146,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         try:
             return self.diagnose(folder, case)
         except NoDiagnosis as why:
-            return {"verdict": "unknown", "refused": str(why), "effects": []}
+            return {"verdict": "unknown", "refused": str(why), "findings": []}
 
     def score(self, folder: Path, solved: Sequence[tuple[TrueCase, Document]]) -> CaseScore:
         """Score solved cases; a small run is in bounds if no name is wrong and the truth is in each set."""
@@ -202,7 +202,7 @@ def _true_effect(one: SampledEffect, outside: bool) -> SealedEffect:
     if outside:
         spec = list_uncatalogued()[name].spec(one.values)
     else:
-        spec = effect_text(catalogue_effect(hypothesis, one.values))
+        spec = effect_text(catalogue_effect(hypothesis.key, one.amplitudes))
     values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
     return SealedEffect(*name, values, one.times_limit, spec)
 
@@ -216,11 +216,11 @@ def check_result(case: TrueCase, result: Document) -> None:
                 f"the marsarm that made it"
             )
     true = {(effect.name, effect.place): set(effect.values) for effect in case.effects}
-    for finding in result["effects"]:
-        sizes = {parameter["name"] for parameter in finding["parameters"] if parameter["is_amplitude"]}
-        for unknown in sizes - true.get((finding["name"], finding["place"]), sizes):
+    for finding in result["findings"]:
+        sizes = {size["name"].removeprefix("ln_") for size in finding["sizes"]}
+        for unknown in sizes - true.get((finding["effect"], finding["place"]), sizes):
             raise BadRequest(
-                f"{case.name}: {finding['name']} has no {unknown}; remove its result and solve again"
+                f"{case.name}: {finding['effect']} has no {unknown}; remove its result and solve again"
             )
 
 
@@ -259,7 +259,7 @@ def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
     try:
         return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)
     except NoDiagnosis:
-        return {"verdict": "unknown", "effects": []}
+        return {"verdict": "unknown", "findings": []}
 
 
 def score_left_out(classes: EquivalenceClasses, solved: Sequence[tuple[TrueCase, Document]]) -> Document:
@@ -267,10 +267,11 @@ def score_left_out(classes: EquivalenceClasses, solved: Sequence[tuple[TrueCase,
     wrong, right = [], []
     for case, document in solved:
         (effect,) = case.effects
-        named = [f"{o['name']} at {o['place']}" for o in document["effects"] if o["level"] in NAMED_LEVELS]
+        named = [f"{o['effect']} at {o['place']}" for o in document["findings"] if o["level"] == "effect"]
         if named:
             wrong.append(f"{case.name}: {effect.name} at {effect.place}: {', '.join(named)}")
-        places = [set(one["places"]) for one in document["effects"] if one["places"]]
+        located = [one for one in document["findings"] if one["level"] != "none"]
+        places = [set(one["not_excluded"]["places"]) for one in located]
         if places:
             right.append(all(classes.locations(effect.name, effect.place) & one for one in places))
     reported = [one["verdict"] != "none" for _, one in solved]

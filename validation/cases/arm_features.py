@@ -10,49 +10,43 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from marsarm.diagnosis.diagnose import Level, Verdict
 from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.result import finite_or_none
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from simgap.common.toml import read_json
 
 CLASSES_FILE: Final = "classes.json"
 
 
 @dataclass(frozen=True, slots=True)
-class _PlacedEffect:
-    name: str
-    place: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Size:
     name: str
-    is_amplitude: Literal[True]
-    least: FiniteFloat
-    most: FiniteFloat
+    low_90: FiniteFloat
+    high_90: FiniteFloat
 
 
 @dataclass(frozen=True, slots=True)
-class _Shape:
-    is_amplitude: Literal[False]
-
-
-@dataclass(frozen=True, slots=True)
-class _Finding(_PlacedEffect):
-    parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_amplitude")]]
-    level: Level
+class _Sets:
     places: list[str]
     families: list[str]
-    effects: list[_PlacedEffect]
+    effects: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding:
+    place: str
+    effect: str
+    level: Literal["effect", "family", "place", "none"]
+    sizes: list[_Size]
+    not_excluded: _Sets
 
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
     """Part of a result that the score reads."""
 
-    verdict: Verdict
-    effects: list[_Finding]
+    verdict: Literal["named", "set", "none", "unknown"]
+    findings: list[_Finding]
     seconds: FiniteFloat
 
 
@@ -128,18 +122,19 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
         model.locations,
         strict=True,
     )
-    return [
+    document: list[dict[str, Any]] = to_json([
         {
             "name": one.effect,
             "place": one.place,
             "class": int(label),
-            "limit": finite_or_none(limit.limit),
-            "family_wise_limit": finite_or_none(limit.family_wise_limit),
+            "limit": limit.limit,
+            "family_wise_limit": limit.family_wise_limit,
             "family": str(family),
             "location": location,
         }
         for one, label, limit, family, location in rows
-    ]
+    ])  # fmt: skip
+    return document
 
 
 def load_classes(campaign: Path) -> EquivalenceClasses:

@@ -11,8 +11,6 @@ from validation.cases.arm_features import EquivalenceClasses
 from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
 from validation.cases.sealed import Table
 
-NAMED_LEVELS: Final = ("size", "effect")
-"""Levels at which effects are named."""
 BOOTSTRAP_DRAWS: Final = 2000
 
 ResultDocument = Mapping[str, Any]
@@ -73,7 +71,7 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
     wrong = {
         "place": [_says_wrong_place(true.effects[0], result) for true, result in outside],
         "family": [_says_wrong_family(true.effects[0], result) for true, result in outside],
-        "effect": [any(one["effects"] for one in result["effects"]) for _, result in outside],
+        "effect": [any(_named(result)) for _, result in outside],
     }
     names = [true.effects[0].name for true, _ in outside]
     return Score(
@@ -81,15 +79,13 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
         false_alarm=rate_of(result["verdict"] != "none" for result in nothing),
         reported=rate_of(one.finding is not None for one in clear),
         place=rate_of(
-            bool(classes.locations(one.name, one.place) & classes.locations(found["name"], found["place"]))
+            bool(classes.locations(one.name, one.place) & classes.locations(found["effect"], found["place"]))
             for one, found in given
         ),
         effect=rate_of(
-            _class(classes, one) == classes.of(found["name"], found["place"]) for one, found in given
+            _class(classes, one) == classes.of(found["effect"], found["place"]) for one, found in given
         ),
-        covered=rate_of(
-            _is_covered(classes, one, found) for one, found in given if found["level"] != "unlocated"
-        ),
+        covered=rate_of(_is_covered(classes, one, found) for one, found in given if found["level"] != "none"),
         spurious=rate_of(
             not _classes(classes, one) & {_class(classes, effect) for effect in true.effects}
             for true, one in named
@@ -105,11 +101,11 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
 
 def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument) -> list[_Assigned]:
     """Assign a finding to each true effect: one that names its class, else its place, else any other."""
-    free = list(result["effects"])
+    free = list(result["findings"])
     assigned: dict[int, FindingDocument] = {}
     rules: tuple[Callable[[SealedEffect, FindingDocument], bool], ...] = (
         lambda effect, one: _class(classes, effect) in _classes(classes, one),
-        lambda effect, one: bool(classes.locations(effect.name, effect.place) & set(one["places"])),
+        lambda effect, one: bool(classes.locations(effect.name, effect.place) & _places(one)),
         lambda effect, one: True,
     )
     order = sorted(range(len(true.effects)), key=lambda k: -true.effects[k].times_limit)
@@ -129,24 +125,35 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
 
 def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDocument) -> bool:
     """Check that the set at the level of a finding holds the truth."""
-    if found["level"] in NAMED_LEVELS:
-        return _class(classes, one) in {classes.of(e["name"], e["place"]) for e in found["effects"]}
-    has_place = bool(classes.locations(one.name, one.place) & set(found["places"]))
+    if found["level"] == "effect":
+        return _class(classes, one) in _classes(classes, found)
+    has_place = bool(classes.locations(one.name, one.place) & _places(found))
     if found["level"] == "place":
         return has_place
-    return has_place and bool(classes.families(one.name, one.place) & set(found["families"]))
+    return has_place and bool(classes.families(one.name, one.place) & set(found["not_excluded"]["families"]))
+
+
+def _places(found: FindingDocument) -> set[str]:
+    """Return the places of a finding; none if it is not located."""
+    return set() if found["level"] == "none" else set(found["not_excluded"]["places"])
 
 
 def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
     """Check that a finding has places, and not that of the effect."""
     location = locate_outside(true.name, true.place)
-    return any(one["places"] and location not in one["places"] for one in result["effects"])
+    places = [_places(one) for one in result["findings"]]
+    return any(one and location not in one for one in places)
 
 
 def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
     """Check that a finding has families, and none that counts as right."""
     right = load_outside_effects()[true.name].families
-    return any(one["families"] and not right & set(one["families"]) for one in result["effects"])
+    families = [
+        set(one["not_excluded"]["families"])
+        for one in result["findings"]
+        if one["level"] in ("effect", "family")
+    ]
+    return any(not right & one for one in families)
 
 
 def _bootstrap_over(names: Sequence[str], hits: Sequence[bool]) -> tuple[float, float]:
@@ -162,7 +169,7 @@ def _bootstrap_over(names: Sequence[str], hits: Sequence[bool]) -> tuple[float, 
 
 
 def _named(result: ResultDocument) -> list[FindingDocument]:
-    return [one for one in result["effects"] if one["level"] in NAMED_LEVELS]
+    return [one for one in result["findings"] if one["level"] == "effect"]
 
 
 def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
@@ -171,19 +178,19 @@ def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
 
 def _classes(classes: EquivalenceClasses, finding: FindingDocument) -> set[int | None]:
     """Return the class of a finding and those of its set of effects."""
-    return {classes.of(one["name"], one["place"]) for one in (finding, *finding["effects"])}
+    pairs = [key.split(": ", 1) for key in finding["not_excluded"]["effects"]]
+    return {classes.of(effect, place) for place, effect in ((finding["place"], finding["effect"]), *pairs)}
 
 
 def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
     """Return for every amplitude of every named true effect whether its interval contains the truth."""
-    found = {(one["name"], one["place"]): one for one in _named(document)}
+    found = {(one["effect"], one["place"]): one for one in _named(document)}
     hits = []
     for effect in true.effects:
         finding = found.get((effect.name, effect.place))
-        for parameter in finding["parameters"] if finding is not None else ():
-            if parameter["is_amplitude"]:
-                value = effect.values[parameter["name"]]
-                hits.append(bool(parameter["least"] <= value <= parameter["most"]))
+        for size in finding["sizes"] if finding is not None else ():
+            value = effect.values[size["name"].removeprefix("ln_")]
+            hits.append(bool(size["low_90"] <= value <= size["high_90"]))
     return hits
 
 

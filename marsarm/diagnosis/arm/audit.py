@@ -17,8 +17,8 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
-from marsarm.diagnosis.result import join_names
 from sim.params import nominal_params
+from simgap.report.sentences import join_words
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
 STALE_TICKS: Final = CYCLE_HZ
@@ -56,7 +56,7 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     if others:
         wrong.append(
             f"{len(others)} of {len(recordings)} logs were made with other flight parameters than those "
-            f"of the diagnosis ({digest(base)[:12]}): {join_names(others)}; "
+            f"of the diagnosis ({digest(base)[:12]}): {join_words(others, 'and')}; "
             "diagnose logs of one arm with its parameters"
         )
     return tuple(wrong)

@@ -50,6 +50,11 @@ class SampledEffect:
     values: Array
     times_limit: float
 
+    @property
+    def amplitudes(self) -> Array:
+        """Values of the amplitude parameters, shape (n,)."""
+        return self.values[[one.is_amplitude for one in self.source.hypothesis.parameters]]
+
 
 def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
     """Check that the campaign detects the effect and that its bounds allow the smallest amplitude."""

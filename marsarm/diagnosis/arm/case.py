@@ -22,24 +22,16 @@ from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simul
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
-from marsarm.diagnosis.closure import (
-    Closure,
-    build_held_out_model,
-    compute_closure,
-    compute_held_out_residuals,
-    rank_repeats,
-)
-from marsarm.diagnosis.diagnose import Diagnosis, diagnose, effect_values
+from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
-from marsarm.diagnosis.problem import Ints, Residuals
-from marsarm.diagnosis.result import DiagnosisResult, ToolError
-from marsarm.diagnosis.selection import Selection
+from marsarm.diagnosis.problem import Ints
+from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap import Trace
+from simgap import Diagnosis, JointError, Trace
 from simgap.common.progress import Progress, part_of
 
 MIN_FEATURE_SHARE: Final = 0.5
@@ -93,30 +85,32 @@ def load_campaign_model(
     return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())
 
 
-def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
+def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array) -> JointError | None:
     """Compute the root mean square tool error over rests and the five tools.
 
     A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
 
     Args:
         keys: Keys of the m features.
-        before: Residual without the findings, rotation in rad and shift in m, turret frame, shape (m,).
-        after: Residual with the findings, rotation in rad and shift in m, turret frame, shape (m,).
+        rows: Residuals as in `Explanation.residuals`, rotation in rad and shift in m, turret frame, shape
+            (m,) each.
         sigma: Noise floor in the same units, shape (m,).
 
     Returns:
-        Errors in mm; None if no rest has all six components of a pose.
+        Errors in m; None if no rest has all six components of a pose.
     """
-    rows = _screw_rows(keys)
-    if not rows.size:
+    at = _screw_rows(keys)
+    if not at.size:
         return None
     tools = configure(nominal_params()).arm.X_FT
     J = np.stack(
         [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
     )  # (tools, 3, 6)
-    squares = [np.mean(np.sum(np.einsum("tij,rj->rti", J, of[rows]) ** 2, axis=2)) for of in (before, after)]
-    floor = np.mean(np.einsum("tij,rj->rt", J**2, sigma[rows] ** 2))
-    return ToolError(*(float(1e3 * np.sqrt(one)) for one in (*squares, floor)))
+    nominal, base, explained = (
+        float(np.sqrt(np.mean(np.sum(np.einsum("tij,rj->rti", J, of[at]) ** 2, axis=2)))) for of in rows
+    )
+    floor = float(np.sqrt(np.mean(np.einsum("tij,rj->rt", J**2, sigma[at] ** 2))))
+    return JointError("tool", "m", nominal, base, explained, floor, FeatureResiduals.kind)
 
 
 def _screw_rows(keys: Sequence[str]) -> Ints:
@@ -142,7 +136,7 @@ class FittedCase:
     simulator: CaseSimulator
     residual: Array
     """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
-    selection: Selection
+    selection: FeatureSelection
     """Effects that are selected there; large ones are simulated."""
     held_out: CaseSimulator | None
     held_out_residual: Array
@@ -153,13 +147,22 @@ class FittedCase:
     """Notes on the origin of the noise floor."""
 
 
+@dataclass(frozen=True, slots=True)
+class CaseDiagnosis:
+    """Diagnosis of a case, with traces for its page."""
+
+    diagnosis: Diagnosis
+    traces: tuple[Trace, ...]
+    """Features of the fitted motions, measured and predicted without and with the findings."""
+
+
 def diagnose_case(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     campaign: CampaignModel,
     seed: int,
     patch: tuple[Effect, ...] = (),
-) -> DiagnosisResult:
+) -> CaseDiagnosis:
     """Diagnose a case.
 
     Args:
@@ -169,7 +172,7 @@ def diagnose_case(
     Raises:
         TooLittleMotion: Most motions of the campaign are missing.
     """
-    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, seed, patch), campaign, seed)
+    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, seed, patch), campaign)
 
 
 def fit_case(
@@ -209,28 +212,33 @@ def fit_case(
     )
 
 
-def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
-    """Diagnose a case whose nuisances are fitted."""
-    residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
-    diagnosis = diagnose(fitted.model, residuals, fitted.selection, seed)
-    closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
-    return DiagnosisResult(
-        fitted.model,
-        diagnosis,
-        closure,
-        tool_error,
-        rank_repeats(fitted.model, diagnosis),
-        fitted.notes,
-        fitted.noise_floor,
-        tuple(_make_traces(fitted, diagnosis)),
+def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel) -> CaseDiagnosis:
+    """Diagnose a case whose nuisances are fitted, and judge its findings on held-out motion."""
+    found = diagnose(fitted.model, fitted.residual, fitted.selection)
+    features = fitted.simulator.arm.feature_set
+    seen = sum(one.family_wise_limit <= 1.0 for one in fitted.model.limits)
+    remarks = (
+        *fitted.notes,
+        *fitted.noise_floor,
+        f"these motions would show {seen} of {len(fitted.model.limits)} effects at their typical size",
     )
+    diagnosis = replace(
+        found.diagnosis,
+        robot=features.robot,
+        fitted_motions=tuple(dict.fromkeys(features.list_sessions())),
+        remarks=tuple(f"{one}." for one in remarks),
+    )
+    errors = _judge_held_out(found, fitted, campaign)
+    if errors and fitted.held_out is not None:
+        judged = fitted.held_out.arm.feature_set.list_sessions()
+        diagnosis = replace(diagnosis, errors=errors, judged_motions=tuple(dict.fromkeys(judged)))
+    return CaseDiagnosis(diagnosis, tuple(_make_traces(fitted, found)))
 
 
-def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
+def _make_traces(fitted: FittedCase, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without and with the findings."""
     case = fitted.simulator
-    nominal = fitted.residual - diagnosis.nuisance
-    explained = nominal - diagnosis.change
+    _, nominal, explained = found.residuals
     all_features = case.arm.feature_set.list_features()
     sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
     measured = measure_features(case.arm.feature_set)[case.at]
@@ -241,7 +249,7 @@ def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
             rows = np.flatnonzero(is_moving & (layout.channel == channel) & (sessions == session))
             yield Trace(
                 layout.channels[channel],
-                "features",
+                FeatureResiduals.kind,
                 str(session),
                 layout.units[channel],
                 np.asarray(np.arange(rows.size) * BIN_TICKS / CYCLE_HZ, np.float64),
@@ -292,27 +300,26 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
     return replace(made, left_out_effect=campaign.left_out_effect)
 
 
-def _try_held_out(
-    diagnosis: Diagnosis, fitted: FittedCase, campaign: CampaignModel, seed: int
-) -> tuple[Closure | None, ToolError | None]:
-    """Compute closure and tool error on held-out motion; None if there is none, or no tracker."""
+def _judge_held_out(
+    found: Explanation, fitted: FittedCase, campaign: CampaignModel
+) -> tuple[JointError, ...]:
+    """List the errors of channels and tool on held-out motion; none if there is none, or no such arm.
+
+    Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
+    """
     case = fitted.held_out
     if campaign.held_out is None or case is None:
-        return None, None
-    settings, zero = effect_values(diagnosis), np.zeros(len(case.nuisances))
-    change = case.predict(settings, zero) - case.predict({}, zero)
+        return ()
+    change = case.simulate(found.values)
     if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
-        return None, None
-    q = diagnosis.equations.q
-    held_out_model = build_held_out_model(
-        fitted.model.equations,
-        campaign.held_out.select(case.rows),
-        diagnosis.effect_fit.covariance[:q, :q],
-    )
-    sides = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
-    keys = [campaign.held_out_keys[row] for row in case.rows]
-    tool_error = compute_tool_error(keys, *sides, held_out_model.sigma)
-    return compute_closure(held_out_model, *sides, seed), tool_error
+        return ()
+    held = campaign.held_out.select(case.rows)
+    N = held.nuisance[:, held.shared_nuisances]
+    base = fitted.held_out_residual - N @ found.nuisance
+    rows = fitted.held_out_residual, base, base - change
+    sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
+    tool = compute_tool_error([campaign.held_out_keys[row] for row in case.rows], rows, sigma)
+    return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 
 def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:

@@ -22,14 +22,14 @@ from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
-from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
-from marsarm.diagnosis.selection import Selection, select, select_simulated
+from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Ints
+from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
 
 MOTION_CONDITIONS: Final = tuple(
-    CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
+    CONDITIONS.index(name) for name in ("speed", "sine of the angle", "cosine of the angle", "direction")
 )
 MOTION_TOLERANCE: Final = 0.02
 """Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
@@ -50,7 +50,7 @@ MAX_UPDATES: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseSimulator:
-    """Simulator of a case (`marsarm.diagnosis.problem.Simulator`) in m features of a campaign."""
+    """Simulator of a case in m features of a campaign."""
 
     arm: ArmSimulator
     nominal: Array
@@ -65,33 +65,12 @@ class CaseSimulator:
         """Layout of the m features."""
         return self.arm.layout.select(self.at)
 
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses of the arm's simulator."""
-        return self.arm.hypotheses
-
-    @property
-    def nuisances(self) -> tuple[Nuisance, ...]:
-        """Nuisances of the arm's simulator."""
-        return self.arm.nuisances
-
-    def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features with these effects and nuisances.
-
-        Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
-
-        Returns:
-            Features in the units of their channels, shape (m,); NaN if MuJoCo counted a warning.
-        """
-        effects = tuple(self.arm.effects(settings, nuisance))
-        if not effects:
-            return np.asarray(self.nominal[self.at])
+    def simulate(self, settings: EffectValues) -> Array:
+        """Return the change by effects, shape (m,), as `marsarm.diagnosis.problem.Simulate`."""
         try:
-            change = simulate_change(self.arm, effects, self.nominal)
+            return simulate_change(self.arm, tuple(self.arm.effects(settings)), self.nominal)[self.at]
         except PlantDiverged:
             return np.full(self.at.size, np.nan)
-        return np.asarray((self.nominal + change)[self.at])
 
     def residual(self) -> Array:
         """Subtract the nominal from the measured features.
@@ -238,7 +217,7 @@ class NuisanceFit:
 
 def fit_nuisances(
     model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
-) -> tuple[NuisanceFit, Selection]:
+) -> tuple[NuisanceFit, FeatureSelection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
@@ -265,18 +244,18 @@ def fit_nuisances(
         if moved is beside:
             break
         beside = moved
-        selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator)
+        selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator.simulate)
     cost = _cost(whiten, beside, selection)
     if beside is not alone and selection.chosen and cost < before.null_deviance:
         return beside, selection
-    return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
+    return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator.simulate)
 
 
 def _fit_alone(
     model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
 ) -> NuisanceFit:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
-    current = _extrapolate(model, first, np.zeros(len(first.nuisances)))
+    current = _extrapolate(model, first, np.zeros(len(first.arm.nuisances)))
     for _ in range(MAX_UPDATES):
         moved = _update(model, current, (), patch)
         if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):
@@ -326,7 +305,7 @@ def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
     return NuisanceFit(simulator, nuisance, residual)
 
 
-def _cost(whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
+def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> float:
     """Return the deviance beside the selected effects, plus the threshold for as many parameters.
 
     The whitener is that of the model, so that deviances of several selections can be compared.
@@ -344,7 +323,7 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     equations = model.equations
     fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
     found = np.zeros(len(model.sensitivities.nuisances))
-    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_unit
+    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
     return np.where(
         [one.one_sided for one in current.simulator.arm.nuisance_effects], 0.0, np.clip(found, -far, far)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,13 +25,11 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_effect,
 )
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
-from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_fitted_case, fit_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from marsarm.diagnosis.diagnose import Finding
 from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.result import DiagnosisResult, to_json
 from marsarm.telemetry.header import model_digest
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
@@ -39,10 +37,12 @@ from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text
 from sim.world import World, build
+from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, part_of
+from simgap.report.sentences import level
 
 Kind = Literal["none", "known", "left out"]
 KINDS: Final[tuple[tuple[Kind, float], ...]] = (("none", 0.1), ("known", 0.65), ("left out", 0.25))
@@ -83,7 +83,7 @@ class Demo:
     """Result of a demonstration."""
 
     truth: DemoTruth
-    result: DiagnosisResult
+    diagnosis: Diagnosis
     is_right: bool
     reason: str
     """Why it is right or wrong, as a sentence."""
@@ -105,16 +105,16 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
         publish(truth.digest())
         progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
-        result = _diagnose(Path(name), campaign, truth, request.seed)
-    is_right, reason = judge(truth, result)
-    return Demo(truth, result, is_right, reason)
+        model, diagnosis = _diagnose(Path(name), campaign, truth, request.seed)
+    is_right, reason = judge(truth, model, diagnosis)
+    return Demo(truth, diagnosis, is_right, reason)
 
 
 def demo_json(found: Demo) -> dict[str, Any]:
     """Return the document of a demonstration."""
     truth = {**asdict(found.truth), "sha256": found.truth.digest()}
     right = {"is_right": found.is_right, "reason": found.reason}
-    return {**right, "truth": truth, "diagnosis": to_json(found.result)}
+    return {**right, "truth": truth, "diagnosis": to_document(found.diagnosis)}
 
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
@@ -168,48 +168,51 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
-    effect = catalogue_effect(hypothesis, drawn.values)
+    effect = catalogue_effect(hypothesis.key, drawn.amplitudes)
     truth = DemoTruth(
         salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
     return truth, (*background, effect)
 
 
-def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> DiagnosisResult:
+def _diagnose(
+    folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
+) -> tuple[DiagnosisModel, Diagnosis]:
     fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
     if truth.kind == "left out":
         campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
-    return diagnose_case(fitted, held_out, campaign, seed)
+    case = fit_case(fitted, held_out, campaign, seed)
+    return case.model, diagnose_fitted_case(case, campaign).diagnosis
 
 
-def judge(truth: DemoTruth, result: DiagnosisResult) -> tuple[bool, str]:
+def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[bool, str]:
     """Say whether a diagnosis is right, level by level, and why."""
-    findings = result.diagnosis.findings
+    findings = diagnosis.findings
+    is_none = not findings and not diagnosis.remaining
     if truth.kind == "none":
-        is_right = result.diagnosis.verdict == "none"
-        return is_right, "nothing was on" if is_right else "nothing was on, but something was reported"
-    names = [(one.effect, one.place) for one in result.model.sensitivities.hypotheses]
-    true = names.index((truth.effect, truth.place))
+        return is_none, "nothing was on" if is_none else "nothing was on, but something was reported"
+    true = model.sensitivities.index(f"{truth.place}: {truth.effect}")
     if truth.kind == "left out":
-        return _judge_left_out(result, true)
+        return _judge_left_out(findings, is_none, model, true)
     if not findings:
         return False, "the effect was not found"
-    wrong = [one for one in findings if not holds(result.model, one, true)]
+    wrong = [one for one in findings if not holds(model, one, true)]
     if len(wrong) == len(findings):
         return False, "the effect is in no set that was reported"
     if any(one.effects for one in wrong):
         return False, "the effect was found, but another was named beside it"
-    level = next(one.level for one in findings if one not in wrong)
-    return True, f"the {'effect' if level == 'size' else level} was reported"
+    found = level(next(one for one in findings if one not in wrong))
+    return True, f"the {found} was reported"
 
 
-def _judge_left_out(result: DiagnosisResult, true: int) -> tuple[bool, str]:
-    findings = result.diagnosis.findings
-    if any(one.effects for one in findings):
+def _judge_left_out(
+    findings: Sequence[Finding], is_none: bool, model: DiagnosisModel, true: int
+) -> tuple[bool, str]:
+    if any(level(one) == "effect" for one in findings):
         return False, "the catalogue lacked the effect, but another was named"
-    if result.diagnosis.verdict == "none":
+    if is_none:
         return False, "the catalogue lacked the effect, and nothing was reported"
-    if any(one.places and not _has_place(result.model, one, true) for one in findings):
+    if any(level(one) != "none" and not _has_place(model, one, true) for one in findings):
         return False, "the catalogue lacked the effect, and a wrong place was reported"
     return True, "the catalogue lacked the effect, and no other was named"
 
@@ -221,10 +224,10 @@ def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
         true: Index of the hypothesis.
     """
     alike = model.equivalence_class(true)
-    if finding.effects:
-        return any(model.label[true] == model.label[one] for one in finding.effects)
+    if level(finding) == "effect":
+        return bool({model.sensitivities.hypotheses[k].key for k in alike} & set(finding.effects))
     return _has_place(model, finding, true) and (
-        not finding.families or any(model.families[one] in finding.families for one in alike)
+        level(finding) != "family" or any(model.families[one] in finding.families for one in alike)
     )
 
 

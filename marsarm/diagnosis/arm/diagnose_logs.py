@@ -13,12 +13,11 @@ from marsarm.common.requests import load_fitting_params, parse_effects
 from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs
-from marsarm.diagnosis.arm.case import diagnose_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import list_candidates
-from marsarm.diagnosis.result import DiagnosisResult
 from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
@@ -133,7 +132,7 @@ def _unknown_effect(name: str, known: set[str]) -> str:
     return f"catalogue: effect {shorten(name)!r} is not known; {meant}{lists}"
 
 
-def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> DiagnosisResult:
+def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> CaseDiagnosis:
     """Check a request and diagnose its logs; write no file but the cache.
 
     Raises:
@@ -144,7 +143,7 @@ def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> Diag
     return diagnose_logs(prepare_diagnosis(request), progress)
 
 
-def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
+def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
     """Diagnose the logs of a checked request.
 
     Raises:

@@ -78,6 +78,13 @@ class FeatureSet:
     motions: tuple[MotionFeatures, ...]
     rests: tuple[RestFeatures, ...]
 
+    @property
+    def robot(self) -> str:
+        """Name of the arm."""
+        return (
+            self.motions[0].recording if self.motions else self.rests[0].turning_points.recording
+        ).params.model.name
+
     def list_features(self) -> tuple[Feature, ...]:
         """List the features of the motions, then of the rests."""
         return (

@@ -24,7 +24,10 @@ from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, bin_means,
 CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
 CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION = range(len(CHANNELS))
-CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "direction")
+CONDITIONS: Final = (
+    *("temperature", "load", "speed", "sine of the angle", "cosine of the angle", "direction"),
+)
+"""Conditions of a feature: degC, N m, rad/s, and the last three without a unit."""
 
 SensorColumns = Mapping[str, NDArray[Any]]
 _MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))

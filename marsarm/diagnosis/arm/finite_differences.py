@@ -256,13 +256,12 @@ def _perturb_both_sides(
 
 def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _Perturbation | None:
     """Return the step of a share of the typical size; None if the bounds leave no room."""
-    zero = np.zeros(len(simulator.nuisances))
     if column.hypothesis is None:
         one = simulator.nuisance_effects[column.index]
         if share < 0.0 and one.one_sided:
             return None
-        zero[column.index] = 1.0 if one.one_sided else np.sign(share) * one.nuisance.sigma
-        return _Perturbation(tuple(simulator.effects({}, zero)), float(zero[column.index]))
+        departure = 1.0 if one.one_sided else float(np.sign(share)) * one.nuisance.sigma
+        return _Perturbation((one.effect(departure),), departure)
     hypothesis = simulator.hypotheses[column.hypothesis]
     parameter, values = hypothesis.parameters[column.index], hypothesis.absent
     absent = values[column.index]
@@ -270,4 +269,4 @@ def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _
     if values[column.index] == absent:
         return None
     size = float((values[column.index] - absent) / parameter.typical)
-    return _Perturbation(tuple(simulator.effects({hypothesis: values}, zero)), size)
+    return _Perturbation(tuple(simulator.effects({hypothesis: values})), size)

@@ -4,51 +4,57 @@ import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from fsw.config import digest
 from fsw.dictionary.params import Params
+from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from marsarm.diagnosis.page import save_diagnosis_page
-from marsarm.diagnosis.result import DiagnosisResult, to_json
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.params_table import BadParams, check_params, params_toml
 from sim.scenario.effects import effect_file_text, effect_text
+from simgap import Diagnosis, to_document
 from simgap.common.files import atomic_write, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
+from simgap.report.page import save_diagnosis_page
+from simgap.report.sentences import finding_sentence
 
 
 class NothingToWrite(Exception):
     """No content for a file; the message says why."""
 
 
-def effects_of_findings(result: DiagnosisResult) -> tuple[Effect, ...]:
+def effects_of_findings(diagnosis: Diagnosis) -> tuple[Effect, ...]:
     """Return the effects of a diagnosis with their fitted values.
 
     Raises:
         NothingToWrite: No effect was found.
     """
-    diagnosis = result.diagnosis
-    if diagnosis.verdict != "found":
-        raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
+    if not diagnosis.findings:
+        raise NothingToWrite("no effect was found, so there is none to switch on")
     return tuple(
-        catalogue_effect(result.hypothesis(one.hypothesis), one.values) for one in diagnosis.findings
+        catalogue_effect(f"{one.place}: {one.effect}", np.array(one.size)) for one in diagnosis.findings
     )
 
 
-def save_patch(result: DiagnosisResult, path: Path) -> None:
+def save_patch(diagnosis: Diagnosis, path: Path) -> None:
     """Write the file that switches on the findings, for --effect and for a scenario.
 
     Raises:
         NothingToWrite: No effect was found.
         BadOutput: The file cannot be written.
     """
-    effects = effects_of_findings(result)
+    comments = [
+        "Findings of a diagnosis; switch them on with --effect and the name of this file.",
+        *map(finding_sentence, diagnosis.findings),
+    ]
     with atomic_write(path, "patch") as file:
-        file.write(effect_file_text(effects, _patch_comments(result)).encode())
+        file.write(effect_file_text(effects_of_findings(diagnosis), comments).encode())
 
 
 def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
@@ -70,14 +76,14 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
     return params
 
 
-def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
+def save_new_params(diagnosis: Diagnosis, base: Params, path: Path) -> None:
     """Write the parameter file for --params: all values of `base` and the findings that are not nominal.
 
     Raises:
         NothingToWrite: There are no new parameters.
         BadOutput: The file cannot be written.
     """
-    effects = effects_of_findings(result)
+    effects = effects_of_findings(diagnosis)
     params = new_params(base, effects)
     without_parameter = [
         effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))
@@ -91,24 +97,8 @@ def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
         file.write(params_toml(nominal_params(), params, comments).encode())
 
 
-def _patch_comments(result: DiagnosisResult) -> list[str]:
-    """Return comment lines: the findings, their aliases and their alternatives."""
-    names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
-    lines = ["Findings of a diagnosis; switch them on with --effect and the name of this file."]
-    lines += [
-        f"{names[one.hypothesis]} is known at the level: {one.level}." for one in result.diagnosis.findings
-    ]
-    for finding in result.diagnosis.findings:
-        own = names[finding.hypothesis]
-        alike = [names[one] for one in finding.equivalence_class if one != finding.hypothesis]
-        rest = [names[one.hypothesis] for one in finding.alternatives[1:]]
-        lines += [f"{own} cannot be distinguished from {one}." for one in alike]
-        lines += [f"{one} is an alternative to {own}." for one in rest]
-    return lines
-
-
 def save_diagnosis_files(
-    result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob
+    result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob
 ) -> tuple[str, ...]:
     """Write the files of a request; return sentences about those without content.
 
@@ -121,12 +111,16 @@ def save_diagnosis_files(
     """
 
     def save_page(path: Path) -> None:
-        save_diagnosis_page(result, _origin(result, request, job), path)
+        save_diagnosis_page(result.diagnosis, result.traces, path, _origin(result, request, job))
 
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", request.report, save_page),
-        ("patch", request.patch, lambda path: save_patch(result, path)),
-        ("new-params", request.new_params, lambda path: save_new_params(result, flight_params(job), path)),
+        ("patch", request.patch, lambda path: save_patch(result.diagnosis, path)),
+        (
+            "new-params",
+            request.new_params,
+            lambda path: save_new_params(result.diagnosis, flight_params(job), path),
+        ),
     )
     not_written = []
     for what, path, save in savers:
@@ -139,12 +133,12 @@ def save_diagnosis_files(
     return tuple(not_written)
 
 
-def _origin(result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
+def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
     digests = {
         "logs": _files_sha256(job.logs),
         **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
         "parameters": digest(flight_params(job)),
-        "result": json_sha256(to_json(result)),
+        "result": json_sha256(to_document(result.diagnosis)),
     }
     return Origin(command_text("marsarm diagnose", request), digests)
 

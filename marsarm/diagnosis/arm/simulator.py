@@ -55,7 +55,7 @@ REST_ONLY_EFFECTS: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSimulator:
-    """Arm simulator bound to a campaign (`marsarm.diagnosis.problem.Simulator`).
+    """Arm simulator bound to a campaign.
 
     It uses the nominal arm. Flight parameters do not change it, only effects do.
     """
@@ -84,32 +84,17 @@ class ArmSimulator:
         """Return the simulator with another patch."""
         return replace(self, patch=patch)
 
-    def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features with the patch, these effects and nuisances.
-
-        Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
-
-        Returns:
-            Features in the units of their channels, shape (m,).
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
-        """
-        return self.predict_effects(self.effects(settings, nuisance))
-
-    def effects(self, settings: EffectValues, nuisance: Array) -> list[Effect]:
+    def effects(self, settings: EffectValues, nuisance: Array | None = None) -> list[Effect]:
         """Create the effects beside the patch: of hypotheses, and of nuisances that are not 0.
 
         Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
-
-        Returns:
-            Effects of the hypotheses, then those of the nuisances.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,); None for none.
         """
         found = [make_effect(self.catalogue_entry[one], one, values) for one, values in settings.items()]
-        found += [one.effect(float(v)) for one, v in zip(self.nuisance_effects, nuisance, strict=True) if v]
-        return found
+        if nuisance is None:
+            return found
+        pairs = zip(self.nuisance_effects, nuisance, strict=True)
+        return [*found, *(one.effect(float(v)) for one, v in pairs if v)]
 
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
@@ -217,18 +202,16 @@ def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values
     return made.effect(**{p.name: _effect_value(made, p.name, float(v)) for p, v in named})
 
 
-def catalogue_effect(hypothesis: Hypothesis, values: Array) -> Effect:
-    """Create the effect of a hypothesis of the catalogue.
+def catalogue_effect(key: str, amplitudes: Array) -> Effect:
+    """Create an effect of the catalogue.
 
     Args:
-        hypothesis: Hypothesis with p parameters.
-        values: Values of the parameters in the units of the diagnosis, shape (p,).
-
-    Returns:
-        Effect with these values.
+        key: Key of its hypothesis.
+        amplitudes: Values of the amplitude parameters in the units of the diagnosis, shape (n,).
     """
-    made = next(one for one in list_candidates(None) if to_hypothesis(one) == hypothesis)
-    return make_effect(made, hypothesis, values)
+    made = next(one for one in list_candidates(None) if to_hypothesis(one).key == key)
+    hypothesis = to_hypothesis(made)
+    return make_effect(made, hypothesis, hypothesis.fill(amplitudes))
 
 
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:

@@ -28,7 +28,7 @@ def test_without_effect_features_are_white() -> None:
 
 
 def test_a_class_competes_once() -> None:
-    labels = [MODEL.label[one.index] for one in EFFECTS]
+    labels = [MODEL.label[SENSITIVITIES.index(one.key)] for one in EFFECTS]
     assert len(set(labels)) == len(labels) == int(MODEL.label.max()) + 1
 
 
@@ -38,7 +38,7 @@ def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
     value, some = WORLD.measured(rng), EFFECTS[4:12:3]
     sizes = rng.uniform(-2.0, 2.0, sum(len(one.sizes) for one in some))
     parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
-    hypotheses = [SENSITIVITIES.hypotheses[one.index] for one in some]
+    hypotheses = [one.hypothesis for one in some]
     change = SENSITIVITIES.change({
         h: h.values(a) for h, a in zip(hypotheses, parts, strict=True)
     })  # fmt: skip
@@ -66,7 +66,7 @@ def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
         narrow = [replace(one, least=-one.typical, most=one.typical) for one in hypotheses[first].parameters]
         hypotheses[first] = replace(hypotheses[first], parameters=tuple(narrow))
     model = replace(MODEL, sensitivities=replace(SENSITIVITIES, hypotheses=tuple(hypotheses)))
-    chosen = {one.index for one in list_feature_effects(model)}
+    chosen = {SENSITIVITIES.index(one.key) for one in list_feature_effects(model)}
     assert {second for _, second in pairs} <= chosen
     assert not {first for first, _ in pairs} & chosen
 
@@ -87,18 +87,13 @@ def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
 class Steep:
     """Simulator whose response grows faster than any parabola; it remembers the sizes that it simulated."""
 
-    hypotheses = SENSITIVITIES.hypotheses
-    nuisances = SENSITIVITIES.nuisances
-
     def __init__(self) -> None:
         self.sizes: list[np.ndarray] = []
 
-    def predict(self, settings: EffectValues, nuisance: np.ndarray) -> np.ndarray:
-        change = np.zeros(WORLD.layout.size)
-        for hypothesis, values in settings.items():
-            self.sizes.append(hypothesis.departures(values))
-            change += self.respond(self.hypotheses.index(hypothesis), self.sizes[-1])
-        return change
+    def simulate(self, settings: EffectValues) -> np.ndarray:
+        ((hypothesis, values),) = settings.items()
+        self.sizes.append(hypothesis.departures(values))
+        return self.respond(SENSITIVITIES.hypotheses.index(hypothesis), self.sizes[-1])
 
     def respond(self, h: int, a: np.ndarray) -> np.ndarray:
         (column,) = np.flatnonzero(SENSITIVITIES.owner == h)
@@ -108,7 +103,8 @@ class Steep:
 def test_a_second_simulation_does_not_depend_on_the_first() -> None:
     """A selection that simulates twice begins at the sensitivities of the campaign each time."""
     simulator, h = Steep(), 3
-    found = select_simulated(MODEL, WHITEN, simulator.respond(h, np.array([6.0])), 1, simulator)
+    value = simulator.respond(h, np.array([6.0]))
+    found = select_simulated(MODEL, WHITEN, value, 1, simulator.simulate)
     assert found.chosen == (h,)
     assert len(simulator.sizes) > 1
     last = SENSITIVITIES.with_simulated(h, simulator.sizes[-1], simulator.respond(h, simulator.sizes[-1]))

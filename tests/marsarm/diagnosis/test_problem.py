@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter, Residuals
+from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter
 from marsarm.diagnosis.sensitivity import fit_parabola, load_sensitivities, save_sensitivities
 from tests.marsarm.diagnosis.worlds import found
 
@@ -60,13 +60,6 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         load_sensitivities(tmp_path / "s.npz")
 
 
-def test_a_feature_that_is_not_finite_is_named(made):
-    value = np.zeros(made.layout.size)
-    value[5] = np.nan
-    with pytest.raises(ValueError, match=r"feature 5 \(place \d\.[abc]\) is not finite"):
-        Residuals(made.layout, value)
-
-
 def test_a_floor_of_nothing_is_refused(made):
     with pytest.raises(ValueError, match="above 0"):
         replace(made.layout, sigma=0.0 * made.layout.sigma)
@@ -77,5 +70,5 @@ def test_what_cannot_be_an_effect_is_refused():
         Hypothesis("e", "p", (Parameter("x", "m", 0.0, 1.0, 0.5),))
     with pytest.raises(ValueError, match="within its bounds"):
         Parameter("x", "m", 0.0, 1.0, 0.5, neutral=2.0)
-    with pytest.raises(ValueError, match="finite if it is drawn"):
-        Nuisance("n", "m", np.inf, random_per_block=True)
+    with pytest.raises(ValueError, match="above 0 and finite"):
+        Nuisance("n", "m", np.inf)

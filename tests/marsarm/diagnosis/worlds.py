@@ -18,7 +18,7 @@ REGIMES = ("rest", "slow", "reversal")
 
 @dataclass(frozen=True)
 class World:
-    """Simulator of the protocol: linear, or with a share `bent` of the square of each amplitude."""
+    """Simulator: linear, or with a share `bent` of the square of each amplitude."""
 
     layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
@@ -28,11 +28,11 @@ class World:
     nuisance: np.ndarray
     bent: float = 0.0
 
-    def predict(self, settings, nuisance):
+    def simulate(self, settings):
         t = np.zeros(self.owner.size)
         for hypothesis, values in settings.items():
             t[self.owner == self.hypotheses.index(hypothesis)] = hypothesis.departures(values)
-        return self.effect @ (t + self.bent * t**2) + self.nuisance @ nuisance
+        return self.effect @ (t + self.bent * t**2)
 
     def measured(self, rng, t=None, extra=None, robot=None):
         """Return the residual of a case: amplitudes t (k,) in typical sizes, random nuisances, and noise.
@@ -111,10 +111,20 @@ def modelled(sensitivities) -> DiagnosisModel:
     return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
 
 
-def select_and_diagnose(model, residuals, seed, simulator=None):
+def select_and_explain(model, value, seed, simulate=None):
     """Select effects and diagnose; without a simulator, large effects are extrapolated."""
     whiten = build_full_whitener(model.sensitivities)
-    return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator), seed)
+    return diagnose(model, value, select_simulated(model, whiten, value, seed, simulate))
+
+
+def select_and_diagnose(model, value, seed, simulate=None):
+    """Return the diagnosis alone."""
+    return select_and_explain(model, value, seed, simulate).diagnosis
+
+
+def indices(model, diagnosis):
+    """Return the index of the hypothesis of each finding."""
+    return [model.sensitivities.index(f"{one.place}: {one.effect}") for one in diagnosis.findings]
 
 
 def _basis(c, channel):

@@ -14,12 +14,8 @@ from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import calibration_page
 from marsarm.calibration.request import CalibrateRequest
-from marsarm.diagnosis.page import save_diagnosis_page
-from simgap.common.page import Origin
 from simgap.common.report import save_report_page
 from tests.marsarm.calibration.lab import campaign
-from tests.marsarm.diagnosis import results
-from tests.marsarm.diagnosis.worlds import found, modelled, world
 from validation.browser import LOADED, MISSING, Browser, find_chromium
 
 PHONE = 400
@@ -65,13 +61,7 @@ def save_calibration(path):
     save_report_page(calibration_page(run_calibration(CalibrateRequest(data=poses))), path)
 
 
-def save_diagnosis(path):
-    made = world()
-    result = results.beside(made, modelled(found(made)))
-    save_diagnosis_page(result, Origin("marsarm diagnose logs", {"logs": "0" * 64}), path)
-
-
-SAVERS = (save_budget, save_monte_carlo, save_calibration, save_diagnosis)
+SAVERS = (save_budget, save_monte_carlo, save_calibration)
 
 
 @pytest.fixture(scope="module", params=slow_but(SAVERS, save_budget))

@@ -304,17 +304,18 @@ def diagnosis_json(made: RobotDiagnosis) -> dict[str, Any]:
 
 
 def print_diagnosis(made: RobotDiagnosis) -> None:
+    """Print the lines of a diagnosis, and what each term of a calibration gains if that is asked."""
+    print_lines(made.diagnosis)
+    if made.fitted is not None and made.request.nested:
+        print_calibration(made.fitted, plain_console())
+
+
+def print_lines(diagnosis: Diagnosis) -> None:
     """Print the four lines, then the details."""
     console = plain_console()
-    for line in verdict_lines(made.diagnosis):
+    details = detail_lines(diagnosis)
+    for line in (*verdict_lines(diagnosis), *([""] if details else []), *details):
         console.print(line)
-    details = detail_lines(made.diagnosis)
-    if details:
-        console.print()
-    for line in details:
-        console.print(line)
-    if made.fitted is not None and made.request.nested:
-        print_calibration(made.fitted, console)
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> None:

@@ -159,9 +159,6 @@ class Effect(ABC):
     Subclasses are frozen dataclasses with the fields `place` and whatever they need to know of the robot.
     """
 
-    name: ClassVar[str]
-    """Standard term, such as "Coulomb friction"."""
-    family: ClassVar[StrEnum]
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
     starts: ClassVar[tuple[float, ...]] = ()
@@ -170,6 +167,16 @@ class Effect(ABC):
     """True if `friction_Nm` and `torque_Nm` do not change within a window, whatever the joint does."""
     place: str
     """Name of the joint, or of the body."""
+
+    @property
+    def name(self) -> str:
+        """Standard term, such as "Coulomb friction"; mostly a class variable."""
+        raise AttributeError(f"{type(self).__name__} has no name")
+
+    @property
+    def family(self) -> StrEnum:
+        """Family; mostly a class variable too."""
+        raise AttributeError(f"{type(self).__name__} has no family")
 
     @property
     def sizes(self) -> tuple[Size, ...]:

@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Any, Final
 
 from simgap.common.report import to_json
-from simgap.report.sentences import detail_lines, verdict_lines, verdict_word
+from simgap.report.sentences import detail_lines, level, verdict_lines, verdict_word
 from simgap.result import Base, Diagnosis, Finding
 
 FORMAT: Final = "diagnosis 1"
@@ -59,6 +59,7 @@ def _finding(one: Finding) -> dict[str, Any]:
         "family": str(one.family),
         "effect": one.effect,
         "text": one.text,
+        "level": level(one),
         "sizes": [
             {"name": name, "value": number(size), "low_90": number(low), "high_90": number(high)}
             for name, size, (low, high) in sizes

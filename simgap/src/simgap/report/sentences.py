@@ -350,11 +350,15 @@ def _effects_words(keys: Sequence[str]) -> str:
 
 
 def _how_far(diagnosis: Diagnosis) -> str:
-    """Return the error of the joint with the largest one, with and without findings, beside its noise."""
+    """Return the error of the joint with the largest one, with and without findings, beside its noise.
+
+    Errors of different units are compared by their noise, with base parameters fitted.
+    """
     if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
     motions = count(len(diagnosis.judged_motions), "motion")
-    one = max(diagnosis.errors, key=lambda each: each.nominal)
+    is_mixed = has_floor(diagnosis) and len({each.unit for each in diagnosis.errors}) > 1
+    one = max(diagnosis.errors, key=lambda each: each.base / each.noise_floor if is_mixed else each.nominal)
     known = one.noise_floor > 0.0
     noise = f"noise: {quantity(one.noise_floor, one.unit)}" if known else "noise: not known without repeats"
     steps = f"{quantity(one.nominal, one.unit)}; with base parameters {quantity(one.base, one.unit)}"

@@ -204,12 +204,11 @@ def test_nothing_is_compared_near_a_touch(touch: MotionFeatures) -> None:
 def test_a_sensitivity_is_the_difference_of_predictions(poses: FeatureSet) -> None:
     simulator = simulator_of(poses, "link-angle")
     nominal, sigma = simulator.predict_effects(()), simulator.layout.sigma
-    zero = np.zeros(len(simulator.nuisances))
     for column in list_columns(simulator)[:3]:
         assert column.hypothesis is not None
         hypothesis = simulator.hypotheses[column.hypothesis]
         there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
-        change = simulator.predict({hypothesis: there}, zero) - nominal
+        change = simulator.predict_effects(simulator.effects({hypothesis: there})) - nominal
         (side,) = simulate_side(simulator, [column], nominal, 0, [1.0])
         predicted = 1.5 * side.change / side.size
         assert np.abs(change / sigma).max() > 5
@@ -226,11 +225,10 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
     sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
-    zero = np.zeros(len(simulator.nuisances))
     for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
         (one,) = hypothesis.parameters
         there = {hypothesis: np.array([one.absent + side.size * one.typical])}
-        alone = simulator.predict(there, zero) - nominal
+        alone = simulator.predict_effects(simulator.effects(there)) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
         *most, begin = np.sort(np.abs(off))
@@ -266,7 +264,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(motions: Featu
     for k, side in zip(own, sides, strict=True):
         one = np.zeros(len(simulator.nuisances))
         one[k - begin] = simulator.nuisances[k - begin].sigma
-        alone = simulator.predict({}, one) - nominal
+        alone = simulator.predict_effects(simulator.effects({}, one)) - nominal
         assert side.size == one[k - begin]
         assert np.linalg.norm((side.change - alone) / sigma) < 0.05 * np.linalg.norm(alone / sigma)
 

@@ -21,7 +21,6 @@ from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import record_campaign
-from marsarm.diagnosis.result import DiagnosisResult
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named
@@ -30,6 +29,7 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, LinkLength
 from sim.effects.joints import ResolverBias
 from sim.initialisation import true_reference
+from simgap import Diagnosis, JointError
 from simgap.common.progress import no_progress
 
 pytestmark = pytest.mark.slow
@@ -74,18 +74,21 @@ def long_link(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Recording]
     return loaded(tmp_path_factory.mktemp("long"), LONG_LINK)
 
 
-def is_named(said: DiagnosisResult, name: str, size: float) -> bool:
+def is_named(said: Diagnosis, name: str, size: float) -> bool:
     """Check that the effect is found with its size, and closes the gap."""
-    (finding,) = said.diagnosis.findings
-    hypothesis = said.model.sensitivities.hypotheses[finding.hypothesis]
+    (finding,) = said.findings
     assert said.closure is not None
-    assert said.closure.share > 0.95
-    assert finding.values[0] == pytest.approx(size, rel=0.1)
-    return finding.level == "size" and hypothesis.name.startswith(name)
+    assert said.closure > 0.95
+    assert finding.size[0] == pytest.approx(size, rel=0.1)
+    return len(finding.effects) == 1 and finding.effect == name
+
+
+def tool_error(said: Diagnosis) -> JointError:
+    return next(one for one in said.errors if one.joint == "tool")
 
 
 def test_a_bias_is_named_with_its_size_and_closes_the_gap(against: CampaignModel, tmp_path: Path) -> None:
-    said = diagnose_case(*loaded(tmp_path, ResolverBias(Joint.ELBOW, 5e-3)), against, 0)
+    said = diagnose_case(*loaded(tmp_path, ResolverBias(Joint.ELBOW, 5e-3)), against, 0).diagnosis
     assert is_named(said, "resolver-bias", 5e-3)
 
 
@@ -97,11 +100,11 @@ def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
     They are resimulated: with the effect in them, the response would be that of twice the effect.
     """
     here = fit_case(*long_link, against, 0)
-    said = diagnose_fitted_case(here, against, 0)
+    said = diagnose_fitted_case(here, against).diagnosis
     assert is_named(said, "link-length", 5e-3)
-    assert said.tool is not None
-    assert said.tool.before_mm == pytest.approx(5.0, abs=0.5)
-    assert said.tool.after_mm < 2.0 * said.tool.noise_floor_mm
+    tool = tool_error(said)
+    assert tool.base == pytest.approx(5e-3, abs=5e-4)
+    assert tool.explained < 2.0 * tool.noise_floor
     shifts = [
         e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
     ]
@@ -112,10 +115,10 @@ def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
 def test_with_the_patch_on_nothing_is_left(
     against: CampaignModel, long_link: tuple[list[Recording], list[Recording]]
 ) -> None:
-    said = diagnose_case(*long_link, against, 0, (LONG_LINK,))
-    assert said.diagnosis.verdict == "none"
-    assert said.tool is not None
-    assert said.tool.before_mm < 2.0 * said.tool.noise_floor_mm
+    said = diagnose_case(*long_link, against, 0, (LONG_LINK,)).diagnosis
+    assert not said.findings
+    assert not said.remaining
+    assert tool_error(said).base < 2.0 * tool_error(said).noise_floor
 
 
 def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignModel) -> None:

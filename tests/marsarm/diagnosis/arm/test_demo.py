@@ -8,19 +8,21 @@ import pytest
 from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
-from marsarm.diagnosis.diagnose import Finding
-from marsarm.diagnosis.model import build_model
-from marsarm.diagnosis.result import DiagnosisResult
-from tests.marsarm.diagnosis.worlds import World, found
+from marsarm.diagnosis.model import DiagnosisModel, build_model
+from simgap import Diagnosis, Finding
+from simgap.report.sentences import level
+from tests.marsarm.diagnosis.worlds import World, found, indices
+
+Cases = dict[str, Diagnosis]
 
 
-def truth(kind: str, result: DiagnosisResult, h: int) -> DemoTruth:
-    one = result.hypothesis(h)
+def truth(kind: str, model: DiagnosisModel, h: int) -> DemoTruth:
+    one = model.sensitivities.hypotheses[h]
     return DemoTruth("00", kind, one.effect, one.place, "", 2.0, ())  # type: ignore[arg-type]
 
 
-def with_findings(result: DiagnosisResult, *findings: Finding) -> DiagnosisResult:
-    return replace(result, diagnosis=replace(result.diagnosis, findings=findings, verdict="found"))
+def other_place(model: DiagnosisModel, finding: Finding) -> int:
+    return next(h for h in range(40) if model.locations[h] not in finding.places)
 
 
 def test_the_same_seed_draws_the_same(made: World) -> None:
@@ -50,59 +52,54 @@ def test_the_same_seed_draws_the_same(made: World) -> None:
     assert len({one.digest() for one in again}) == 16
 
 
-def test_nothing_is_right_only_where_nothing_was_on(results: dict[str, DiagnosisResult]) -> None:
+def test_nothing_is_right_only_where_nothing_was_on(results: Cases, campaign: DiagnosisModel) -> None:
     nothing = DemoTruth("00", "none", "", "", "", 0.0, ())
-    assert judge(nothing, results["nothing"])[0]
-    assert not judge(nothing, results["unknown"])[0]
-    assert not judge(nothing, results["named"])[0]
+    right = [judge(nothing, campaign, results[name])[0] for name in ("nothing", "unknown", "named")]
+    assert right == [True, False, False]
 
 
-def test_an_effect_is_right_where_its_set_holds_it(results: dict[str, DiagnosisResult]) -> None:
+def test_an_effect_is_right_where_its_set_holds_it(results: Cases, campaign: DiagnosisModel) -> None:
     named = results["named"]
-    (finding,) = named.diagnosis.findings
-    other = next(h for h in range(40) if named.hypothesis(h).place not in finding.places)
-    assert judge(truth("known", named, finding.hypothesis), named)[0]
-    assert not judge(truth("known", named, other), named)[0]
-    assert not judge(truth("known", named, finding.hypothesis), results["nothing"])[0]
-    placed = replace(finding, level="place", effects=(), families=())
-    near = next(h for h in range(40) if named.hypothesis(h).place in finding.places)
-    assert judge(truth("known", named, near), with_findings(named, placed))[0]
+    (finding,) = named.findings
+    (true,) = indices(campaign, named)
+    assert judge(truth("known", campaign, true), campaign, named)[0]
+    assert not judge(truth("known", campaign, other_place(campaign, finding)), campaign, named)[0]
+    assert not judge(truth("known", campaign, true), campaign, results["nothing"])[0]
+    placed = replace(named, findings=(replace(finding, effects=(), families=()),))
+    near = campaign.locations.index(finding.place)
+    assert judge(truth("known", campaign, near), campaign, placed)[0]
 
 
-@pytest.mark.parametrize("level", ["place", "size"])
+@pytest.mark.parametrize("is_named", [False, True])
 def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(
-    results: dict[str, DiagnosisResult], level: str
+    results: Cases, campaign: DiagnosisModel, is_named: bool
 ) -> None:
     named = results["named"]
-    (finding,) = named.diagnosis.findings
-    other = next(h for h in range(40) if named.hypothesis(h).place not in finding.places)
+    (finding,) = named.findings
+    other = campaign.sensitivities.hypotheses[other_place(campaign, finding)]
+    effects = (other.key,) if is_named else ()
     second = replace(
-        finding,
-        hypothesis=other,
-        level=level,
-        places=(named.hypothesis(other).place,),
-        families=(),
-        effects=(other,) if level == "size" else (),
+        finding, place=other.place, effect=other.effect, places=(other.place,), families=(), effects=effects
     )
-    is_right, _ = judge(truth("known", named, finding.hypothesis), with_findings(named, finding, second))
-    assert is_right == (level == "place")
+    both = replace(named, findings=(finding, second))
+    is_right, _ = judge(truth("known", campaign, *indices(campaign, named)), campaign, both)
+    assert is_right is not is_named
 
 
 @pytest.mark.parametrize(("kind", "is_right"), [("named", False), ("unknown", True), ("nothing", False)])
 def test_where_the_catalogue_lacks_the_effect_it_must_be_seen_and_not_named(
-    results: dict[str, DiagnosisResult], kind: str, is_right: bool
+    results: Cases, campaign: DiagnosisModel, kind: str, is_right: bool
 ) -> None:
-    assert judge(truth("left out", results[kind], 0), results[kind])[0] == is_right
+    assert judge(truth("left out", campaign, 0), campaign, results[kind])[0] == is_right
 
 
 def test_where_the_catalogue_lacks_the_effect_its_place_must_be_right(
-    results: dict[str, DiagnosisResult],
+    results: Cases, campaign: DiagnosisModel
 ) -> None:
-    named = results["named"]
-    (finding,) = named.diagnosis.findings
-    placed = with_findings(named, replace(finding, level="place", effects=(), families=()))
-    for result in (placed, results["beside"]):
-        places = [one.places for one in result.diagnosis.findings if one.places]
-        right = [all(location in of for of in places) for location in result.model.locations[:40]]
+    (finding,) = results["named"].findings
+    placed = replace(results["named"], findings=(replace(finding, effects=(), families=()),))
+    for one in (placed, results["beside"]):
+        places = [finding.places for finding in one.findings if level(finding) != "none"]
+        right = [all(location in of for of in places) for location in campaign.locations[:40]]
         assert any(right)
-        assert right == [judge(truth("left out", result, h), result)[0] for h in range(40)]
+        assert right == [judge(truth("left out", campaign, h), campaign, one)[0] for h in range(40)]

@@ -9,8 +9,7 @@ import pytest
 
 from marsarm.diagnosis.arm.blind_case import DetectableEffect
 from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.problem import Residuals
-from marsarm.diagnosis.result import DiagnosisResult, to_json
+from simgap import to_document
 from tests.marsarm.diagnosis.worlds import World, select_and_diagnose
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases
 from validation.cases.arm_features import CLASSES_FILE, classes_json
@@ -72,7 +71,7 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
         def diagnose(self, folder: Path, case: Path, without: str = "") -> dict[str, object]:
             residuals = np.array(json.loads((case / "log").read_bytes()))
             model = replace(campaign, left_out_effect=without)
-            said = select_and_diagnose(model, Residuals(made.layout, residuals), 1)
-            return to_json(DiagnosisResult(model, said, None, None, (), (), ()))
+            said = select_and_diagnose(model, residuals, 1)
+            return to_document(said)
 
     return Folder(tmp_path, WorldCases(), truth)

@@ -24,23 +24,20 @@ def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0) -> TrueC
     return TrueCase("case-000", kind, made, (), 1)
 
 
-def finding(name: str, place: str, level: str = "size", **more: Any) -> dict[str, Any]:
-    known = CLASSES.known[name, place]
-    others = more.get("others", ())
-    named = [{"name": n, "place": p} for n, p in ((name, place), *others)]
-    return {
-        "name": name,
-        "place": place,
-        "level": level,
-        "places": [] if level == "unlocated" else [known.location, *more.get("places", ())],
-        "families": [known.family] if level in ("size", "effect", "family") else [],
-        "effects": named if level in ("size", "effect") else [],
-        "parameters": [{"name": "size", "is_amplitude": True, "least": 0.9, "most": more.get("most", 1.1)}],
+def finding(effect: str, place: str, level: str = "effect", **more: Any) -> dict[str, Any]:
+    known = CLASSES.known[effect, place]
+    named = [f"{p}: {n}" for n, p in ((effect, place), *more.get("others", ()))]
+    sets = {
+        "places": [known.location, *more.get("places", ())],
+        "families": [known.family] if level in ("effect", "family") else [],
+        "effects": named if level == "effect" else [],
     }
+    sizes = [{"name": "size", "low_90": 0.9, "high_90": more.get("most", 1.1)}]
+    return {"effect": effect, "place": place, "level": level, "not_excluded": sets, "sizes": sizes}
 
 
-def said(*findings: dict[str, Any], verdict: str = "found") -> dict[str, Any]:
-    return {"verdict": verdict, "effects": list(findings), "seconds": 9.0}
+def said(*findings: dict[str, Any], verdict: str = "set") -> dict[str, Any]:
+    return {"verdict": verdict, "findings": list(findings), "seconds": 9.0}
 
 
 def scored(*solved: Any) -> Any:
@@ -49,7 +46,7 @@ def scored(*solved: Any) -> Any:
 
 def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
     cases = [(true("none"), said(verdict=verdict)) for verdict in ("none", "unknown", "none")]
-    found = scored(*cases, (true("none"), said(finding("rub", "hip", "unlocated")))).false_alarm
+    found = scored(*cases, (true("none"), said(finding("rub", "hip", "none")))).false_alarm
     assert (found.hits, found.of) == (2, 4)
 
 
@@ -60,7 +57,7 @@ def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
         (outside, said(finding("rub", "knee"))),
         (outside, said(finding("rub", "knee", "place"))),
         (outside, said(finding("rub", "knee", "place", places=("elbow",)))),
-        (outside, said(finding("rub", "knee", "unlocated"))),
+        (outside, said(finding("rub", "knee", "none"))),
         (outside, said(verdict="unknown")),
     )
     assert [found.wrong[level].hits for level in ("place", "family", "effect")] == [2, 1, 1]
@@ -94,7 +91,7 @@ def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> N
     ("one", "is_covered"),
     [
         (finding("rub", "hip", "effect", others=(("bend", "shin.x"),)), True),
-        (finding("rub", "hip", "size"), False),
+        (finding("rub", "hip"), False),
         (finding("rub", "hip", "family", places=("shin",)), False),
         (finding("rub", "hip", "place", places=("shin",)), True),
         (finding("rub", "hip", "place"), False),
@@ -106,7 +103,7 @@ def test_the_set_of_the_level_that_is_reported_holds_the_truth(one: Any, is_cove
 
 
 def test_a_cause_that_is_not_located_claims_no_set() -> None:
-    found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "unlocated"))))
+    found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "none"))))
     assert (found.reported.hits, found.covered.of) == (1, 0)
 
 

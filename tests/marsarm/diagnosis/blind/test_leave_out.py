@@ -54,8 +54,9 @@ def test_results_in_any_order_belong_to_their_cases(folder, monkeypatch: pytest.
     monkeypatch.setattr("validation.cases.arm.list_clear_cases", lambda *_: single)
 
     def named(_: object, folder: Path, case: Path, without: str = "") -> Any:
-        effect = {"name": case.name, "place": "x", "level": "size", "places": [], "effects": []}
-        return {"verdict": "found", "effects": [effect]}
+        sets = {"places": ["x"], "effects": [f"x: {case.name}"]}
+        finding = {"effect": case.name, "place": "x", "level": "effect", "not_excluded": sets}
+        return {"verdict": "named", "findings": [finding]}
 
     monkeypatch.setattr(type(folder.maker), "diagnose", named)
     context = Context(run=lambda work, jobs: map(work, reversed(jobs)), out=folder.path)

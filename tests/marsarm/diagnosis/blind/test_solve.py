@@ -94,21 +94,19 @@ def test_cases_that_are_not_solved_are_counted(solved) -> None:
 
 
 GOOD = {
-    "verdict": "found",
-    "effects": [
+    "verdict": "named",
+    "findings": [
         {
-            "name": "link-length",
+            "effect": "link-length",
             "place": "arm3.x",
-            "level": "size",
-            "places": ["arm3"],
-            "families": ["geometry"],
-            "effects": [{"name": "link-length", "place": "arm3.x"}],
-            "parameters": [{"name": "length_m", "is_amplitude": True, "least": 0.001, "most": 0.002}],
+            "level": "effect",
+            "not_excluded": {"places": ["arm3"], "families": ["geometry"], "effects": ["arm3.x: link"]},
+            "sizes": [{"name": "length_m", "low_90": 0.001, "high_90": 0.002}],
         }
     ],
     "seconds": 9.5,
 }
-SIZE = {"name": "length_m", "is_amplitude": True, "least": None, "most": 0.002}
+SIZE = {"name": "length_m", "low_90": None, "high_90": 0.002}
 
 
 @pytest.mark.parametrize(
@@ -116,10 +114,10 @@ SIZE = {"name": "length_m", "is_amplitude": True, "least": None, "most": 0.002}
     [
         ("[]", "object"),
         ('{"verdict": "none"', "JSON"),
-        ('{"verdict": "none"}', "effects"),
+        ('{"verdict": "none"}', "findings"),
         (json.dumps(GOOD | {"verdict": "sure"}), "verdict"),
-        (json.dumps(GOOD | {"effects": [GOOD["effects"][0] | {"parameters": [SIZE]}]}), r"parameters\.0"),
-        (json.dumps(GOOD | {"effects": [GOOD["effects"][0] | {"level": "sure"}]}), "level"),
+        (json.dumps(GOOD | {"findings": [GOOD["findings"][0] | {"sizes": [SIZE]}]}), r"sizes\.0"),
+        (json.dumps(GOOD | {"findings": [GOOD["findings"][0] | {"level": "sure"}]}), "level"),
         (json.dumps(GOOD | {"seconds": "nine"}), "seconds"),
         (json.dumps(GOOD | {"seconds": 10**400}), "finite"),
     ],
@@ -137,9 +135,9 @@ def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
     path = result_path(solved.path, case.name)
     before = path.read_bytes()
     (one,) = case.effects
-    size = {"name": "size_of_another", "is_amplitude": True, "least": 0.0, "most": 1.0}
-    finding = GOOD["effects"][0] | {"name": one.name, "place": one.place, "parameters": [size]}
-    path.write_text(json.dumps(json.loads(before) | {"verdict": "found", "effects": [finding]}))
+    size = {"name": "size_of_another", "low_90": 0.0, "high_90": 1.0}
+    finding = GOOD["findings"][0] | {"effect": one.name, "place": one.place, "sizes": [size]}
+    path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "findings": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
         score_cases(solved.path, solved.maker, False)
     path.write_bytes(before)
