@@ -42,17 +42,24 @@ def pendulum_torque_Nm(effect, sizes, angle_rad, xml=PENDULUM_XML):
 
 
 def test_a_payload_at_the_tool_equals_a_model_with_that_body():
-    assert_equal_torques((Payload("elbow", "tool", 0.1, 1.0),), [0.4], WITH_POINT, 1e-9)
+    assert_equal_torques((Payload("elbow", "tool", 0.1, 1.0, 0.2),), [0.4, 0.0, 0.0, 0.0], WITH_POINT, 1e-9)
+
+
+def test_a_payload_beside_the_tool_equals_a_model_with_that_body_there():
+    place_m = np.array((0.14, 0.0, 0.02)) + np.array((0.02, -0.03, 0.04))  # of the tool, and beside it
+    body = POINT.replace("0.14 0 0.02", " ".join(f"{one:.15g}" for one in place_m))
+    beside = ARM_XML.replace('<site name="tool"', body + '<site name="tool"')
+    assert_equal_torques((Payload("elbow", "tool", 0.1, 1.0, 0.2),), [0.4, 0.02, -0.03, 0.04], beside, 1e-9)
 
 
 def test_a_payload_at_the_centre_of_a_link_with_turned_axes_equals_more_mass():
     fresh = ARM_XML.replace('mass="0.3" diaginertia="5e-4', 'mass="0.5" diaginertia="5e-4')
-    assert_equal_torques((Payload("lift", "", 0.1, 1.0),), [0.2], fresh, 1e-9)
+    assert_equal_torques((Payload("lift", "", 0.1, 1.0, 0.2),), [0.2, 0.0, 0.0, 0.0], fresh, 1e-9)
 
 
 def test_a_payload_where_the_centre_was_on_the_joint_couples_the_joint_to_gravity():
     xml = PENDULUM_XML.replace('pos="0 0 -0.2" mass', 'pos="0 0 0" mass')
-    torque_Nm = pendulum_torque_Nm(Payload("swing", "tool", 0.1, 1.0), [0.5], 0.7, xml)
+    torque_Nm = pendulum_torque_Nm(Payload("swing", "tool", 0.1, 1.0, 0.2), [0.5, 0.0, 0.0, 0.0], 0.7, xml)
     assert torque_Nm == pytest.approx(0.5 * 9.81 * 0.3 * np.sin(0.7), rel=1e-9)
 
 
@@ -79,9 +86,9 @@ def test_link_inertia_adds_to_the_joint_torque_of_an_acceleration():
 
 
 def test_two_effects_of_mass_on_one_link_add_up():
-    both = (LinkMass("elbow", 0.15), Payload("elbow", "tool", 0.1, 1.0))
+    both = (LinkMass("elbow", 0.15), Payload("elbow", "tool", 0.1, 1.0, 0.2))
     fresh = WITH_POINT.replace(FOREARM, 'pos="0.06 0 0.01" mass="0.30" diaginertia="2e-4 6e-4 6e-4"')
-    assert_equal_torques(both, [0.15, 0.4], fresh, 1e-9)
+    assert_equal_torques(both, [0.15, 0.4, 0.0, 0.0, 0.0], fresh, 1e-9)
 
 
 def test_link_length_moves_the_next_joint_along_the_link():
@@ -116,7 +123,7 @@ def test_tilt_axes_are_x_and_y_where_gravity_is_along_z():
 @pytest.mark.parametrize(
     "effect",
     [
-        Payload("elbow", "tool", 0.1, 1.0),
+        Payload("elbow", "tool", 0.1, 1.0, 0.2),
         LinkMass("lift", 0.3),
         LinkCentre("lift", 0.1),
         LinkInertia("pan", -1e-4, 0.1),

@@ -14,7 +14,8 @@ from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.selection.acceptance import step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
-from simgap.selection.fit import Hypothesis, JointFit, Union, fit_hypotheses
+from simgap.selection.fit import Hypothesis, JointFit, Union
+from simgap.selection.fitting import fit_hypotheses
 from simgap.selection.joint_fits import fit_base
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import share_nothing

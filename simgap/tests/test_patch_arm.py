@@ -22,7 +22,7 @@ HELD = np.stack([held_means(Signal(TIME_S, one), EDGES_S) for one in COMMAND.T],
 """Commands as the engine takes them from a log; a loop without the wrapper sets them itself."""
 START_RAD = COMMAND[0]
 WITH_NAMES = {
-    "payload": (Payload("elbow", "tool", 0.05, 0.5), (0.1,)),
+    "payload": (Payload("elbow", "tool", 0.05, 0.5, 0.1), (0.1, 0.02, 0.0, -0.03)),
     "mass": (LinkMass("lift", 0.3), (0.1,)),
     "centre": (LinkCentre("elbow", 0.15), (0.02, 0.01)),
     "inertia": (LinkInertia("elbow", -1e-4, 0.01), (0.005,)),

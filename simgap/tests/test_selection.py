@@ -20,7 +20,8 @@ from simgap.residuals.residuals import root_weight
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, Score, start_context
-from simgap.selection.fit import Hypothesis, Union, fit_hypotheses
+from simgap.selection.fit import Hypothesis, Union
+from simgap.selection.fitting import fit_hypotheses
 from simgap.selection.joint_fits import fit_base, fit_joints
 from simgap.selection.screening import adjust
 from simgap.selection.selection import list_again, select_effects

@@ -1,7 +1,7 @@
 """Sealed cases of any robot: drawn with their truth, written as the files that a user has, and diagnosed."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from marsarm.common.pool import Runner
+from simgap.checks.audit import audit
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
 from simgap.common.report import to_json
@@ -26,7 +27,7 @@ from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
 from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
-from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot
+from validation.cases.robot_setup import ARMS, HELD_OUT, MODELS, PLAN, load_robot
 from validation.cases.sealed import CaseScore, SealedTruth
 
 ROBOTS_FOLDER: Final = "robots"
@@ -58,6 +59,9 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     models: tuple[str, ...] = tuple(ARMS)
     test_rates: bool = True
     """False if the cases are too few for rates: then only a false alarm counts."""
+    kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
+    is_audited: ClassVar[bool] = False
+    """True if the logs have samples that an audit refuses."""
 
     name: ClassVar[str] = "robot-cases"
     suffix: ClassVar[str] = ".parquet"
@@ -68,7 +72,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
     ) -> tuple[SealedCase, ...]:
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
-        plans = plan_robot_cases(cases, seed, self.models)
+        plans = plan_robot_cases(cases, seed, self.models, self.kinds)
         jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", one, self.test_rates) for one in plans]
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
             progress(done, len(jobs), f"drew {name}")
@@ -79,7 +83,8 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
             raise BadRequest(f"out {folder}: holds drafts of another seed or number; give a new folder")
         for model in self.models:
             names = tuple(name for name, _ in PLAN)
-            write_robot(folder / ROBOTS_FOLDER / model, load_robot(model), HELD_OUT, names)
+            robot = load_robot(model)
+            write_robot(folder / ROBOTS_FOLDER / model, robot, HELD_OUT, names, MODELS[model].is_servo)
         sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
         return drafts
 
@@ -90,7 +95,9 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
         model = json.loads((folder / INDEX_FILE).read_bytes())[case.stem]
         try:
-            return to_document(diagnose_files(folder / ROBOTS_FOLDER / model / ROBOT_FILE, case))
+            return to_document(
+                diagnose_files(folder / ROBOTS_FOLDER / model / ROBOT_FILE, case, self.is_audited)
+            )
         except RobotError as why:
             return {"findings": [], "remaining": [], "refused": str(why)}
 
@@ -100,9 +107,11 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         return found if self.test_rates else CaseScore(found.document, found.tables, is_quiet)
 
 
-def plan_robot_cases(count: int, seed: int, models: tuple[str, ...]) -> tuple[PlannedRobotCase, ...]:
+def plan_robot_cases(
+    count: int, seed: int, models: tuple[str, ...], kinds: Mapping[Kind, float] = KIND_SHARES
+) -> tuple[PlannedRobotCase, ...]:
     """Plan the kinds and the models of cases, in random order; each kind has each model equally often."""
-    counts = {kind: round(share * count) for kind, share in KIND_SHARES.items()}
+    counts = {kind: round(share * count) for kind, share in kinds.items()}
     counts["single"] += count - sum(counts.values())
     pairs = [(kind, models[k % len(models)]) for kind, many in counts.items() for k in range(many)]
     order = np.random.default_rng([seed, 4]).permutation(count)
@@ -122,11 +131,12 @@ def _draw(job: tuple[Path, PlannedRobotCase, bool]) -> str:
     return plan.name
 
 
-def diagnose_files(robot_file: Path, log: Path) -> Diagnosis:
-    """Diagnose a log."""
+def diagnose_files(robot_file: Path, log: Path, is_audited: bool = False) -> Diagnosis:
+    """Diagnose a log, without what an audit refuses if it is audited."""
     robot = Robot.from_toml(robot_file)
     logs = load(robot, log)
-    return diagnose(robot, logs.fit, held_out=logs.judged, seed=DIAGNOSIS_SEED)
+    found = audit(robot, logs) if is_audited else None
+    return diagnose(robot, logs.fit, held_out=logs.judged, audit=found, seed=DIAGNOSIS_SEED)
 
 
 def to_document(found: Diagnosis) -> Document:
@@ -136,8 +146,11 @@ def to_document(found: Diagnosis) -> Document:
     return {**document, "refused": "; ".join(one.reason for one in found.refused)}
 
 
-def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...]) -> None:
-    """Write robot file, model and split of a robot."""
+def write_robot(
+    folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...], is_servo: bool = False
+) -> None:
+    """Write robot file, model and split of a robot; logs of a servo have its gain and its power."""
+    servo = {"gain_column": "gain", "enabled": {"column": "enabled", "unit": "flag"}} if is_servo else {}
     folder.mkdir(parents=True, exist_ok=True)
     robot_table = {
         "name": robot.name,
@@ -153,6 +166,7 @@ def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: t
                 "mode": "position",
                 **{name: getattr(joint, name) for name in ("kp_Nm_rad", "kd_Nms_rad", "torque_limit_Nm")},
                 "is_known": joint.is_known,
+                **servo,
                 **{
                     name: {"column": f"{name}_{joint.name}", "unit": unit}
                     for name, unit in (("command", "rad"), ("position", "rad"), ("temperature", "degC"))
@@ -176,7 +190,7 @@ def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: t
 
 
 def write_logs(path: Path, logs: Logs) -> None:
-    """Write all motions in one Parquet file."""
+    """Write all motions in one Parquet file; those of a servo with its gain and its power."""
     columns: dict[str, list[NDArray[Any]]] = {}
 
     def add(name: str, values: NDArray[Any]) -> None:
@@ -187,6 +201,10 @@ def write_logs(path: Path, logs: Logs) -> None:
         add("motion", np.full(first.size, motion.name))
         add("repeat", np.full(first.size, motion.repeat_of))
         add("t_s", first)
+        enabled = next(iter(motion.joints.values())).enabled
+        if enabled is not None:
+            add("gain", np.full(first.size, next(iter(motion.gain.values()))))
+            add("enabled", enabled.value)
         for joint, log in motion.joints.items():
             assert log.command is not None
             assert log.temperature is not None

@@ -14,9 +14,9 @@ from simgap.arrays import Array
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
 from validation.cases.robot_setup import (
-    ARMS,
     CORRELATION,
     HELD_OUT,
+    MODELS,
     NOISE_RAD,
     PERIOD_S,
     QUANTUM_RAD,
@@ -32,12 +32,16 @@ from validation.cases.robot_setup import (
     sample_times,
     whiten,
 )
-from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, list_hypotheses
-from validation.cases.robot_truth import Nuisances, Plant, Scene, TrueEffect
+from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, entries_of, list_hypotheses
+from validation.cases.robot_truth import TRUE_STEP_S, Nuisances, Plant, Scene, TrueEffect
+from validation.cases.servo_truth import ServoPlant, add_spike, draw_factors
 
-Kind = Literal["none", "single", "pair", "outside"]
+Kind = Literal["none", "single", "pair", "triple", "outside"]
+COUNTS: Final[dict[Kind, int]] = {"none": 0, "single": 1, "pair": 2, "triple": 3, "outside": 1}
 TIMES_LIMIT: Final = (0.5, 4.0)
 """Range of the strength of an effect, in family-wise limits."""
+SERVO_TIMES_LIMIT: Final = (1.0, 20.0)
+"""That of a servo: its logs are long and its limits small, beside what real servos have."""
 SPREADS: Final = {"damping": 0.2, "friction": 0.2, "armature": 0.1, "gain": 0.1}
 """Standard deviations of the logarithms of the nuisances of joints whose numbers are not known."""
 START_S: Final = 1.0
@@ -115,11 +119,11 @@ def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
 def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
     """Draw the effects and the nuisances of a case; two effects differ in place or in family."""
     campaign = make_campaign(seed, model)
-    rng = np.random.default_rng([seed, 2, sorted(ARMS).index(model)])
+    rng = np.random.default_rng([seed, 2, list(MODELS).index(model)])
     drawn: list[DrawnEffect] = []
-    while len(drawn) < {"none": 0, "single": 1, "pair": 2, "outside": 1}[kind]:
+    while len(drawn) < COUNTS[kind]:
         try:
-            one = _draw_effect(campaign, OUTSIDE if kind == "outside" else ENTRIES, rng)
+            one = _draw_effect(campaign, OUTSIDE if kind == "outside" else entries_of(campaign.robot), rng)
         except (NoSize, FloatingPointError):
             continue
         if all((one.place, one.family) != (other.place, other.family) for other in drawn):
@@ -132,16 +136,19 @@ def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
 def make_campaign(seed: int, model: str) -> CaseMotions:
     """Draw motions and nuisances of a case, and simulate what its effects are compared with."""
     robot = load_robot(model)
-    rng = np.random.default_rng([seed, 1, sorted(ARMS).index(model)])
+    rng = np.random.default_rng([seed, 1, list(MODELS).index(model)])
     plan = draw_plan(robot, rng)
     fitted = tuple(k for k, name in enumerate(plan.names) if name not in HELD_OUT)
     known = np.array([joint.is_known for joint in robot.joints])
-    factors = {
-        name: np.where(known, 1.0, np.exp(spread * rng.standard_normal(known.size)))
-        for name, spread in SPREADS.items()
-    }
+    if MODELS[model].is_servo:
+        factors = draw_factors(rng)
+    else:
+        factors = {
+            name: np.where(known, 1.0, np.exp(spread * rng.standard_normal(known.size)))
+            for name, spread in SPREADS.items()
+        }
     nuisances = Nuisances(**factors)
-    base = simulate_fitted(Plant(robot, nuisances, (), LIMIT_STEP_S), plan, fitted)
+    base = simulate_fitted(make_plant(robot, nuisances), plan, fitted)
     plan = replace(plan, scene=replace(plan.scene, lowest_m=lowest_m(robot, base)))
     columns = []
     for name, spread in SPREADS.items():
@@ -149,9 +156,9 @@ def make_campaign(seed: int, model: str) -> CaseMotions:
             changed = factors[name].copy()
             changed[j] *= np.exp(0.3 * spread)
             moved = Nuisances(**{**factors, name: changed})
-            change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
+            change = simulate_fitted(make_plant(robot, moved), plan, fitted) - base
             columns.append(whiten_later(change) * UNKNOWN / (0.3 * spread))
-    count = len(list_hypotheses(robot, ENTRIES))
+    count = len(list_hypotheses(robot, entries_of(robot)))
     stacked = np.array(columns).T if columns else np.zeros((whiten_later(base).size, 0))
     limit = limit_noncentrality(len(fitted), count)
     return CaseMotions(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
@@ -162,9 +169,27 @@ def whiten_later(change_rad: Array) -> Array:
     return np.asarray(whiten(change_rad)[..., round(START_S / PERIOD_S) :].ravel())
 
 
-def simulate_fitted(plant: Plant, plan: Plan, motions: tuple[int, ...]) -> Array:
+def make_plant(
+    robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect] = (), step_s: float = 0.0
+) -> Plant | ServoPlant:
+    """Make a true robot: the nominal one with nuisances and effects; without a step, that of limits."""
+    if MODELS[robot.name].is_servo:
+        return ServoPlant(robot, nuisances, effects, step_s or 2.0 * LIMIT_STEP_S)
+    return Plant(robot, nuisances, effects, step_s or LIMIT_STEP_S)
+
+
+def simulate_motion(plant: Plant | ServoPlant, plan: Plan, k: int, seed: int) -> Array:
+    """Return shown positions of a motion without noise, (n_joints, n) [rad]."""
+    inputs = plan.commands[k], PERIOD_S, seed, temperature_degC(k)
+    if isinstance(plant, Plant):
+        return plant.simulate(*inputs)
+    assert plan.gains is not None
+    return plant.simulate(*inputs, plan.gains[k])
+
+
+def simulate_fitted(plant: Plant | ServoPlant, plan: Plan, motions: tuple[int, ...]) -> Array:
     """Return shown positions without noise, (n_motions, n_joints, n) [rad]."""
-    return np.array([plant.simulate(plan.commands[k], PERIOD_S, k, temperature_degC(k)) for k in motions])
+    return np.array([simulate_motion(plant, plan, k, k) for k in motions])
 
 
 def temperature_degC(motion: int) -> tuple[float, float]:
@@ -176,7 +201,7 @@ def temperature_degC(motion: int) -> tuple[float, float]:
 def change_of(campaign: CaseMotions, effect: TrueEffect, motions: Sequence[int] | None = None) -> Array:
     """Return the whitened change of the fitted motions, or of some, given by their places, (n,)."""
     chosen = range(len(campaign.fitted)) if motions is None else motions
-    plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
+    plant = make_plant(campaign.robot, campaign.nuisances, (effect,))
     moved = simulate_fitted(plant, campaign.plan, tuple(campaign.fitted[k] for k in chosen))
     return whiten_later(moved - campaign.base[list(chosen)])
 
@@ -192,7 +217,7 @@ def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
     factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
     for name, amount in zip(SPREADS, amounts, strict=True):
         factors[name][~known] *= np.exp(UNKNOWN * amount)
-    plant = Plant(campaign.robot, Nuisances(**factors), (), LIMIT_STEP_S)
+    plant = make_plant(campaign.robot, Nuisances(**factors))
     imitated = whiten_later(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base)
     left = [change, change - imitated]
     return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
@@ -207,7 +232,7 @@ def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.rand
     one = places[int(rng.integers(len(places)))]
     shape = float(rng.uniform())
     sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
-    times = float(np.exp(rng.uniform(*np.log(TIMES_LIMIT))))
+    times = float(np.exp(rng.uniform(*np.log(strengths(campaign.robot)))))
     effect, reached = find_size(campaign, one, sign, shape, times)
     kind = one.entry.kind
     accepted = tuple(sorted(map(str, kind.families)))
@@ -243,9 +268,15 @@ def find_size(
         guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
         size = min(guess if below < guess < above else _between(below, above, size), high)
     _, size, reached = best
-    if not TIMES_LIMIT[0] <= reached <= TIMES_LIMIT[1]:
+    least, most = strengths(campaign.robot)
+    if not least <= reached <= most:
         raise NoSize(one.key)
     return one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape), reached
+
+
+def strengths(robot: Robot) -> tuple[float, float]:
+    """Return the range of the strength of an effect."""
+    return SERVO_TIMES_LIMIT if MODELS[robot.name].is_servo else TIMES_LIMIT
 
 
 def _between(below: float, above: float, size: float) -> float:
@@ -258,24 +289,29 @@ def record_logs(truth: Truth) -> Logs:
     """Record all motions of a case with noise, quantised."""
     campaign, seed = make_campaign(truth.seed, truth.model), truth.seed
     effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
-    plant = Plant(campaign.robot, campaign.nuisances, effects)
+    plant = make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
     plan, times = campaign.plan, sample_times()
     motions = []
     for k, name in enumerate(plan.names):
-        shown = plant.simulate(plan.commands[k], PERIOD_S, seed * 100 + k, temperature_degC(k))
+        shown = simulate_motion(plant, plan, k, seed * 100 + k)
         rng = np.random.default_rng([seed, 3, k])
         measured = measure(shown, rng)
+        gains, gain = plan.gains, 1.0
+        if gains is not None:
+            gain = float(gains[k].max())
+            add_spike(measured, rng)
         heat = Signal(times, np.interp(times, times[[0, -1]], temperature_degC(k)))
         joints = {
             joint.name: JointLog(
                 position=Signal(times, measured[j]),
                 command=Signal(times, plan.commands[k, j]),
                 temperature=heat,
+                enabled=None if gains is None else Signal(times, (gains[k] > 0.0).astype(float)),
             )
             for j, joint in enumerate(campaign.robot.joints)
         }
         repeat = REPEATED[0] if name in REPEATED else ""
-        motions.append(Motion(name, joints, dict.fromkeys(joints, 1.0), repeat))
+        motions.append(Motion(name, joints, dict.fromkeys(joints, gain), repeat))
     return Logs(tuple(motions), HELD_OUT)
 
 

@@ -23,7 +23,7 @@ from validation.cases import robot_inside as inside
 from validation.cases import robot_structure as structure
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
-from validation.cases.robot_table import BASE, ENTRIES, SUPPLY, PlacedEntry, list_hypotheses
+from validation.cases.robot_table import BASE, SUPPLY, PlacedEntry, entries_of, list_hypotheses
 from validation.cases.robot_truth import TrueEffect
 from validation.cases.sealed import CaseScore, Table
 
@@ -212,7 +212,7 @@ def find_equivalents(campaign: CaseMotions, drawn: DrawnEffect) -> tuple[tuple[s
     near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
     found = [
         (one.entry.kind.name, one.place)
-        for one in list_hypotheses(campaign.robot, ENTRIES)
+        for one in list_hypotheses(campaign.robot, entries_of(campaign.robot))
         if one.place in near
         and (
             (one.entry.kind.name, one.place) == (drawn.name, drawn.place)

@@ -31,10 +31,9 @@ from scipy.stats import nct, t
 from simgap.arrays import Array
 from simgap.robot import ControlMode, Robot, RobotJoint
 from validation.cases.robot_truth import Scene
+from validation.cases.servo_truth import motion_gains
 
 FOLDER: Final = Path(__file__).parent / "models"
-CONTROL_PERIOD_S: Final = 0.002
-"""Period of the control loop, that of the model's step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,14 @@ class Arm:
     """Joints with measured friction, damping, armature and gain: they have no nuisances."""
     unloaded: frozenset[str] = frozenset()
     """Joints that gravity does not load."""
+    mass_kg: float = 0.0
+    """Mass and length of the weight of a servo; 0 for other robots."""
+    length_m: float = 0.0
+
+    @property
+    def is_servo(self) -> bool:
+        """Return whether its truth is that of a servo and its model a poor one."""
+        return self.mass_kg > 0.0
 
 
 ARMS: Final = {
@@ -54,13 +61,22 @@ ARMS: Final = {
     "two_joint": Arm((0.2, -0.6), frozenset({"elbow"})),
     "four_joint": Arm((0.0, 0.7, -1.0, -0.3), frozenset({"wrist"}), frozenset({"pan"})),
 }
+SERVOS: Final = {
+    f"servo_{1000 * mass_kg:.0f}g_{1000 * length_m:.0f}mm": Arm(
+        (0.5,), frozenset(), mass_kg=mass_kg, length_m=length_m
+    )
+    for mass_kg in (0.1, 0.2, 0.3, 0.4)
+    for length_m in (0.1, 0.15)
+}
+MODELS: Final = {**{name: ARMS[name] for name in sorted(ARMS)}, **SERVOS}
 
 
 @cache
 def load_robot(name: str) -> Robot:
     """Load one of the robots."""
-    arm = ARMS[name]
-    xml = (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
+    arm = MODELS[name]
+    xml = (FOLDER / f"{'servo' if arm.is_servo else name}.xml").read_text(encoding="utf-8")
+    xml = xml.replace("MASS", f"{arm.mass_kg:g}").replace("LENGTH", f"{arm.length_m:g}")
     model = mujoco.MjModel.from_xml_string(xml)
     joints = []
     for k in range(model.nu):
@@ -82,7 +98,7 @@ def load_robot(name: str) -> Robot:
                 is_loaded_by_gravity=joint.name not in arm.unloaded,
             )
         )
-    return Robot(name, model, xml, tuple(joints), CONTROL_PERIOD_S, "tool")
+    return Robot(name, model, xml, tuple(joints), float(model.opt.timestep), "tool")
 
 
 PERIOD_S: Final = 0.01
@@ -107,11 +123,14 @@ class Plan:
     commands: Array
     """(n_motions, n_joints, n) [rad]."""
     scene: Scene
+    gains: Array | None = None
+    """(n_motions, n), 0 where the motors have no power; None: the gains are those of the model."""
 
 
 def draw_plan(robot: Robot, rng: np.random.Generator) -> Plan:
     """Draw the commands of a case."""
-    centre = np.array(ARMS[robot.name].centre_rad)
+    arm = MODELS[robot.name]
+    centre = np.array(arm.centre_rad)
     commands: dict[str, Array] = {}
     for name, kind in PLAN:
         if name == REPEATED[1]:
@@ -122,7 +141,8 @@ def draw_plan(robot: Robot, rng: np.random.Generator) -> Plan:
     stacked = np.array(list(commands.values()))
     low, high = stacked.min(axis=(0, 2)), stacked.max(axis=(0, 2))
     scene = Scene(robot, tuple(low.tolist()), tuple(high.tolist()), 0.0)
-    return Plan(tuple(commands), stacked, scene)
+    gains = motion_gains(len(commands), sample_times()) if arm.is_servo else None
+    return Plan(tuple(commands), stacked, scene, gains)
 
 
 def sample_times() -> Array:

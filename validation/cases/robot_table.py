@@ -8,6 +8,7 @@ from simgap.robot import Robot, RobotJoint
 from validation.cases import robot_inside as inside
 from validation.cases import robot_outside as outside
 from validation.cases import robot_structure as structure
+from validation.cases.robot_setup import MODELS
 from validation.cases.robot_truth import TrueEffect
 
 
@@ -65,6 +66,14 @@ ENTRIES: Final = (
 )
 """Effects of the catalogue."""
 
+SERVO_ENTRIES: Final = tuple(
+    one
+    for one in ENTRIES
+    if one.kind.build is TrueEffect.build
+    and one.kind not in (inside.BackEmf, inside.SupplySag, structure.JointZero)
+)
+"""Those of a servo: a wrong zero is a tilted base there; its truth has a back-EMF and its own supply."""
+
 OUTSIDE: Final = (
     Entry(outside.CreepingLink, "flex", 0.2, 2.0, False, "loaded"),
     Entry(outside.DriftingTorque, "torque", 0.03, 0.3),
@@ -104,6 +113,11 @@ class PlacedEntry:
     def key(self) -> str:
         """Return the name of the hypothesis."""
         return f"{self.place}: {self.entry.kind.name}"
+
+
+def entries_of(robot: Robot) -> tuple[Entry, ...]:
+    """Return the effects of the catalogue that the truth of a robot may have."""
+    return SERVO_ENTRIES if MODELS[robot.name].is_servo else ENTRIES
 
 
 def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[PlacedEntry, ...]:

@@ -20,12 +20,14 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection
-from simgap.selection.fit import evaluate_points, select_rows
+from simgap.selection.fit import select_rows
+from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
 from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (
     ConfidenceSet,
     find_confidence_sets,
+    find_pushed,
     list_members,
     separating_motion,
     size_intervals,
@@ -72,7 +74,7 @@ def assemble(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
+        findings=tuple(doubt_names([describe_finding(context, chosen, one, sets) for one in sets])),
         base=tuple(add_shares(context, chosen, held_out, list_base(robot, context, chosen, sets))),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
@@ -169,12 +171,15 @@ def describe_finding(
 ) -> Finding:
     """Describe a finding with its sets.
 
-    Where effects explain too little of a joint, or one only beside another that it resembles, the sets of
-    families and effects are empty: none of the catalogue is known to be the cause of what is at the place.
+    Where effects explain too little of a joint, one only beside another that it resembles, or a base
+    parameter of the joint is pushed against its bound, the sets of families and effects are empty: none of
+    the catalogue is known to be the cause of what is at the place.
     """
     effect, own = found.effect, context.union.columns([found.effect])
     places, families, effects = list_members(found)
-    is_unsure = explains_too_little(context, chosen, effect.place)
+    is_unsure = explains_too_little(context, chosen, effect.place) or any(
+        is_pushed(context, chosen, one) for one in context.base if one.place == effect.place
+    )
     if is_unsure or find_inflation(context, chosen, effect) > MAX_INFLATION:
         families, effects = (), ()
     size = chosen.sizes[own]
@@ -195,6 +200,15 @@ def describe_finding(
     )
 
 
+def doubt_names(findings: Sequence[Finding]) -> list[Finding]:
+    """Take the names of effects from findings beside one at the same place whose cause is not known.
+
+    Other effects were excluded beside that one, so with a model that is known to be wrong.
+    """
+    unknown = {one.place for one in findings if not one.families}
+    return [replace(one, effects=()) if one.place in unknown else one for one in findings]
+
+
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
     """Check whether a model explains less than MIN_CLOSURE of left-out motions; False if noise is unknown.
 
@@ -206,6 +220,12 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
     pair = context.base_left_out[rows], chosen.left_out[rows]
     return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
+
+
+def is_pushed(context: Context, chosen: FittedModel, effect: Effect) -> bool:
+    """Check whether a base parameter ends at a bound that the motions contradict."""
+    own = context.union.columns([effect])
+    return any(np.isin(own, find_pushed(context, fit)).any() for fit in chosen.fits)
 
 
 def find_inflation(context: Context, chosen: FittedModel, effect: Effect) -> float:
@@ -268,6 +288,7 @@ def list_base(
                     value=nominal + float(chosen.sizes[column]),
                     interval=(nominal + low, nominal + high),
                     is_identifiable=bool(known and has_scale),
+                    is_pushed=is_pushed(context, chosen, effect),
                 )
             )
     return found

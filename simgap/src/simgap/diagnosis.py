@@ -15,6 +15,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion
 from simgap.residuals.encoder_residuals import why_refused
+from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
@@ -87,6 +88,9 @@ def diagnose(
             selection = select_effects(
                 fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
             )
+            sizes = selection.base.sizes[selection.context.union.columns(base)]
+            fitted = refer_to(fitted, base, sizes)
+            judge = refer_to(judge, base, sizes) if held_out else fitted
             selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
             part = assemble(robot, fitted, selection, sets, judge)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))

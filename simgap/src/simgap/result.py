@@ -55,6 +55,8 @@ class Base:
     """False if the data show nothing of it, or only its ratio to the gain where that is fitted too."""
     share: float = math.nan
     """Share of the mean error of its joint that comes back with the number of the model; NaN if not known."""
+    is_pushed: bool = False
+    """True if it ends at a bound that the motions contradict."""
 
     @property
     def differs(self) -> bool:

@@ -94,6 +94,11 @@ class _Facts:
         return self.has_command and math.isfinite(self.joint.torque_limit_Nm)
 
     @property
+    def is_switched(self) -> bool:
+        """Return whether the motor is without power in a part of the logs."""
+        return any(log.enabled is not None and bool((log.enabled.value < 0.5).any()) for log in self.logs)
+
+    @property
     def warms(self) -> bool:
         return bool(self.scales.hottest_degC - self.scales.coldest_degC > WARMING_K)
 
@@ -144,6 +149,10 @@ BASE_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
     (GainError, _command),
 )
 """Nuisances of a joint that is not known, and candidates at one that is."""
+SWITCHED_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
+    (DampingGain, lambda facts: facts.has_damping_loop and facts.is_switched),
+)
+"""Further nuisances. Back-EMF acts under power alone; a log without power tells it from viscous friction."""
 
 
 def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
@@ -184,7 +193,7 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     """
     found: list[JointEffect] = []
     for facts in _facts(robot, logs.fit):
-        found += [] if facts.joint.is_known else _at(robot, facts, BASE_EFFECTS)
+        found += [] if facts.joint.is_known else _at(robot, facts, (*BASE_EFFECTS, *SWITCHED_EFFECTS))
         if not facts.joint.torque_constant_is_known:
             found += _at(robot, facts, ((CurrentScale, _always),))
     return tuple(replace(effect, is_base=True) for effect in found)

@@ -1,6 +1,7 @@
 """Effects of links, base and surroundings that a robot and its logs may show, with their typical sizes."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -33,7 +34,11 @@ def link_effects(robot: Robot, motions: Sequence[Motion], scales: Mapping[str, J
     vertical axis.
     """
     places = [joint.name for joint in robot.joints if joint.name in scales]
-    found = [effect for effect in _candidates(robot, places) if _changes_torques(robot, effect, scales)]
+    found = [
+        _with_seen_axes(robot, effect, scales) if isinstance(effect, Payload) else effect
+        for effect in _candidates(robot, places)
+        if _changes_torques(robot, effect, scales)
+    ]
     return [*found, *_contact(robot, motions)]
 
 
@@ -43,7 +48,9 @@ def _candidates(robot: Robot, places: Sequence[str]) -> Iterator[Effect]:
     moved_kg = float(sum(model.body_mass[body] for body in range(model.nbody) if _is_moved(model, body)))
     holder = _holder(robot, body_of)
     if holder in places:
-        yield Payload(holder, robot.tool_site, 0.1 * moved_kg, moved_kg)
+        yield Payload(
+            holder, robot.tool_site, 0.1 * moved_kg, moved_kg, _link_length_m(model, body_of[holder])
+        )
     for place in places:
         body, dof = body_of[place], robot.joint(place).dof_index
         mass_kg = float(model.body_mass[body])
@@ -88,15 +95,28 @@ def _link_length_m(model: mujoco.MjModel, body: int) -> float:
     return max(*lengths, 2 * float(np.linalg.norm(model.body_ipos[body])), 2 * float(radius_m), 0.0)
 
 
+def _with_seen_axes(robot: Robot, payload: Payload, scales: Mapping[str, JointScales]) -> Payload:
+    """Return a payload with the axes along which its displacement changes a torque."""
+    at_site = _torques_with(robot, replace(payload, axes=""), scales)
+    seen = [
+        axis for axis in "xyz" if _differ(at_site, _torques_with(robot, replace(payload, axes=axis), scales))
+    ]
+    return replace(payload, axes="".join(seen))
+
+
 def _changes_torques(robot: Robot, effect: Effect, scales: Mapping[str, JointScales]) -> bool:
     """Check whether the effect at its typical size changes a torque in the range of the logs."""
+    return _differ(_torques_Nm(robot.model, robot, scales), _torques_with(robot, effect, scales))
+
+
+def _torques_with(robot: Robot, effect: Effect, scales: Mapping[str, JointScales]) -> Array:
+    """Compute torques of random motions with an effect at its typical size."""
     batch = mujoco.batch.Batch(robot.model, nsim=1, nthread=1)
     none = np.zeros((1, len(robot.joints)))
     fields = Fields(none, none, none, none, none, none, batch)  # these effects change the model alone
     effect.set_model(np.array([[size.typical for size in effect.sizes]]), fields, robot)
     batch.set_const()
-    nominal, changed = (_torques_Nm(model, robot, scales) for model in (robot.model, batch.get_model(0)))
-    return _differ(nominal, changed)
+    return _torques_Nm(batch.get_model(0), robot, scales)
 
 
 def depends_on_angle(robot: Robot, place: str, scales: Mapping[str, JointScales]) -> bool:

@@ -7,7 +7,17 @@ from typing import ClassVar, Self
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import QUANTILE, Effect, Family, Fields, JointEffect, JointScales, Size, Tick
+from simgap.effects.effect import (
+    DAMPING_STARTS,
+    QUANTILE,
+    Effect,
+    Family,
+    Fields,
+    JointEffect,
+    JointScales,
+    Size,
+    Tick,
+)
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot
 
@@ -39,12 +49,18 @@ class DampingGain(JointEffect):
 
     name: ClassVar[str] = "damping gain"
     family: ClassVar[Family] = Family.ACTUATION
+    starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
+
+    @property
+    def nominal(self) -> float:
+        """Gain of the robot file."""
+        return self.joint.kd_Nms_rad
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (self.size_of("kd_Nms_rad", -self.joint.kd_Nms_rad, scale, 0.05 * scale),)
+        return (self.with_prior(self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale)),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping gain."""

@@ -8,7 +8,16 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect, Family, Fields, JointEffect, JointScales, Size, State
+from simgap.effects.effect import (
+    DAMPING_STARTS,
+    Effect,
+    Family,
+    Fields,
+    JointEffect,
+    JointScales,
+    Size,
+    State,
+)
 from simgap.robot import Robot
 
 TINY_rad_s: Final = 1e-9
@@ -21,6 +30,7 @@ class ViscousFriction(JointEffect):
 
     name: ClassVar[str] = "viscous friction"
     family: ClassVar[Family] = Family.FRICTION
+    starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
 
     @property
     def nominal(self) -> float:

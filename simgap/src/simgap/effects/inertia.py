@@ -44,28 +44,38 @@ class Payload(Effect):
     family: ClassVar[Family] = Family.INERTIA
     place: str
     site: str
-    """Site where the mass is; empty: at the centre of mass of the link."""
+    """Site from which the mass is displaced; empty: the centre of mass of the link."""
     typical_kg: float
     high_kg: float
+    reach_m: float
+    """Largest displacement along an axis of the site."""
+    axes: str = "xyz"
+    """Axes of the site along which a displacement can be seen."""
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Mass of the payload."""
-        return (Size("payload_kg", 0.0, self.high_kg, self.typical_kg),)
+        """Mass, and its centre along the axes of the site; a fifth of the reach is worth a name."""
+        mass = Size("payload_kg", 0.0, self.high_kg, self.typical_kg)
+        return (
+            mass,
+            *(Size(f"{axis}_m", -self.reach_m, self.reach_m, 0.2 * self.reach_m) for axis in self.axes),
+        )
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add the point mass to mass, centre and inertia of the body."""
         rows = np.asarray(size[:, 0] != 0)
         if not rows.any():
             return
-        model, added_kg = fields.batch.model, size[rows, 0]
+        model, added_kg, at_m = fields.batch.model, size[rows, 0], np.zeros((int(rows.sum()), 3))
+        at_m[:, ["xyz".index(axis) for axis in self.axes]] = size[rows, 1:]
         body = _body(fields, robot, self.place)
         if self.site:
             site = model.site(self.site).id
             body = int(model.site_bodyid[site])
-            at_m = np.tile(model.site_pos[site], (len(added_kg), 1))
+            axes = Rotation.from_quat(model.site_quat[site], scalar_first=True)
+            at_m = model.site_pos[site] + axes.apply(at_m)
         else:
-            at_m = fields.batch.expand("body_ipos")[rows, body]
+            at_m = fields.batch.expand("body_ipos")[rows, body] + at_m
         _add_point_mass(fields, body, rows, added_kg, at_m)
 
 

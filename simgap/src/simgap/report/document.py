@@ -84,5 +84,6 @@ def _base(one: Base) -> dict[str, Any]:
         "low_90": number(low),
         "high_90": number(high),
         "is_identifiable": one.is_identifiable,
+        "is_at_bound": one.is_pushed,
         "share": number(one.share),
     }

@@ -78,7 +78,14 @@ def finding_lines(diagnosis: Diagnosis) -> list[str]:
         "base parameter that differs",
         "base parameters that differ",
     )
-    return [*found, *rest, *unnamed, *base, *unknown_sentences(diagnosis.base)]
+    return [
+        *found,
+        *rest,
+        *unnamed,
+        *base,
+        *bound_sentences(diagnosis.base),
+        *unknown_sentences(diagnosis.base),
+    ]
 
 
 def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
@@ -160,6 +167,17 @@ def remainder_sentence(one: Remainder, unexplained: str = "no effect explains") 
     )
     amount = quantity(one.mean_abs, one.unit)
     return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that {unexplained}; {depends}."
+
+
+def bound_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence for each base parameter that ends at a bound which the motions contradict."""
+    return [
+        f"{one.name} of {one.place} ends at its bound, {one.value:.3g}, and the motions ask for a number "
+        "beyond it: another number of the model is wrong, such as a mass, or something acts that is not in "
+        f"the catalogue. No effect at {one.place} is sure."
+        for one in base
+        if one.is_pushed
+    ]
 
 
 def unknown_sentences(base: Sequence[Base]) -> list[str]:
@@ -315,7 +333,7 @@ def _certainty(finding: Finding) -> str:
         return "95 % sure: no other effect explains it"
     if found == "effect":
         return "95 % sure that it is one of these; they cannot be told apart"
-    if not finding.effects:
+    if not finding.families:
         return "no effect in the catalogue is known to cause it"
     if found == "family":
         return "95 % sure of the kind; its effects cannot be told apart"

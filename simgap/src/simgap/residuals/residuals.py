@@ -5,7 +5,7 @@ at once. Selection, fit and verdict know no more of them than this.
 """
 
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -70,6 +70,24 @@ class ResidualModel(Protocol):
                 "command" in its unit.
         """
         ...
+
+
+@runtime_checkable
+class Referred(Protocol):
+    """Residual model with a reference, from which starts and the error of its time step follow."""
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
+        """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
+        ...
+
+
+def refer_to(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
+    """Return a residual model with another reference, or the same if its kind has none.
+
+    Args:
+        sizes: Sizes of all effects one after the other, (total sizes,), in their units.
+    """
+    return model.around(effects, sizes[None]) if isinstance(model, Referred) else model
 
 
 def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> Array:

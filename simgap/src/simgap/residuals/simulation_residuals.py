@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
@@ -38,13 +39,16 @@ STEP_PARTS: Final = 8
 PART_s: Final = 10.0
 """Length of the windows where motions are simulated in part: long beside what a servo remembers."""
 
+Simulate = Callable[[Sequence[Window]], Array]
+"""Function of windows that returns the positions of the reference model, (n_samples,) [rad]."""
+
 
 class SimulationResiduals:
     """Predict measured minus simulated positions; see `ResidualModel`.
 
-    To each simulation is added what smaller steps change in that of the nominal model (defect correction). A
+    To each simulation is added what smaller steps change in that of a reference model (defect correction). A
     real robot has no time step, and the error of one is soon larger than the smallest effect that noise lets
-    see.
+    see. The reference is the nominal model until `around` sets another.
     """
 
     kind = "simulation"
@@ -72,29 +76,53 @@ class SimulationResiduals:
             fit_starts: Take out of the residuals what another start of a joint would explain.
         """
         self._robot = robot
-        self._models = Models(robot)
-        self._n_threads = n_threads
+        self._models, self._fine_models = Models(robot), Models(_refine(robot))
+        self._n_threads, self._fit_starts = n_threads, fit_starts
         self.step_s = float(robot.model.opt.timestep)
         self.method = (
             f"Positions are simulated from measured starts in steps of {1e3 * self.step_s:g} ms; there is a "
             f"residual where they are logged, at most every {1e3 * spacing_s:g} ms."
         )
         most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
-        fine_models = Models(_refine(robot))
-        coarse, fine = (
-            _cut(one, motions, spacing_s, keep, most_periods) for one in (robot, fine_models.robot)
+        self._logs = tuple(motions)
+        self._coarse, self._fine = (
+            _cut(one, motions, spacing_s, keep, most_periods) for one in (robot, self._fine_models.robot)
         )
-        fine = start_windows(fine_models, fine, n_threads)
+        self._refer([], np.zeros((1, 0)))
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> "SimulationResiduals":
+        """Return the residuals with another reference, such as fitted base parameters.
+
+        Starts and the change by smaller steps follow from the reference. A nominal model without damping
+        rings where the robot does not, and what smaller steps change in that is no error of a damped one.
+
+        Args:
+            sizes: Sizes of all effects one after the other, (1, n_sizes), in their units.
+        """
+        moved = copy(self)
+        moved._refer(effects, sizes)
+        return moved
+
+    def _refer(self, effects: Sequence[Effect], sizes: Array) -> None:
+        """Simulate the reference, from which starts and corrections follow."""
+
+        def simulate(models: Models, windows: Sequence[Window]) -> Array:
+            (found,) = Engine(models, effects, windows, self._n_threads).positions(sizes)
+            return np.asarray(found)
+
+        fine = start_windows(self._fine_models, self._fine, partial(simulate, self._fine_models))
         coarse = [
             replace(window, q_rad=one.q_rad, v_rad_s=one.v_rad_s)
-            for window, one in zip(coarse, fine, strict=True)
+            for window, one in zip(self._coarse, fine, strict=True)
         ]
-        fine_rad = _simulate_nominal(fine_models, fine, n_threads)
-        coarse_rad = _simulate_nominal(self._models, coarse, n_threads)
-        starts = self._start_responses(coarse, coarse_rad) if fit_starts else np.empty((coarse_rad.size, 0))
-        self._fill(motions, coarse, np.nan_to_num(fine_rad - coarse_rad), starts)
+        simulate_coarse = partial(simulate, self._models)
+        fine_rad, coarse_rad = simulate(self._fine_models, fine), simulate_coarse(coarse)
+        starts = np.empty((coarse_rad.size, 0))
+        if self._fit_starts:
+            starts = self._start_responses(simulate_coarse, coarse, coarse_rad)
+        self._fill(self._logs, coarse, np.nan_to_num(fine_rad - coarse_rad), starts)
 
-    def _start_responses(self, windows: Sequence[Window], nominal_rad: Array) -> Array:
+    def _start_responses(self, simulate: Simulate, windows: Sequence[Window], reference_rad: Array) -> Array:
         """Return what other positions and speeds of the starts change in each joint itself, (n, 2) [rad]."""
         shift_rad = _shifts_rad(self._models)
         shifts = [
@@ -102,8 +130,7 @@ class SimulationResiduals:
             for q_rad, v_rad_s in ((shift_rad, 0.0), (0.0, shift_rad / SHIFT_s))
             for one in windows
         ]
-        both_rad = _simulate_nominal(self._models, shifts, self._n_threads).reshape(2, -1)
-        return np.nan_to_num(both_rad - nominal_rad).T
+        return np.nan_to_num(simulate(shifts).reshape(2, -1) - reference_rad).T
 
     def _fill(
         self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array, starts: Array
@@ -141,15 +168,20 @@ class SimulationResiduals:
         sizes = np.asarray(sizes, dtype=float)
         if sizes.ndim == 3:
             sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
-        residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
+        residual = engine.positions(sizes)  # changed in place: those of long logs are large
+        np.subtract(self.measured_rad - self._refined_rad, residual, out=residual)
         for part, basis in self._bases:
             residual[:, part] -= (residual[:, part] @ basis) @ basis.T
-        return np.where(np.isfinite(residual), residual, PENALTY_rad)
+        residual[~np.isfinite(residual)] = PENALTY_rad
+        return residual
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
         """Return the residuals of these motions alone, in their old order."""
         chosen, names = copy(self), set(motions)
         kept = np.isin(self.motion_of, [self.motions.index(name) for name in names])
+        chosen._coarse, chosen._fine = (
+            [one for one in windows if one.motion in names] for windows in (self._coarse, self._fine)
+        )
         chosen._fill(
             [motion for motion in self._logs if motion.name in names],
             [window for window in self._windows if window.motion in names],
@@ -190,8 +222,8 @@ def _cut(
     return kept
 
 
-def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> list[Window]:
-    """Let joints start at rest where the nominal model then predicts their first samples better.
+def start_windows(models: Models, windows: Sequence[Window], simulate: Simulate) -> list[Window]:
+    """Let joints start at rest where the reference model then predicts their first samples better.
 
     A joint that falls or is pulled from rest has the speed of its first samples only after them.
 
@@ -201,9 +233,7 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
     resting = [_rest(window, 0.0) for window in windows]
     small_rad = _shifts_rad(models)
     shifted = [_rest(window, small_rad) for window in windows]
-    moving_rad, resting_rad, shifted_rad = (
-        _simulate_nominal(models, some, n_threads) for some in (windows, resting, shifted)
-    )
+    moving_rad, resting_rad, shifted_rad = (simulate(some) for some in (windows, resting, shifted))
     started, end = [], 0
     for window, rest in zip(windows, resting, strict=True):
         q_rad, v_rad_s = window.q_rad.copy(), window.v_rad_s.copy()
@@ -219,12 +249,6 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
                 q_rad[j], v_rad_s[j] = rest.q_rad[j] + shift_rad, 0.0
         started.append(replace(window, q_rad=q_rad, v_rad_s=v_rad_s))
     return started
-
-
-def _simulate_nominal(models: Models, windows: Sequence[Window], n_threads: int) -> Array:
-    """Return the positions of the model without effects, (n_samples,) [rad]."""
-    (found,) = Engine(models, [], windows, n_threads).positions(np.zeros((1, 0)))
-    return np.asarray(found)
 
 
 def _shifts_rad(models: Models) -> Array:

@@ -21,10 +21,13 @@ from simgap.selection.sharing import ALL_JOINTS
 
 def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
     """Return the mean improvement of left-out losses as a share, -1 to 1, of what can be explained."""
-    loss = pseudo_huber(before)
-    mean = float(np.mean(loss - pseudo_huber(after)))
-    explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
-    return mean / max(explainable, abs(mean), 1e-12)
+    change = float(np.sum(pseudo_huber(before) - pseudo_huber(after)))
+    return change / max(explainable_loss(context, rows, before), abs(change), 1e-12)
+
+
+def explainable_loss(context: Context, rows: Integers, residuals: Array) -> float:
+    """Return the loss of residuals over their scales, (n_rows,), beyond that of the noise."""
+    return float(np.sum(pseudo_huber(residuals) - context.noise_loss[context.model.joint_of[rows]]))
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:
@@ -83,6 +86,9 @@ MIN_SHARE: Final = 0.05
 MIN_Z: Final = 2.0
 """Least improvement of left-out motions over its scatter, beside all other effects, where no repeats show the
 noise."""
+MAX_EFFECTS: Final = 3
+"""Effects at one joint after which a further one has to improve left-out motions by MIN_Z times the scatter
+between them: that counts a misfit too. Else many effects describe a residual, and none explains it."""
 FIRST_CHANCE: Final = 0.5
 """Largest probability of an effect that is taken before others are known, if none is present: it is rather
 there than not. Of two effects that hide each other, one has to be first."""
@@ -113,6 +119,7 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     good = [one for one in candidates if one.gain >= MIN_SHARE and one.log_chance <= np.log(FIRST_CHANCE)]
     good = [one for one in good if not one.at_bound]
     good = [one for one in good if not worsens_another(context, present, one)]
+    good = [one for one in good if pays(context, present, one)]
     groups: dict[tuple[int, ...], list[Candidate]] = {}
     for one in good:
         groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
@@ -125,6 +132,16 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     # one effect that does as much as several is the simpler explanation
     enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
     return [body] if _improvement(context, present, body) > enough else local
+
+
+def pays(context: Context, present: FittedModel, candidate: Candidate) -> bool:
+    """Check whether left-out motions pay for one more effect where its joint has MAX_EFFECTS."""
+    taken = [context.joint_of(one) for one in present.effects]
+    if all(taken.count(joint) < MAX_EFFECTS for joint in candidate.joints):
+        return True
+    rows = candidate.fit.rows
+    before, after = (pseudo_huber(left) for left in (present.left_out[rows], candidate.left_out))
+    return compare_motions(context.model.motion_of[rows], before, after) > MIN_Z
 
 
 def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:

@@ -11,7 +11,8 @@ from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks
 from simgap.residuals.residuals import ResidualModel
 from simgap.selection.checkpoint import Checkpoint, Meter
-from simgap.selection.fit import MAX_ITERATIONS, Hypothesis, JointFit, Union, evaluate_points, fit_hypotheses
+from simgap.selection.fit import Hypothesis, JointFit, Union
+from simgap.selection.fitting import Fitting, evaluate_points
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing, share_nothing
 
 P = ParamSpec("P")
@@ -166,19 +167,21 @@ def resume_step(
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
-def fit_together(
-    context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
-) -> list[JointFit]:
-    """Fit hypotheses in this context."""
-    return fit_hypotheses(
+def start_fitting(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> Fitting:
+    """Prepare to fit hypotheses in this context."""
+    return Fitting(
         context.model,
         context.union,
         hypotheses,
         context.scales,
         sharing=context.sharing,
-        iterations=iterations,
         report=lambda count: context.meter.advance(text, count),
     )
+
+
+def fit_together(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[JointFit]:
+    """Fit hypotheses in this context."""
+    return start_fitting(context, hypotheses, text).finish()
 
 
 def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array]:

@@ -13,7 +13,7 @@ from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
-from simgap.residuals.residuals import ResidualModel
+from simgap.residuals.residuals import ResidualModel, pseudo_huber, refer_to
 from simgap.selection.acceptance import MIN_SHARE, cross_validate, improvement_share
 from simgap.selection.context import (
     Context,
@@ -33,7 +33,7 @@ MIN_MOTIONS: Final = 4
 
 
 def fit_base(context: Context) -> tuple[Context, FittedModel]:
-    """Fit the base parameters of each joint twice: scales and noise follow from the first fit.
+    """Fit the base parameters of each joint: the reference, then scales and noise follow from earlier fits.
 
     Returns:
         The context with scales and noise, residuals whitened where the noise is known; and the base model.
@@ -45,6 +45,9 @@ def fit_base(context: Context) -> tuple[Context, FittedModel]:
     (residuals,) = raw.residuals([], np.zeros((1, 0)))
     context = replace(context, scales=scale_residuals(raw, residuals))
     context = share_simulations(context, sizes, [*context.base, *others])
+    sizes = resume_step(fit_starts, context)[0].sizes
+    raw = refer_to(raw, context.base, sizes[union.columns(context.base)])
+    context = replace(context, model=raw)
     sizes, residuals, _ = fit_all_joints(context, sizes)
     if len(raw.motions) < MIN_MOTIONS and not raw.noise_std:
         raw = cut_into_blocks(raw, residuals)
@@ -63,6 +66,34 @@ def fit_base(context: Context) -> tuple[Context, FittedModel]:
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     left_out = cross_validate(context, fits)
     return replace(context, base_left_out=left_out), FittedModel((), sizes, fits, left_out)
+
+
+def fit_starts(context: Context) -> tuple[JointFit, ...]:
+    """Fit the base parameters of each joint from several starts, and return the best fits."""
+    union = context.union
+    nominal = np.zeros(len(union.sizes))
+    hypotheses = []
+    for joint in range(len(context.model.joints)):
+        own = [one for one in context.base if context.joint_of(one) == joint]
+        starts = [nominal]
+        for effect in own:
+            (column, *_), high = union.columns([effect]), effect.sizes[0].high
+            starts += [
+                np.where(np.arange(nominal.size) == column, share * high, 0.0) for share in effect.starts
+            ]
+        hypotheses += [start_fit(context, (), joint, start) for start in starts]
+    fits = fit_together(context, hypotheses, "fit")
+    best = [
+        min((fit for fit in fits if fit.joint == joint), key=lambda fit: _loss(context, fit))
+        for joint in range(len(context.model.joints))
+    ]
+    sizes = merge_sizes(context, nominal, best)
+    return tuple(replace(fit, sizes=sizes) for fit in best)
+
+
+def _loss(context: Context, fit: JointFit) -> float:
+    """Return the loss of a fit, without its prior, which is weak."""
+    return float(np.sum(pseudo_huber(fit.residuals / context.scales[context.model.joint_of[fit.rows]])))
 
 
 def _count_motions(model: ResidualModel) -> int:
@@ -94,7 +125,8 @@ def add_effects(
     context = replace(context, base_left_out=cross_validate(context, base.fits))
     more = (*present.effects, *effects)
     fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
-    return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
+    left_out = resume_step(cross_validate, context, fits)
+    return context, FittedModel(more, fits[0].sizes, fits, left_out)
 
 
 def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel, tuple[Score, ...]] | None:
@@ -106,7 +138,7 @@ def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel,
         The model with the best one, and the others with their sizes; None if none does as much.
     """
     common = [one for one in context.catalogue if len(one.parts) > 1]
-    keys = {part.key for one in common for part in one.parts}
+    keys = {part.place + one.key.removeprefix(one.place) for one in common for part in one.parts}
     own = [one for one in present.effects if one.key in keys]
     if len(own) < 2:
         return None
@@ -237,7 +269,7 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
     fits = resume_step(fit_joints, context, rest, sizes, present.fits)
-    return FittedModel(rest, fits[0].sizes, fits, cross_validate(context, fits))
+    return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

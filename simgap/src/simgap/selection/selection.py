@@ -21,6 +21,7 @@ from simgap.selection.acceptance import (
     Candidate,
     choose,
     cross_validate_each,
+    explainable_loss,
     improvement_share,
     improvement_z,
     knows_noise,
@@ -32,11 +33,12 @@ from simgap.selection.context import (
     FittedModel,
     Score,
     Selection,
-    fit_together,
     resume_step,
     simulate,
     start_context,
+    start_fitting,
 )
+from simgap.selection.descent import Descent
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import (
     add_effects,
@@ -60,19 +62,18 @@ from simgap.selection.screening import (
 )
 from simgap.selection.sharing import ALL_JOINTS
 
-MAX_EFFECTS: Final = 3
-"""Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
 SHORTLIST: Final = 8
 """Effects of a joint that are refitted in a round: a third of its catalogue."""
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged."""
 RIVAL_SHARE: Final = 0.5
-"""Least decrease of the loss, over that of the best effect of the joint, of one that is tried for its set.
-The test of the set would exclude what explains less of an effect that is strong enough for a name."""
-FEW_ITERATIONS: Final = 3
-"""Iterations before the worse half is given up: less than half of what refits need, six to nine."""
-
-REFIT_COST: Final = 20
+"""Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
+The test of a set would exclude what explains less of an effect that is strong enough for a name."""
+FEW_ITERATIONS: Final = 2
+"""Iterations before each of the SHARES."""
+SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
+"""Shares of what an effect has to explain, soon and a little later, to be fitted further."""
+REFIT_COST: Final = 7
 """Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
 
 
@@ -118,8 +119,6 @@ def select_effects(
             if merged := merge_findings(context, present):
                 present, others = merged
                 competitors[present.effects[-1].key] = others
-        taken = [context.joint_of(one) for one in present.effects]
-        open_joints -= {joint for joint in open_joints if taken.count(joint) >= MAX_EFFECTS}
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
 
@@ -232,26 +231,53 @@ def find_winners(
 
     Returns:
         Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
-        end and, with a gain of 0, those that explain RIVAL_SHARE of what the best explains.
+        end and, with a gain of 0, the others that are hopeful.
     """
-    starts = [start_refit(context, present, score) for score in shortlist]
-    fits = fit_together(context, starts, "refit", iterations=FEW_ITERATIONS)
-    without = gather_residuals(present.fits, context.model.joint_of.size)
-    explained = np.array([explain_loss(context, fit, without) for fit in fits])
-    joint = np.array([fit.joint for fit in fits])
-    kept = [k for k in range(len(fits)) if np.sum(explained[joint == joint[k]] > explained[k]) < FINALISTS]
-    further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
-    candidates = judge(context, present, [shortlist[k].effect for k in kept], further)
+    effects = [score.effect for score in shortlist]
+    fitting = start_fitting(context, [start_refit(context, present, score) for score in shortlist], "refit")
+    for share in SHARES:
+        fitting.advance(FEW_ITERATIONS)
+        hopeful = list_hopeful(context, present, effects, fitting.descents, share)
+        fitting.keep(hopeful)
+        effects = [effects[k] for k in hopeful]
+    joints = [fit.joint for fit in fitting.descents]
+    kept = [k for k, joint in enumerate(joints) if joints[:k].count(joint) < FINALISTS]
+    others = [Score(effects[k], fit.sizes, 0.0) for k, fit in enumerate(fitting.descents) if k not in kept]
+    fitting.keep(kept)
+    candidates = judge(context, present, [effects[k] for k in kept], fitting.finish())
     finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
-    others = [
-        Score(shortlist[k].effect, fits[k].sizes, 0.0)
-        for k in range(len(fits))
-        if k not in kept and explained[k] > RIVAL_SHARE * np.max(explained[joint == joint[k]])
-    ]
     return choose(context, present, candidates), [*finalists, *others]
 
 
-def explain_loss(context: Context, fit: JointFit, without: Array) -> float:
+def list_hopeful(
+    context: Context,
+    present: FittedModel,
+    effects: Sequence[Effect],
+    fits: Sequence[Descent],
+    share: float,
+) -> list[int]:
+    """List fits that explain a share of what an accepted effect has to, and of the best of their joint.
+
+    Returns:
+        Their places in the list of the fits, the best first.
+    """
+    without, rows_of = (
+        gather_residuals(present.fits, context.model.joint_of.size),
+        {one.joint: one.rows for one in fits},
+    )
+    explained = [explain_loss(context, fit, without) for fit in fits]
+    needed = {
+        joint: MIN_SHARE * explainable_loss(context, rows, present.left_out[rows])
+        for joint, rows in rows_of.items()
+    }
+    for fit, effect, own in zip(fits, effects, explained, strict=True):
+        if own > needed[fit.joint] and not is_at_bound(context, present.effects, effect, fit):
+            needed[fit.joint] = own
+    hopeful = [k for k, fit in enumerate(fits) if explained[k] > share * max(needed[fit.joint], 0.0)]
+    return sorted(hopeful, key=lambda k: -explained[k])
+
+
+def explain_loss(context: Context, fit: JointFit | Descent, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints."""
     scale = context.scales[context.model.joint_of[fit.rows]]
     return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
@@ -264,10 +290,9 @@ def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothe
 
 
 def judge(
-    context: Context, present: FittedModel, effects: Sequence[Effect], starts: Sequence[Hypothesis]
+    context: Context, present: FittedModel, effects: Sequence[Effect], fits: Sequence[JointFit]
 ) -> list[Candidate]:
-    """Refit effects with all motions and without each fold."""
-    fits = fit_together(context, starts, "refit")
+    """Judge effects by refits without each fold."""
     candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
         gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)
@@ -279,7 +304,7 @@ def judge(
     return candidates
 
 
-def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: JointFit) -> bool:
+def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: JointFit | Descent) -> bool:
     """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
     A simulation works in steps: a delay of less than half a step is none in it.

@@ -1,7 +1,7 @@
 """Say how sure each finding is: intervals of its sizes, and what cannot be excluded in its place."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -20,13 +20,19 @@ from simgap.selection.context import (
     FittedModel,
     Score,
     Selection,
-    fit_together,
     resume_step,
     simulate,
+    start_fitting,
 )
-from simgap.selection.fit import JointFit, gather_residuals
+from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
-from simgap.selection.selection import is_at_bound, start_refit
+from simgap.selection.selection import (
+    FEW_ITERATIONS,
+    SHARES,
+    explain_loss,
+    is_at_bound,
+    start_refit,
+)
 from simgap.selection.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -72,43 +78,77 @@ def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
 def find_layer_sets(
     context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
 ) -> list[ConfidenceSet]:
-    """Refit the competitors of findings that are left out together."""
-    # each begins at its own sizes, without the others that are left out
-    starts = {effect.key: (effect, selection.chosen.sizes) for effect in layer}
-    present = {effect.key for effect in without.effects}
-    for effect in layer:
-        for one in selection.competitors[effect.key]:
-            if one.effect.key not in present:
-                starts.setdefault(one.effect.key, (one.effect, one.start))
-    scores = []
-    for effect, sizes in starts.values():
-        start, own = without.sizes.copy(), context.union.columns([effect])
-        start[own] = sizes[own]
-        scores.append(Score(effect, start, 0.0))
-    hypotheses = [start_refit(context, without, score) for score in scores]
-    fits = dict(zip(starts, fit_together(context, hypotheses, "refit"), strict=True))
-    sets = []
-    for effect in layer:
-        joints = list(joints_of(context, effect))
-        rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
-        share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
-        others = [
-            one.effect
-            for one in scores
-            if one.effect.key != effect.key
-            and set(joints) & set(joints_of(context, one.effect))
-            and not is_at_bound(context, without.effects, one.effect, fits[one.effect.key])
-        ]
-        tested = [fits[effect.key], *(fits[other.key] for other in others)]
-        chances = _cause_p(context, without, joints, tested)
-        members = [
-            Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
-            for one, fit, p in zip((effect, *others), tested, (1.0, *chances), strict=True)
-            if p > EXCLUDED
-        ]
-        ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
-        sets.append(ConfidenceSet(effect, ranked, share))
-    return sets
+    """Refit the competitors of findings that are left out together; the findings are fitted already.
+
+    Those that soon explain less than RIVAL_SHARE of a finding are excluded.
+    """
+    known = {effect.key for effect in (*layer, *without.effects)}
+    every = [one for effect in layer for one in selection.competitors[effect.key]]
+    scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
+    fitting = start_fitting(
+        context, [start_competitor(context, without, layer, score) for score in scores], "refit"
+    )
+    residuals = gather_residuals(without.fits, context.model.joint_of.size)
+    findings = [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]
+    needed = min(explain_loss(context, fit, residuals) for fit in findings)
+    for share in SHARES:
+        fitting.advance(FEW_ITERATIONS)
+        explained = [explain_loss(context, one, residuals) for one in fitting.descents]
+        kept = [k for k, one in enumerate(explained) if one > share * needed]
+        fitting.keep(kept)
+        scores = [scores[k] for k in kept]
+    rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
+    return [
+        find_set(context, selection, without, effect, fit, rivals)
+        for effect, fit in zip(layer, findings, strict=True)
+    ]
+
+
+def find_set(
+    context: Context,
+    selection: Selection,
+    without: FittedModel,
+    effect: Effect,
+    own: JointFit,
+    rivals: Sequence[tuple[Effect, JointFit]],
+) -> ConfidenceSet:
+    """Exclude effects that fit too badly to be the cause of a finding.
+
+    Args:
+        own: Fit of the finding.
+        rivals: Effects that were fitted in place of the findings that are left out, each with its fit.
+    """
+    joints = list(joints_of(context, effect))
+    rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
+    share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
+    others = [
+        (one, fit)
+        for one, fit in rivals
+        if set(joints) & set(joints_of(context, one)) and not is_at_bound(context, without.effects, one, fit)
+    ]
+    chances = _cause_p(context, without, joints, [own, *(fit for _, fit in others)])
+    members = [
+        Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
+        for (one, fit), p in zip(((effect, own), *others), (1.0, *chances), strict=True)
+        if p > EXCLUDED
+    ]
+    return ConfidenceSet(effect, (members[0], *sorted(members[1:], key=lambda one: -one.p)), share)
+
+
+def start_competitor(
+    context: Context, without: FittedModel, layer: Sequence[Effect], score: Score
+) -> Hypothesis:
+    """Return the hypothesis of an effect in place of findings, with the sizes at which it was refitted.
+
+    Beside it, the other sizes of its joint are those without the findings, or those of that refit.
+    """
+    union, is_mine = context.union, context.sharing.joint_of_column == context.joint_of(score.effect)
+    own, gone = union.columns([score.effect]), union.columns(layer)
+    starts = [without.sizes.copy(), np.where(is_mine & (score.start != 0.0), score.start, without.sizes)]
+    for start in starts:
+        start[gone], start[own] = 0.0, score.start[own]
+    first = start_refit(context, without, replace(score, start=starts[0]))
+    return replace(first, other_starts=(starts[1],))
 
 
 def _cause_p(
@@ -158,6 +198,27 @@ def size_intervals(context: Context, fit: JointFit) -> Array:
     Returns:
         Low and high ends, (n_free, 2), in the units of the sizes.
     """
+    _, half = _estimate(context, fit)
+    at = fit.sizes[fit.columns]
+    return np.column_stack([at - half, at + half])
+
+
+def find_pushed(context: Context, fit: JointFit) -> Integers:
+    """Return the columns of base parameters whose bound the residuals contradict, (n,).
+
+    Such a parameter ends at a bound, and without bounds its interval would lie beyond. A parameter that is
+    really 0 ends at its bound too, but then the interval holds the bound.
+    """
+    at, (step, half) = fit.sizes[fit.columns], _estimate(context, fit)
+    sizes = context.union.sizes_at(fit.columns)
+    low, high = np.array([(size.low, size.high) for size in sizes]).reshape(-1, 2).T
+    is_pushed = ((at <= low) & (at + step + half < low)) | ((at >= high) & (at + step - half > high))
+    pushed: Integers = fit.columns[is_pushed & np.isin(fit.columns, context.union.columns(context.base))]
+    return pushed
+
+
+def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
+    """Return the step to the optimum without bounds, and half of each interval, (n_free,) in their units."""
     weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
     z = fit.residuals * weight
     sizes = context.union.sizes_at(fit.columns)
@@ -174,8 +235,8 @@ def size_intervals(context: Context, fit: JointFit) -> Array:
     else:
         covariance = inverse @ (_scatter_of_motions(context, fit, a, slope) + np.diag(prior)) @ inverse
     half = quantile * unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    at = fit.sizes[fit.columns]
-    return np.column_stack([at - half, at + half])
+    step = -unit * (inverse @ (a.T @ slope + prior * fit.sizes[fit.columns] / unit))
+    return step, half
 
 
 def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array) -> Array:

@@ -31,18 +31,18 @@ class ColumnView:
         self._rows, self._places = array[:n], places
         self.values = array[:n, places]
         """(n, n_joints); the same array all the time."""
-        self._is_view = isinstance(places, slice)
+        self.is_view = isinstance(places, slice)
+        """True if the values follow the batch."""
 
     def read(self) -> None:
-        """Bring the values up to date."""
-        if not self._is_view:
-            self.values[...] = self._rows[:, self._places]
+        """Bring a copy up to date."""
+        self.values[...] = self._rows[:, self._places]
 
     def write(self, values: Array) -> None:
         """Set the values in the batch."""
         if values is not self.values:
             self.values[...] = values
-        if not self._is_view:
+        if not self.is_view:
             self._rows[:, self._places] = values
 
 
@@ -102,6 +102,7 @@ class Periods:
             [one for one in effects if one.effect.overrides(hook)]
             for hook in ("act", "friction_Nm", "torque_Nm")
         )
+        self._enabled: Array | None = None
         self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.close_at_output)
         self.are_steady = not (self._acts or rotors.close_at_output) and all(
             one.effect.is_steady for one in (*self._frictions, *self._torques)
@@ -124,6 +125,8 @@ class Periods:
             return ColumnView(self._batch.bind(name), places, n)
 
         self._ctrl = columns("ctrl", at.actuator)
+        if self._enabled is not None:
+            self._enabled = self._enabled[:n]
         if not self._has_effects:
             return
         # arrays for all periods: new ones in each of them would take a fifth of the time of a step
@@ -133,7 +136,7 @@ class Periods:
             columns(name, at.dof) for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
         ]
         self._motor = columns("actuator_force", at.actuator)
-        self._read = [q, v, *self._forces, self._motor]
+        self._copies = [one for one in (q, v, *self._forces, self._motor) if not one.is_view]
         self._applied, self._friction = columns("qfrc_applied", at.dof), ColumnView(self._dry, at.dof, n)
         self._state = State(np.empty(n), q.values, v.values, np.empty_like(q.values), self._temperature[:n])
         self._limit, self._gain = np.empty_like(q.values), np.empty_like(q.values)
@@ -160,14 +163,17 @@ class Periods:
         control[..., self._compiled.actuator] = command.swapaxes(0, 1)
         return control if self.n_steps == 1 else np.repeat(control, self.n_steps, axis=1)
 
-    def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
+    def enable(self, enabled: Array) -> None:
+        """Give torque to motors from now on: 1 where one has it, else 0, (n, n_joints)."""
+        self._enabled = enabled
+        self._actuators.scale(enabled)
+
+    def set_inputs(self, k: int, command: Array) -> None:
         """Set the inputs of a control period.
 
         Args:
             command: Commands, (n, n_joints); effects may change them.
-            enabled: 1 where the motor has torque, else 0, (n, n_joints); None: all have.
         """
-        gain = enabled
         if self._has_effects:
             tick = self._tick(k, command)
             for one in self._acts:
@@ -184,14 +190,12 @@ class Periods:
             self._rotors.move(self._dry, tick.frictionloss_Nm)
             if self._acts:
                 self._actuators.limit(tick.torque_limit_Nm)
-                gain = tick.gain if enabled is None else tick.gain * enabled
+                self._actuators.scale(tick.gain if self._enabled is None else tick.gain * self._enabled)
         self._ctrl.write(command)
-        if gain is not None:
-            self._actuators.scale(gain)
 
     def _tick(self, k: int, command: Array) -> Tick:
         """Collect what effects may read and change."""
-        for one in self._read:
+        for one in self._copies:
             one.read()
         bias, smooth, constraint, qacc = (one.values for one in self._forces)
         load = self._state.load_Nm

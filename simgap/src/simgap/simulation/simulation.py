@@ -45,9 +45,9 @@ CHUNK: Final = 1024
 """Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
 SPAN: Final = 64
 """Most control periods in one call of MuJoCo; then simulations that blew up are looked for."""
-LEAST_SIMS: Final = 20
-"""Simulations of a thread. With fewer, it costs more processor time between the calls, when it waits for the
-next one, than its work saves: 25 us a control period, as long as 20 steps of one joint or 8 of six."""
+LEAST_WORK: Final = 300
+"""Control periods of a thread in a call, over all simulations and joints. While Python prepares the next
+call, the thread waits, which takes 100 us of processor time, as much as 60 steps of one joint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Simulation:
         """Set models, commands and starts.
 
         Args:
-            n_threads: Most threads; 0: as many as there are processors.
+            n_threads: Most threads.
         """
         self._compiled = models.compiled([one.effect for one in effects])
         self._robot = self._compiled.robot
@@ -81,10 +81,11 @@ class Simulation:
         self._windows = [windows[w] for w in self._order]
         self._n_candidates = n_candidates
         self._n_sims = n_candidates * len(windows)
-        useful = max(1, self._n_sims // LEAST_SIMS)
-        self._batch = mujoco.batch.Batch(
-            self._robot.model, self._n_sims, nthread=min(n_threads or os.cpu_count() or 1, useful)
-        )
+        # an encoder behind a gear asks for a call a period too
+        has_calls = any(_changes_periods(one.effect) or one.effect.overrides("vary") for one in effects)
+        periods = self._n_sims * len(self._robot.joints) * (1 if has_calls else SPAN)
+        useful = max(1, periods // LEAST_WORK)
+        self._batch = mujoco.batch.Batch(self._robot.model, self._n_sims, nthread=min(n_threads, useful))
         names = [joint.name for joint in self._robot.joints]
         self._effects = [
             Acting(
@@ -98,7 +99,7 @@ class Simulation:
         fields = self._set_model()
         self._set_start()
         self._command = self._commands()
-        self._is_switched = not all(window.enabled.all() for window in windows)
+        self._switches = self._list_switches()
         # `keep` cuts the sizes of ended simulations off, but samples need them
         acting = [Acting(one.effect, one.size, one.joint, {}) for one in self._effects]
         heat = self._each(np.array([window.temperature_degC for window in self._windows]))
@@ -159,6 +160,13 @@ class Simulation:
                 command[:n_ticks, sims, j] = arrived[:, -n_ticks:].T
         return command
 
+    def _list_switches(self) -> frozenset[int]:
+        """List the control periods in which motors get or lose torque; empty where all always have it."""
+        if all(window.enabled.all() for window in self._windows):
+            return frozenset()
+        changes = [1 + np.flatnonzero(np.diff(one.enabled, axis=0).any(axis=1)) for one in self._windows]
+        return frozenset((0, *(int(k) for of_window in changes for k in of_window)))
+
     def _set_start(self) -> None:
         """Set the measured starts."""
         q = self._each(np.array([window.q_rad for window in self._windows]))
@@ -182,13 +190,18 @@ class Simulation:
         alive = self._n_candidates * np.sum(ends > np.arange(n_ticks)[:, None], axis=1)
         path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
         periods.show(self._qpos, path[0])
-        begin = 0
+        begin, ids = 0, np.flatnonzero(~failed)
         for first, last in pairwise(self._edges()):
             if alive[first] != periods.n:
                 periods.keep(int(alive[first]))
-            self._advance(first, last, failed, path[first + 1 - begin : last + 1 - begin])
+                ids = ids[ids < periods.n]
+            if first in self._switches:
+                now = [window.enabled[first] for window in self._windows[: periods.n // self._n_candidates]]
+                periods.enable(self._each(np.array(now, dtype=float)))
+            self._advance(first, last, ids, failed, path[first + 1 - begin : last + 1 - begin])
             if last % SPAN == 0 or last == n_ticks:
                 failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
+                ids = np.flatnonzero(~failed[: periods.n])
             if last - begin == CHUNK or last == n_ticks:
                 sampling.take(path, begin, last)
                 path[0], begin = path[last - begin], last
@@ -199,21 +212,13 @@ class Simulation:
         n_ticks = self._windows[0].n_ticks
         if not self._periods.are_steady:
             return list(range(n_ticks + 1))
-        edges = {n_ticks, *range(0, n_ticks, SPAN)}
-        for window in self._windows:
-            switched = np.diff(window.enabled, axis=0).any(axis=1)
-            edges.update((window.n_ticks, *(1 + np.flatnonzero(switched)).tolist()))
-        return sorted(edges)
+        ends = (window.n_ticks for window in self._windows)
+        return sorted({n_ticks, *range(0, n_ticks, SPAN), *ends, *self._switches})
 
-    def _advance(self, first: int, last: int, failed: Flags, path: Array) -> None:
+    def _advance(self, first: int, last: int, ids: Integers, failed: Flags, path: Array) -> None:
         """Simulate control periods in which only commands change, and write their ends to a path."""
-        periods, n = self._periods, self._periods.n
-        enabled = None
-        if self._is_switched:
-            alive = self._windows[: n // self._n_candidates]
-            enabled = self._each(np.array([window.enabled[first] for window in alive], dtype=float))
-        periods.set_inputs(first, self._command[first, :n], enabled)
-        ids = np.flatnonzero(~failed[:n])
+        periods = self._periods
+        periods.set_inputs(first, self._command[first, : periods.n])
         if last - first > 1:
             periods.show(self._rollout(first, last, ids, failed), path)
             return
@@ -266,7 +271,7 @@ class Simulation:
         return q_rad
 
 
-MEMORY_BYTES: Final = 200_000_000
+MEMORY_BYTES: Final = 50_000_000
 """Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
 
 
@@ -283,11 +288,12 @@ class Engine:
         """Keep what is common to all candidates.
 
         Args:
-            n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
+            n_threads: Most threads; 0: as many as this process may use processors. The result does not depend
+                on it.
         """
         self.models = models
         self.windows = tuple(windows)
-        self.n_threads = n_threads
+        self.n_threads = n_threads or count_processors()
         first = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
         columns = [slice(int(a), int(b)) for a, b in pairwise(first)]
         parts = [(one, own) for effect, own in zip(effects, columns, strict=True) for one in effect.parts]
@@ -322,7 +328,7 @@ class Engine:
     def _groups(self, active: Integers) -> list[Integers]:
         """Put candidates together that have the same model, and like effects in each control period."""
         varies = np.array([effect.overrides("vary") for effect in self.effects], dtype=bool)
-        acts = np.array([_acts(effect) for effect in self.effects], dtype=bool)
+        acts = np.array([_changes_periods(effect) for effect in self.effects], dtype=bool)
         # candidates without effects in each period need no Python between the steps
         kind = np.column_stack([active[:, varies], active[:, acts].any(axis=1)])
         keys = np.column_stack([kind, active[:, acts]])
@@ -340,6 +346,11 @@ class Engine:
         return groups
 
 
-def _acts(effect: Effect) -> bool:
+def count_processors() -> int:
+    """Return how many processors this process may use; a container often has fewer than the machine."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _changes_periods(effect: Effect) -> bool:
     hooks = ("act",) if effect.is_steady else ("act", "friction_Nm", "torque_Nm")
     return effect.overrides(*hooks)

@@ -1,0 +1,173 @@
+"""Fit many hypotheses together, which share their simulations.
+
+scipy fits one problem at a time. Here all advance together, because an engine simulates a hundred candidates
+at the price of ten. Hypotheses at different joints share a candidate where one joint scarcely moves another
+(`sharing.py`).
+
+Residuals are arrays (n,) in the unit of the model, scales (n_joints,) too.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.residuals.residuals import ResidualModel, residuals_by_motion
+from simgap.selection.descent import Descent, Requests
+from simgap.selection.fit import Hypothesis, JointFit, Union, select_rows
+from simgap.selection.sharing import Point, Sharing
+
+MAX_ITERATIONS: Final = 12
+AT_ONCE: Final = 100
+"""Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
+MEMORY_BYTES: Final = 100_000_000
+"""Residuals of all candidates in a call of the model, or of all points that wait for each other."""
+
+
+class Fitting:
+    """Hypotheses that are fitted together."""
+
+    def __init__(
+        self,
+        model: ResidualModel,
+        union: Union,
+        hypotheses: Sequence[Hypothesis],
+        scales: Array,
+        *,
+        sharing: Sharing,
+        report: Callable[[int], None] | None = None,
+    ) -> None:
+        """Prepare the starts.
+
+        Args:
+            sharing: Joints whose hypotheses may share a candidate.
+            report: Called with the number of candidates after each call of the model.
+        """
+        self.model = model
+        self._evaluate = _Evaluator(model, union, sharing, report)
+        self.descents = [Descent(model, union, one, scales, sharing) for one in hypotheses]
+        """One for each hypothesis, until some are given up."""
+
+    def advance(self, iterations: int = MAX_ITERATIONS) -> None:
+        """Let all hypotheses go on for some iterations, or to their optima."""
+        running = [one.run(iterations) for one in self.descents]
+        asked = {one: points for one in running if (points := next(one, None))}
+        while asked:
+            go_on = {}
+            for portion in _divide(asked, self.model):
+                found = self._evaluate([asked[one] for one in portion])
+                for one, answer in zip(portion, found, strict=True):
+                    if points := _answer(one, answer):
+                        go_on[one] = points
+            asked = go_on
+
+    def keep(self, places: Sequence[int]) -> None:
+        """Give all hypotheses up but those at these places in the list."""
+        self.descents = [self.descents[k] for k in places]
+
+    def finish(self) -> list[JointFit]:
+        """Let all hypotheses go on to their optima."""
+        self.advance()
+        return [one.fit() for one in self.descents]
+
+
+def _divide(asked: dict[Requests, list[Point]], model: ResidualModel) -> list[list[Requests]]:
+    """Put requests together whose residuals need no more than MEMORY_BYTES, or a single one that does."""
+    portions: list[list[Requests]] = []
+    room = -1
+    for one, points in asked.items():
+        needed = 8 * sum(len(select_rows(model, joint)) for joint, _ in points)
+        if needed > room:
+            portions.append([])
+            room = MEMORY_BYTES
+        room -= needed
+        portions[-1].append(one)
+    return portions
+
+
+def _answer(descent: Requests, residuals: list[Array]) -> list[Point] | None:
+    """Give a descent the residuals that it asked for; return what it asks for next, None at its end."""
+    try:
+        return descent.send(residuals)
+    except StopIteration:
+        return None
+
+
+def fit_hypotheses(
+    model: ResidualModel,
+    union: Union,
+    hypotheses: Sequence[Hypothesis],
+    scales: Array,
+    *,
+    sharing: Sharing,
+    report: Callable[[int], None] | None = None,
+) -> list[JointFit]:
+    """Fit hypotheses together to their optima; see `Fitting`.
+
+    Args:
+        scales: Scales of the residuals, (n_joints,), in the unit of the model.
+    """
+    return Fitting(model, union, hypotheses, scales, sharing=sharing, report=report).finish()
+
+
+def evaluate_points(
+    model: ResidualModel,
+    union: Union,
+    points: Sequence[Point],
+    *,
+    sharing: Sharing,
+    report: Callable[[int], None] | None = None,
+) -> list[Array]:
+    """Simulate single points, those of different joints in one candidate if they may share it.
+
+    Args:
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
+            (n_motions, n_sizes).
+        sharing: Joints whose points may share a candidate.
+        report: Called with the number of candidates after each call of the model.
+
+    Returns:
+        Residuals of its joint for each point, (n_rows,).
+    """
+    (found,) = _Evaluator(model, union, sharing, report)([list(points)])
+    return found
+
+
+class _Evaluator:
+    """Simulates the points of many problems in as few candidates as possible."""
+
+    def __init__(
+        self, model: ResidualModel, union: Union, sharing: Sharing, report: Callable[[int], None] | None
+    ) -> None:
+        self.model, self.union, self.sharing, self.report = model, union, sharing, report
+
+    def __call__(self, points: list[list[Point]]) -> list[list[Array]]:
+        """Return the residuals of its joint for each point of each problem."""
+        where = [(k, i) for k, wanted in enumerate(points) for i in range(len(wanted))]
+        flat = [points[k][i] for k, i in where]
+        self.rows = {joint: select_rows(self.model, joint) for joint in {joint for joint, _ in flat}}
+        plan = self.sharing.plan(flat)
+        found: dict[int, Array] = {}
+        at_once = max(1, min(AT_ONCE, MEMORY_BYTES // (4 * 8 * len(self.model.joint_of))))  # beside copies
+        for first in range(0, len(plan), at_once):
+            self.simulate(plan[first : first + at_once], flat, found)
+        place = {one: number for number, one in enumerate(where)}
+        return [[found[place[k, i]] for i in range(len(wanted))] for k, wanted in enumerate(points)]
+
+    def simulate(self, plan: list[list[int]], points: list[Point], found: dict[int, Array]) -> None:
+        """Simulate candidates, and add the residuals of each point to what is found."""
+        merged = [self.sharing.merge([points[number] for number in numbers]) for numbers in plan]
+        sizes = np.array(merged)
+        used = np.flatnonzero(np.any(sizes != 0.0, axis=tuple(range(sizes.ndim - 1))))
+        part = [self.union.effects[k] for k in np.unique(self.union.owner[used])]
+        sizes = sizes[..., self.union.columns(part)]
+        if sizes.ndim == 3:
+            simulated = residuals_by_motion(self.model, part, sizes)
+        else:
+            simulated = self.model.residuals(part, sizes)
+        for numbers, row in zip(plan, simulated, strict=True):
+            for number in numbers:
+                found[number] = row[self.rows[points[number][0]]]
+        if self.report is not None:
+            self.report(len(plan))

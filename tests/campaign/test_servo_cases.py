@@ -1,0 +1,88 @@
+"""Truth, files and score of the cases of servos with poor models."""
+
+import math
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simgap.arrays import Array
+from simgap.loading import load
+from simgap.robot import Robot
+from validation.cases.robot import plan_robot_cases, write_logs, write_robot
+from validation.cases.robot_draw import DrawnEffect, Truth, record_logs
+from validation.cases.robot_score import SealedCase
+from validation.cases.robot_setup import HELD_OUT, PERIOD_S, PLAN, SERVOS, load_robot, sample_times
+from validation.cases.robot_truth import Nuisances
+from validation.cases.servo import KIND_SHARES, score_cases
+from validation.cases.servo_truth import ServoPlant
+
+MODEL = "servo_200g_100mm"
+FRICTION = DrawnEffect("Stribeck friction", "servo", "friction", 0.02, 0.5, 4.0, ("friction",))
+
+
+def simulate(motor: float, start_rad: float, **factors: float) -> tuple[ServoPlant, Array]:
+    """Return a servo, all factors 0 but those given, and its motion with one command and one gain."""
+    names = ("damping", "friction", "armature", "gain")
+    ones = Nuisances(**{name: np.array([factors.get(name, 0.0)]) for name in names})
+    plant = ServoPlant(load_robot(MODEL), ones, (), 0.00025)
+    command = np.full((1, 301), start_rad)
+    gains = np.where(np.arange(301) < 1, 400.0, motor)
+    return plant, plant.simulate(command, PERIOD_S, 1, (25.0, 25.0), gains)[0]
+
+
+def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weight() -> None:
+    plant, q = simulate(0.0, 0.02, gain=100.0)
+    half_s = math.pi * math.sqrt(plant.link_kgm2 / plant.weight_Nm)
+    lowest = np.argmin(q[: round(1.5 * half_s / PERIOD_S)])
+    assert PERIOD_S * lowest == pytest.approx(half_s, abs=2.0 * PERIOD_S)
+    assert -q[lowest] == pytest.approx(q[0], rel=0.01)
+
+
+def test_dry_friction_holds_the_weight_up_to_its_size() -> None:
+    for share, holds in ((1.05, True), (0.95, False)):
+        weight_Nm = 0.2 * 9.81 * 0.1 * math.sin(0.3)
+        _, q = simulate(0.0, 0.3, gain=100.0, friction=share * weight_Nm / 0.021)
+        assert (np.ptp(q) < 1e-6) == holds
+
+
+def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path: Path) -> None:
+    logs = record_logs(Truth(MODEL, "none", 1000, (), {}))
+    write_robot(tmp_path, load_robot(MODEL), HELD_OUT, tuple(name for name, _ in PLAN), True)
+    write_logs(tmp_path / "log.parquet", logs)
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    read = load(robot, tmp_path / "log.parquet")
+    assert len({one.gain["servo"] for one in read.fit}) == 6
+    (off,) = [one for one in read.fit if not one.joints["servo"].enabled.value.all()]
+    np.testing.assert_array_equal(off.joints["servo"].enabled.value > 0.5, sample_times() < 3.0)
+    assert robot.model.dof_damping[0] == robot.model.dof_armature[0] == 0.0
+
+
+def test_sixty_cases_have_their_kinds() -> None:
+    plans = plan_robot_cases(60, 7, tuple(SERVOS), KIND_SHARES)
+    assert Counter(one.kind for one in plans) == {"none": 20, "single": 14, "pair": 13, "triple": 13}
+
+
+def test_only_a_single_wrong_effect_is_sure_and_wrong() -> None:
+    sealed = SealedCase(
+        "case-000", Truth(MODEL, "single", 1000, (FRICTION,), {}), ((("Stribeck friction", "servo"),),)
+    )
+
+    def bars(*effects: str) -> dict[str, Any]:
+        found = {
+            "place": "servo", "family": "friction", "effect": effects[0], "places": ["servo"],
+            "families": ["friction"], "effects": [f"servo: {one}" for one in effects],
+        }  # fmt: skip
+        solved = [(sealed, {"findings": [found], "seconds": 1.0})]
+        return {name: one["hits"] for name, one in score_cases(solved).document["bars"].items()}
+
+    assert bars("Stribeck friction") == {
+        "sure and wrong": 0, "reported": 1, "named": 1, "right effect of those named": 1, "false alarms": 0
+    }  # fmt: skip
+    assert bars("integral leak")["sure and wrong"] == 1
+    assert bars("integral leak", "Stribeck friction")["sure and wrong"] == 0
+    below = replace(sealed, truth=replace(sealed.truth, effects=(replace(FRICTION, times_limit=1.9),)))
+    assert score_cases([(below, {"findings": [], "seconds": 1.0})]).document["bars"]["reported"]["of"] == 0
