@@ -186,6 +186,8 @@ class FeatureLayout:
     places: tuple[str, ...]
     regimes: tuple[str, ...]
     conditions: tuple[str, ...]
+    keys: tuple[str, ...] = ()
+    """Keys of the m features, equal in every log of a session: session, motion, channel, number."""
 
     def __post_init__(self) -> None:
         m = self.sigma.size
@@ -216,7 +218,8 @@ class FeatureLayout:
     def select(self, rows: Ints) -> "FeatureLayout":
         """Return the layout of some features, in the order of `rows`; all names stay."""
         arrays = ("sigma", "block", "channel", "place", "regime", "condition")
-        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
+        keys = tuple(self.keys[row] for row in rows) if self.keys else ()
+        return replace(self, keys=keys, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 EffectValues = Mapping[Hypothesis, Array]

@@ -26,6 +26,7 @@ from marsarm.diagnosis.problem import (
     Nuisance,
     Parameter,
 )
+from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 
 _READ_ERRORS: Final = (
@@ -42,7 +43,7 @@ _LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condit
 _OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
 ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
-_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions", "keys")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,12 +193,14 @@ def load_sensitivities(path: Path) -> Sensitivities:
     """Load sensitivities.
 
     Raises:
-        ValueError: The file is incomplete, damaged, or holds no sensitivities.
+        BadRequest: The file is incomplete, damaged, or holds no sensitivities.
     """
     try:
         return _read_sensitivities(path)
     except _READ_ERRORS as error:
-        raise ValueError(f"{path}: no sensitivities ({error})") from error
+        raise BadRequest(
+            f"{path}: no sensitivities ({error}); remove it, and they are computed anew"
+        ) from error
 
 
 def _read_sensitivities(path: Path) -> Sensitivities:

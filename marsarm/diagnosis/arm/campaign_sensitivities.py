@@ -6,7 +6,6 @@ the cache file holds a digest of logs, model, parameters, catalogue and code.
 """
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,6 @@ from types import ModuleType
 from typing import Final
 
 import numpy as np
-from pydantic import TypeAdapter
 
 import fsw
 import sim
@@ -25,7 +23,6 @@ from fsw.config import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import feature_keys
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor, every_motion
 from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.finite_differences import (
@@ -52,13 +49,10 @@ from sim.effects.catalogue import catalogue
 from sim.params import nominal_params
 from sim.world import World, build
 from simgap.common.errors import BadRequest
-from simgap.common.files import atomic_write
 from simgap.common.progress import Progress, part_of
-from simgap.common.toml import read_json
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
-_NAMES: Final = TypeAdapter(Names)
 
 
 COMPARING_MODULES: Final = (
@@ -88,18 +82,6 @@ class _Job:
     """True to simulate only the rests and the motions that move most joints at once."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CachedSensitivities:
-    """Sensitivities and the path of their cache file; other files of the campaign stand beside it."""
-
-    sensitivities: Sensitivities
-    path: Path
-
-    def keys(self) -> Names:
-        """Load the keys of the rows; BadRequest if they are missing or of another number."""
-        return load_keys(self.path, self.sensitivities.layout.size)
-
-
 def compute_sensitivities(
     logs: Sequence[Path],
     kept_in: Path,
@@ -107,7 +89,7 @@ def compute_sensitivities(
     progress: Progress,
     kinds: Sequence[str] | None = None,
     steps_of: Sequence[Path] = (),
-) -> CachedSensitivities:
+) -> Sensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 
     Args:
@@ -124,31 +106,21 @@ def compute_sensitivities(
     names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(paths, names, others)
     if path.exists():
-        return CachedSensitivities(_load_cache(path), path)
+        return load_sensitivities(path)
     check_cache_folder(kept_in)
     whole = kept_in / _cache_name(paths, tuple(catalogue()), others)
     if whole.exists():
-        return _select_effects(CachedSensitivities(_load_cache(whole), whole), names, path)
-    steps = _load_cache(kept_in / _cache_name(others, names, ())).reach if others else None
-    result = _difference_all(paths, names, run, progress, steps)
-    return _save_cache(result, feature_keys(_simulator(paths, names).feature_set), path)
+        found = load_sensitivities(whole).only(names)
+    else:
+        steps = load_sensitivities(kept_in / _cache_name(others, names, ())).reach if others else None
+        found = _difference_all(paths, names, run, progress, steps)
+    save_sensitivities(path, found)
+    return found
 
 
 def _cache_name(logs: Logs, kinds: Names, steps_of: Logs) -> str:
     digests = [campaign_digest(some, kinds)[:16] for some in (logs, steps_of) if some]
     return f"sensitivities-{'-'.join(digests)}.npz"
-
-
-def _select_effects(whole: CachedSensitivities, names: Names, path: Path) -> CachedSensitivities:
-    """Select some effects from the sensitivities of all, and cache them."""
-    return _save_cache(whole.sensitivities.only(names), whole.keys(), path)
-
-
-def _save_cache(found: Sensitivities, keys: Sequence[str], path: Path) -> CachedSensitivities:
-    with atomic_write(keys_path(path), "keys") as file:
-        file.write(json.dumps(keys).encode())
-    save_sensitivities(path, found)
-    return CachedSensitivities(found, path)
 
 
 def _difference_all(
@@ -300,27 +272,6 @@ def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
     return replace(simulator.layout, sigma=sigma)
 
 
-def keys_path(path: Path) -> Path:
-    """Return the path of the keys of a sensitivity file."""
-    return path.with_suffix(".keys.json")
-
-
-def load_keys(path: Path, rows: int) -> Names:
-    """Load the keys of the rows of a sensitivity file; BadRequest if there are not `rows` of them."""
-    keys, advice = keys_path(path), f"remove {path}, and both are made anew"
-    names = read_json(keys, _NAMES, "cannot be read", advice)
-    if len(names) != rows:
-        raise BadRequest(f"{keys}: names {len(names)} of {rows} rows; {advice}")
-    return names
-
-
-def _load_cache(path: Path) -> Sensitivities:
-    try:
-        return load_sensitivities(path)
-    except ValueError as error:
-        raise BadRequest(f"{error}; remove it, and they are computed anew") from error
-
-
 def check_cache_folder(kept_in: Path) -> None:
     """Make the folder of a cache; BadRequest if it cannot be made."""
     try:
@@ -331,23 +282,25 @@ def check_cache_folder(kept_in: Path) -> None:
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
     """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
-    total = hashlib.sha256("\n".join(kinds).encode())
-    for path in logs:
-        total.update(path.read_bytes())
-        tracker = path.with_suffix(".tracker.csv")
-        total.update(tracker.read_bytes() if tracker.exists() else b"")
-    total.update(digest(nominal_params()).encode())
-    total.update(model_digest(build(World()).compile()).encode())
-    own = (
+    trackers = (path.with_suffix(".tracker.csv") for path in logs)
+    code = (
         *sorted(Path(__file__).parent.glob("*.py")),
         *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
     )
-    for source in (*list_sources(fsw), *list_sources(sim), *own):
-        total.update(source.read_bytes())
+    return simulator_digest("\n".join(kinds), *logs, *(path for path in trackers if path.exists()), *code)
+
+
+def simulator_digest(text: str, *more: Path) -> str:
+    """Return the SHA-256 of flight software, simulator, nominal parameters and model, of a text and files."""
+    total = hashlib.sha256(text.encode())
+    for path in (*_list_sources(fsw), *_list_sources(sim), *more):
+        total.update(path.read_bytes())
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
     return total.hexdigest()
 
 
-def list_sources(package: ModuleType) -> list[Path]:
+def _list_sources(package: ModuleType) -> list[Path]:
     """Return all modules of a package."""
     return sorted(Path(package.__path__[0]).rglob("*.py"))
 

@@ -47,11 +47,8 @@ class CampaignModel:
 
     model: DiagnosisModel
     """Diagnosis model of the fitted motions."""
-    keys: tuple[str, ...]
-    """Keys of their features."""
     held_out: Sensitivities | None
     """Sensitivities of the held-out motions, if there are any."""
-    held_out_keys: tuple[str, ...]
 
 
 def load_campaign_model(
@@ -75,14 +72,11 @@ def load_campaign_model(
     """
     share = len(logs) / (len(logs) + len(held_out))
     fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds)
-    known = fitted.sensitivities.hypotheses
-    made = build_model(fitted.sensitivities, list_families(known), list_locations(known))
-    keys = fitted.keys()
+    made = build_model(fitted, list_families(fitted.hypotheses), list_locations(fitted.hypotheses))
     if not held_out:
-        return CampaignModel(made, keys, None, ())
+        return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
-    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs)
-    return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())
+    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs))
 
 
 def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array) -> JointError | None:
@@ -188,7 +182,7 @@ def fit_case(
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     layout = campaign.model.sensitivities.layout
     arm, floor = _case_simulator(recordings, campaign, patch)
-    first = build_case_simulator(arm, layout, campaign.keys)
+    first = build_case_simulator(arm, layout)
     _check_motion(first, campaign)
     model = _restrict_model(campaign.model, first)
     notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
@@ -270,7 +264,7 @@ def _held_out_simulator(
     if campaign.held_out is None or not recordings:
         return None
     arm, _ = _case_simulator(recordings, campaign, patch)
-    found = build_case_simulator(arm, campaign.held_out.layout, campaign.held_out_keys)
+    found = build_case_simulator(arm, campaign.held_out.layout)
     if not found.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
@@ -318,7 +312,7 @@ def _judge_held_out(
     base = fitted.held_out_residual - N @ found.nuisance
     rows = fitted.held_out_residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error([campaign.held_out_keys[row] for row in case.rows], rows, sigma)
+    tool = compute_tool_error(held.layout.keys, rows, sigma)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 
@@ -343,10 +337,8 @@ def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list
 
 
 def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
-    return sorted(
-        set(_session_names(campaign.keys)) - set(_session_names([campaign.keys[k] for k in case.rows]))
+    layout = campaign.model.sensitivities.layout
+    every, shared = (
+        {key.split("/", 1)[0] for key in keys} for keys in (layout.keys, layout.select(case.rows).keys)
     )
-
-
-def _session_names(keys: Sequence[str]) -> list[str]:
-    return [key.split("/", 1)[0] for key in keys]
+    return sorted(every - shared)

@@ -9,15 +9,15 @@ effect; fitted beside it, they give way to it. So they are fitted alone first, a
 then.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
-from fsw.kinematics.transforms import Array, Flags
-from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features
+from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.feature_set import every_motion, measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
 from marsarm.diagnosis.model import DiagnosisModel
@@ -81,7 +81,7 @@ class CaseSimulator:
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
-def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str]) -> CaseSimulator:
+def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimulator:
     """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
@@ -91,17 +91,16 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequenc
     Args:
         arm: Simulator of the arm under the drive of the case.
         layout: Layout of the campaign's features, m of them.
-        keys: Keys of the campaign's features.
 
     Returns:
         Simulator of the shared features.
     """
-    number = {key: k for k, key in enumerate(feature_keys(arm.feature_set))}
-    rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
-    at = np.array([number[keys[row]] for row in rows], np.intp)
-    predicted = _simulate_nominal(arm)
+    number = {key: k for k, key in enumerate(arm.layout.keys)}
+    rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
+    at = np.array([number[layout.keys[row]] for row in rows], np.intp)
+    predicted = arm.predict_effects(())
     difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
-    same = np.all(difference < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
+    same = np.all(difference < MOTION_TOLERANCE, axis=1) & np.isfinite(predicted[at])
     return CaseSimulator(arm, predicted, at[same], rows[same])
 
 
@@ -119,9 +118,8 @@ def resimulate(
     Returns:
         Simulator with the patch and the new nominal prediction.
     """
-    arm, known = case.arm.with_patch(patch), first_recordings(case.arm.feature_set)
-    predicted = arm.predict_effects((), lambda one: one.recording.name in known and only(one))
-    simulated, extrapolated = copy_repeats(arm.feature_set, known, predicted, np.nan), case.nominal.copy()
+    arm, extrapolated = case.arm.with_patch(patch), case.nominal.copy()
+    simulated = arm.predict_effects((), only)
     extrapolated[case.at] += otherwise
     return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
 
@@ -142,66 +140,9 @@ def simulate_change(
     Returns:
         Change, shape (n,); 0 in motions that are not simulated.
     """
-    touched, known = AffectedMotions(effects), first_recordings(arm.feature_set)
-
-    def wanted(one: MotionFeatures) -> bool:
-        return one.recording.name in known and touched(one) and only(one)
-
-    return copy_repeats(arm.feature_set, known, arm.predict_effects(effects, wanted) - nominal)
-
-
-def _is_simulated(feature_set: FeatureSet) -> Flags:
-    """Return flags (n,) of the simulated features: those of repeats only if the first motion has them too."""
-    known = first_recordings(feature_set)
-    stepped = [np.full(len(one.features), one.recording.name in known) for one in feature_set.motions]
-    rests = np.ones(sum(len(one.features) for one in feature_set.rests), bool)
-    simulated = np.where(np.concatenate([*stepped, rests]), 1.0, np.nan)
-    return np.isfinite(copy_repeats(feature_set, known, simulated, np.nan))
-
-
-def _simulate_nominal(arm: ArmSimulator) -> Array:
-    """Simulate the case without effects, (n,); NaN for features that the first of the repeats lacks."""
-    known = first_recordings(arm.feature_set)
-    return copy_repeats(
-        arm.feature_set, known, arm.predict_effects((), lambda one: one.recording.name in known), np.nan
-    )
-
-
-def feature_keys(feature_set: FeatureSet) -> list[str]:
-    """Return a unique key of each feature, equal in every recording of the session."""
-    named = zip(feature_set.list_sessions(), feature_set.list_features(), strict=True)
-    return [f"{session}/{feature.key}" for session, feature in named]
-
-
-def first_recordings(feature_set: FeatureSet) -> set[str]:
-    """Return the names of the motions that do not repeat an earlier one."""
-    first: dict[str, str] = {}
-    for one in feature_set.motions:
-        first.setdefault(one.recording.block, one.recording.name)
-    return set(first.values())
-
-
-def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherwise: float = 0.0) -> Array:
-    """Fill the features of repeats with those of the first motion of their block.
-
-    Args:
-        feature_set: Features of all recordings, n of them.
-        first: Names of the simulated motions.
-        values: Features in the units of the channels, NaN where not simulated, shape (n,).
-        otherwise: Value where the first motion has none.
-
-    Returns:
-        Filled features, shape (n,).
-    """
-    features = feature_set.list_features()
-    known = {
-        (feature.block, feature.key): value
-        for session, feature, value in zip(feature_set.list_sessions(), features, values, strict=True)
-        if session in first and np.isfinite(value)
-    }
-    named = zip(features, values, strict=True)
-    filled = [v if np.isfinite(v) else known.get((f.block, f.key), otherwise) for f, v in named]
-    return np.array(filled)
+    touched = AffectedMotions(effects)
+    found = arm.predict_effects(effects, lambda one: touched(one) and only(one)) - nominal
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-import fsw
-import sim
-from fsw.config import digest
 from marsarm.common.pool import select_runner
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -24,19 +21,17 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_background,
     sample_effect,
 )
-from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
+from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, simulator_digest
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_fitted_case, fit_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.telemetry.header import model_digest
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text
-from sim.world import World, build
 from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder
@@ -119,24 +114,13 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("marsarm", "gap-demo") / _campaign_digest()[:16]
+    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", Path(record.__file__))[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
     logs, held_out = (sorted(of.glob("*.mcap")) for of in (folder, folder / HELD_OUT_FOLDER))
     run = select_runner(request.workers, None)
     return load_campaign_model(logs, held_out, folder, run, part_of(progress, 0.05, 1.0))
-
-
-def _campaign_digest() -> str:
-    """Return the SHA-256 of all that the recorded campaign depends on: code, parameters and model."""
-    total = hashlib.sha256(Path(record.__file__).read_bytes())
-    for package in (fsw, sim):
-        for path in list_sources(package):
-            total.update(path.read_bytes())
-    total.update(digest(nominal_params()).encode())
-    total.update(model_digest(build(World()).compile()).encode())
-    return total.hexdigest()
 
 
 def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Progress) -> DemoTruth:

@@ -148,18 +148,22 @@ def simulate_features(
     options: SimulationOptions,
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """Compute the features that the simulator predicts.
+    """Compute the features that the simulator predicts. Repeats of a motion have those of the first one.
 
     Returns:
-        Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
+        Features in the units of their channels, shape (m,); NaN for motions that are not wanted, and for
+        features that the first of the repeats lacks.
 
     Raises:
         PlantDiverged: MuJoCo counted a warning.
     """
+    known: dict[str, dict[str, float]] = {}
+    for one in feature_set.motions:
+        if one.recording.block not in known:
+            found = evaluate_features(one, simulate_motion(one, effects, options)) if wanted(one) else ()
+            known[one.recording.block] = {f.key: v for f, v in zip(one.features, found, strict=False)}
     values = [
-        evaluate_features(one, simulate_motion(one, effects, options))
-        if wanted(one)
-        else np.full(len(one.features), np.nan)
+        np.array([known[one.recording.block].get(feature.key, np.nan) for feature in one.features])
         for one in feature_set.motions
     ]
     rests = solve_rests([one.turning_points for one in feature_set.rests], effects)

@@ -242,6 +242,7 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
         places=places,
         regimes=regimes,
         conditions=CONDITIONS,
+        keys=tuple(f"{s}/{f.key}" for s, f in zip(feature_set.list_sessions(), features, strict=True)),
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from marsarm.diagnosis.diagnose import list_errors
+from marsarm.diagnosis.model import alias_cosines
 from tests.marsarm.diagnosis.worlds import found, select_and_explain
 
 NOTES = ("motion 3: encoder stale for 1.2 s from 4 s on.",)
@@ -50,8 +51,11 @@ def beside(made, campaign):
 
 
 def undecided(made, campaign):
-    """Diagnose an effect slightly above its limit, with alternatives."""
-    return diagnosis_of(made, campaign, 4, sized(made, campaign, 21, 1.7))
+    """Diagnose an effect at twice its limit that resembles another as much as effects of two classes can."""
+    is_apart = campaign.label[:, None] != campaign.label[None, :]
+    cosines = np.where(is_apart, alias_cosines(campaign.equations), 0.0)
+    one = int(np.argmax(cosines.max(axis=1)))
+    return diagnosis_of(made, campaign, 4, sized(made, campaign, one, 2.0))
 
 
 def sized(made, campaign, one, times):

@@ -7,6 +7,7 @@ import pytest
 
 from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter
 from marsarm.diagnosis.sensitivity import fit_parabola, load_sensitivities, save_sensitivities
+from simgap.common.errors import BadRequest
 from tests.marsarm.diagnosis.worlds import found
 
 
@@ -50,13 +51,13 @@ def test_a_file_that_was_damaged_is_refused(made, tmp_path, damage, by):
     path = tmp_path / "s.npz"
     save_sensitivities(path, found(made))
     path.write_bytes(damage(path.read_bytes(), by))
-    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
+    with pytest.raises(BadRequest, match=r"s\.npz: no sensitivities .*remove it"):
         load_sensitivities(path)
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):
     np.savez(tmp_path / "s.npz", a=np.zeros(3))
-    with pytest.raises(ValueError, match="no sensitivities"):
+    with pytest.raises(BadRequest, match="no sensitivities"):
         load_sensitivities(tmp_path / "s.npz")
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from fsw.kinematics.transforms import IDENTITY, stack_poses
 from marsarm.diagnosis.arm import diagnose_logs, logs, record
-from marsarm.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
 from marsarm.diagnosis.arm.logs import (
     BadTracker,
     NotForDiagnosis,
@@ -22,17 +21,6 @@ from marsarm.diagnosis.arm.request import RecordRequest
 from sim.diagnosis_campaign import SessionFailed
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-
-
-@pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]', "[1, 2]"])
-def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str | None) -> None:
-    path = tmp_path / "s.npz"
-    if text is not None:
-        keys_path(path).write_text(text)
-    with pytest.raises(BadRequest, match=r"s\.keys\.json: .*remove .*s\.npz"):
-        load_keys(path, 2)
-    keys_path(path).write_text('["a/b", "c/d"]')
-    assert load_keys(path, 2) == ("a/b", "c/d")
 
 
 def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:

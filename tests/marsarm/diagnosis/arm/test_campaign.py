@@ -10,7 +10,7 @@ from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
+from marsarm.diagnosis.arm.case_simulator import build_case_simulator, resimulate
 from marsarm.diagnosis.arm.feature_set import (
     FeatureSet,
     build_feature_set,
@@ -122,7 +122,7 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recor
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
     arm = simulator_of(campaign)
-    found = build_case_simulator(arm, arm.layout, feature_keys(campaign))
+    found = build_case_simulator(arm, arm.layout)
     assert found.rows.size == arm.layout.size - 1
 
 
@@ -130,9 +130,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     """Rests are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (
-        build_case_simulator(one, arm.layout, feature_keys(campaign)) for one in (arm, arm.with_patch(patch))
-    )
+    before, after = (build_case_simulator(one, arm.layout) for one in (arm, arm.with_patch(patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.list_features()])
     rests &= np.array([feature.channel not in (IMU,) for feature in campaign.list_features()])
@@ -278,10 +276,10 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     def noted(*_: object) -> None:
         calls.append("computed")
 
-    first = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
+    first = compute_sensitivities(poses, tmp_path, work, noted, kinds)
     assert calls
     calls.clear()
-    again = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
+    again = compute_sensitivities(poses, tmp_path, work, noted, kinds)
     assert not calls
     np.testing.assert_array_equal(first.effect, again.effect)
     assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)

@@ -171,10 +171,10 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
         for kinds in (None, KINDS[:1])
     )
     assert not found
-    assert {hypothesis.effect for hypothesis in whole.sensitivities.hypotheses} == set(KINDS)
-    assert {hypothesis.effect for hypothesis in part.sensitivities.hypotheses} == {KINDS[0]}
-    np.testing.assert_array_equal(part.sensitivities.nuisance, whole.sensitivities.nuisance)
-    assert part.keys() == whole.keys()
+    assert {hypothesis.effect for hypothesis in whole.hypotheses} == set(KINDS)
+    assert {hypothesis.effect for hypothesis in part.hypotheses} == {KINDS[0]}
+    np.testing.assert_array_equal(part.nuisance, whole.nuisance)
+    assert part.layout.keys == whole.layout.keys
 
 
 def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:
