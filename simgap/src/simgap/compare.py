@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -36,11 +37,19 @@ class Change(Effect):
     effect: Effect
 
     def __post_init__(self) -> None:
-        """Take the family and the form from the effect; its hooks are called by `ComparedResiduals`."""
-        for key in ("family", "has_shape", "is_steady"):
+        """Take the form from the effect; its hooks are called by `ComparedResiduals`."""
+        for key in ("has_shape", "is_steady"):
             object.__setattr__(self, key, getattr(self.effect, key))
-        own = self.effect.key.removeprefix(f"{self.place}: ")
-        object.__setattr__(self, "name", f"change of {own}")
+
+    @property
+    def name(self) -> str:
+        """Name of the effect that changes."""
+        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
+
+    @property
+    def family(self) -> StrEnum:
+        """Family of the effect that changes."""
+        return self.effect.family
 
     @property
     def sizes(self) -> tuple[Size, ...]:

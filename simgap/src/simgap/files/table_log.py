@@ -67,12 +67,12 @@ class TableLog:
         """Return a column as text."""
         column = self._column(name)
         try:
-            text = column.cast(pa.string())
+            text = pc.fill_null(column.cast(pa.string()), "").to_numpy(zero_copy_only=False)
         except pa.ArrowException as error:
-            raise RobotError(
-                f"{self.path}: column {name!r} {_content(column)}; give it texts or numbers"
-            ) from error
-        return np.asarray(pc.fill_null(text, "").to_numpy(zero_copy_only=False), dtype=np.str_)
+            is_text = pa.types.is_string(column.type)
+            there = "has bytes that are no UTF-8" if is_text else _content(column)
+            raise RobotError(f"{self.path}: column {name!r} {there}; give it texts or numbers") from error
+        return np.asarray(text, dtype=np.str_)
 
     def names_at(self, name: str) -> Sequence[str]:
         """Return nothing: the lists of a table have one order."""
