@@ -299,11 +299,11 @@ def _what(diagnosis: Diagnosis) -> str:
         return f"{f'{base}; ' if base else ''}none of the effects in the catalogue{explains}."
     ranked = _ranked(diagnosis)
     shown = ranked[:MAX_MEMBERS]
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, dict[str, bool]] = {}
     for one in shown:
-        groups.setdefault(_certainty(one), []).append(finding_words(one))
+        groups.setdefault(_certainty(one), {})[finding_words(one)] = bool(one.families)
     texts = [
-        f"{'; '.join(words)}, {'each ' if len(words) > 1 else ''}{certainty}"
+        f"{'; '.join(words)}, {'each ' if len(words) > 1 and all(words.values()) else ''}{certainty}"
         for certainty, words in groups.items()
     ]
     rest = len(ranked) - len(shown)
