@@ -15,7 +15,7 @@ from simgap.selection.acceptance import step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.fit import Hypothesis, JointFit, Union
-from simgap.selection.fitting import fit_hypotheses
+from simgap.selection.fitting import Fitting
 from simgap.selection.joint_fits import fit_base
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import share_nothing
@@ -61,7 +61,8 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
     model = draw_toy(1, {})
     union = Union(BASE)
     start = Hypothesis(np.arange(1), np.array([9.0, 0.0]), 0)
-    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
+    fitting = Fitting(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
+    (fit,) = fitting.finish()
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
 
 

@@ -21,7 +21,7 @@ from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, Score, start_context
 from simgap.selection.fit import Hypothesis, Union
-from simgap.selection.fitting import fit_hypotheses
+from simgap.selection.fitting import Fitting
 from simgap.selection.joint_fits import fit_base, fit_joints
 from simgap.selection.screening import adjust
 from simgap.selection.selection import list_again, select_effects
@@ -211,9 +211,9 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     scales = np.full(2, 0.02)
     joints = np.array([NAMES.index(effect.place) for effect in union.effects])
     both = Sharing(((0, 1),), np.empty(0, np.int64), np.empty(0, np.int64), joints)
-    together = fit_hypotheses(model, union, problems, scales, sharing=both)
+    together = Fitting(model, union, problems, scales, sharing=both).finish()
     alone = [
-        fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems
+        Fitting(model, union, [one], scales, sharing=share_nothing(2, joints)).finish()[0] for one in problems
     ]
     for shared, single in zip(together, alone, strict=True):
         np.testing.assert_array_equal(shared.sizes, single.sizes)

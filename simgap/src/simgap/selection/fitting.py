@@ -41,6 +41,7 @@ class Fitting:
         """Prepare the starts.
 
         Args:
+            scales: Scales of the residuals, (n_joints,), in the unit of the model.
             sharing: Joints whose hypotheses may share a candidate.
             report: Called with the number of candidates after each call of the model.
         """
@@ -92,23 +93,6 @@ def _answer(descent: Requests, residuals: list[Array]) -> list[Point] | None:
         return descent.send(residuals)
     except StopIteration:
         return None
-
-
-def fit_hypotheses(
-    model: ResidualModel,
-    union: Union,
-    hypotheses: Sequence[Hypothesis],
-    scales: Array,
-    *,
-    sharing: Sharing,
-    report: Callable[[int], None] | None = None,
-) -> list[JointFit]:
-    """Fit hypotheses together to their optima; see `Fitting`.
-
-    Args:
-        scales: Scales of the residuals, (n_joints,), in the unit of the model.
-    """
-    return Fitting(model, union, hypotheses, scales, sharing=sharing, report=report).finish()
 
 
 def evaluate_points(
