@@ -1,4 +1,4 @@
-"""Random targets and joint vectors of the kinematics campaign, with emphasis on singularities and limits.
+"""Random targets and joint vectors, with emphasis on singularities and limits.
 
 Two roots meet at a straight elbow, at an approach parallel to the pitch axes, and where the turret axis
 intersects the azimuth axis. Distances of joint vectors from there have a uniform logarithm, from 1 urad to
@@ -58,11 +58,6 @@ class Aim(IntFlag):
     SINGULAR = 2
     """Near the target of a vector that is near a double root."""
     ANYWHERE = 3
-
-
-def near_name(kind: int) -> str:
-    """Return the name of a combination of flags, such as `elbow+wrist`."""
-    return "+".join(str(flag.name).lower() for flag in Near(int(kind))) or "nothing"
 
 
 def log_distances(rng: np.random.Generator, n: int) -> Array:

@@ -1,4 +1,4 @@
-"""Arms, tools and gravities of the kinematics campaign, and checks of solutions by forward kinematics."""
+"""Arms, tools and gravities to try the inverse kinematics on, and checks of its solutions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -50,9 +50,8 @@ class Case:
     """Kind of arm under a kind of gravity."""
 
     name: str
-    chunks: int
-    """Number of chunks of this case in a round; near singularities the nominal rigid arm is a hundred times
-    faster than the others."""
+    arms: int
+    """Number of draws; near singularities the nominal rigid arm is a hundred times faster than the others."""
     arm: str
     """nominal, calibrated, or skew: the nominal arm with a tool whose boresight misses the turret axis."""
     gravity: str

@@ -36,9 +36,9 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "said"),
     [
         (["dance"], "dance: is no campaign; `python -m validation` lists them"),
-        (["kinematics", "--set", "speed=3"], "set speed: is not known; there are targets, vectors"),
-        (["kinematics", "--set", "targets=none"], "set targets: 'none' is not int"),
-        (["kinematics", "--set", "targets=-1"], "set targets: -1 is below 0"),
+        (["hardstops", "--set", "speed=3"], "set speed: is not known; there are arms, repeats, joint"),
+        (["hardstops", "--set", "arms=none"], "set arms: 'none' is not int"),
+        (["hardstops", "--set", "arms=-1"], "set arms: -1 is below 0"),
         (["calibration", "--set", "closed_loop=2"], "set closed_loop: '2' is not bool"),
         (["robot-baselines"], "set robot: is missing"),
         (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
@@ -59,10 +59,10 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
 ) -> None:
     document = {"rate": 0.123456, "rows": [1, 2], "part": {"n": 3}, "in_bounds": in_bounds}
     monkeypatch.setattr(Campaign, "load", lambda _: lambda context: document)
-    assert main(["kinematics", "--json", "--out", str(tmp_path / "found.json")]) == status
+    assert main(["hardstops", "--json", "--out", str(tmp_path / "found.json")]) == status
     printed, written = capsys.readouterr().out, (tmp_path / "found.json").read_text()
     assert json.loads(printed) == json.loads(written) == document
-    assert main(["kinematics"]) == status
+    assert main(["hardstops"]) == status
     assert capsys.readouterr().out.splitlines() == ["rate: 0.1235", "part / n: 3", f"in_bounds: {in_bounds}"]
 
 
