@@ -314,7 +314,7 @@ def campaign(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycle
             "bits_closed": flip_bits(whole, tries, context.seed, folder),
             "bits_cut_short": flip_bits(cut, tries, context.seed + 1, folder),
             "truncated": truncate_file(whole, CUT_EVERY, folder),
-            "records": change_records(whole, tries, context.seed + 2, folder),
+            "records": change_records(cut, tries, context.seed + 2, folder),
         }
     sizes = {"cycles": cycles, "bytes": len(data), "chunks": len(whole.chunks)}
     return {**sizes, **parts, "in_bounds": not any(part["wrong"] for part in parts.values())}
