@@ -151,11 +151,7 @@ def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
 
 
 def parse_tool(name: str, tools: Sequence[str]) -> str:
-    """Return the tool of this name, in any case.
-
-    Raises:
-        BadRequest: the arm has no such tool.
-    """
+    """Return the tool of this name, in any case; BadRequest if the arm has no such tool."""
     tool = match_name(name, tools)
     if tool is None:
         raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(tools)}")

@@ -197,11 +197,7 @@ def _place_name(kind: type[Effect], field: str, value: Any) -> str:
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
-    """Run a Python file and return its effects.
-
-    Raises:
-        NotAnEffect: the file cannot be run.
-    """
+    """Run a Python file and return its effects; NotAnEffect if the file cannot be run."""
     return tuple(effect_classes_in(_load_module(Path(path))))
 
 

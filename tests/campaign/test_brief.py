@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from simgap.common.errors import BadRequest
-from validation import campaigns
 from validation.__main__ import main
-from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_results, read_sizes
+from validation.campaigns import TABLE, Campaign, Context, find_campaign, read_sizes
 from validation.programs import BriefResult
 
 WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "mutants", "robot-baselines", "so101", "view"}
@@ -69,33 +67,6 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
 @pytest.mark.parametrize(("status", "verdict"), [(0, "in bounds"), (2, "FAILED, exit status 2")])
 def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status: int, verdict: str) -> None:
     assert BriefResult(find_campaign("faults"), status, 3.0, "").line() == f"faults            3 s, {verdict}"
-
-
-def test_a_campaign_goes_on_after_its_last_result(tmp_path: Path) -> None:
-    done: list[str] = []
-
-    def work(name: str) -> dict[str, str]:
-        done.append(name)
-        return {"found": name}
-
-    for names in (["one", "two"], ["one", "two", "three"]):
-        with keep_results(tmp_path / "results.jsonl", 1) as once:
-            found = [once(name, lambda name=name: work(name)) for name in names]
-    with keep_results(None, 1) as once:
-        found.append(once("one", lambda: {"kept": "nowhere"}))
-    assert found == [{"found": "one"}, {"found": "two"}, {"found": "three"}, {"kept": "nowhere"}]
-    assert done == ["one", "two", "three"]
-
-
-def test_results_of_other_code_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with keep_results(tmp_path / "results.jsonl", 1) as once:
-        once("one", dict)
-    monkeypatch.setattr(campaigns, "digest_code", lambda: "another")
-    with (
-        pytest.raises(BadRequest, match="code of the diagnosis"),
-        keep_results(tmp_path / "results.jsonl", 1),
-    ):
-        pass
 
 
 def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:

@@ -10,9 +10,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from helpers.real_robots import exchange_commands
 from marsarm.common.pool import run_here
 from marsarm.common.rates import check_rate
+from simgap.common.errors import RobotError
 from simgap.common.progress import no_progress
+from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
@@ -158,3 +161,13 @@ def test_the_same_seed_gives_the_same_case() -> None:
     first, second = (draw_case(11, "none", "pendulum")[1] for _ in range(2))
     pairs = zip(first.motions, second.motions, strict=True)
     assert all((a.joints["swing"].position.value == b.joints["swing"].position.value).all() for a, b in pairs)
+
+
+@pytest.mark.slow
+def test_motions_with_the_commands_of_others_are_not_fitted() -> None:
+    robot, logs, _ = draw_case(0, "single", "two_joint")
+    try:
+        found = diagnose(robot, exchange_commands(logs.motions, 0), seed=0)
+    except RobotError:
+        return
+    assert (found.findings, found.fitted_motions) == ((), ())

@@ -124,11 +124,7 @@ def file_lines(files: Mapping[str, Path | str | None]) -> list[str]:
 
 
 def save_report_page(page: ReportPage, path: Path) -> None:
-    """Write the page of a report.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Write the page of a report; BadOutput if the file cannot be written."""
     save_page(page.title, "", page.requirements, page.origin, [_html(part) for part in page.parts], path)
 
 
