@@ -15,9 +15,7 @@ from validation.campaigns import TABLE
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = ROOT / "README.md"
-PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "simgap").glob("*.md")],
-)
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "simgap").glob("*.md")])
 CODE = re.compile(r"```.*?```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PARTS: Final = ("fsw", "sim", "marsarm", "simgap", "tests", "validation", "examples")

@@ -18,13 +18,7 @@ from marsarm.common.requests import (
     select_arm,
 )
 from marsarm.render.picture import check_movie_path
-from marsarm.runs.execution import (
-    Execution,
-    execute,
-    execution_not_begun,
-    initialise,
-    open_view,
-)
+from marsarm.runs.execution import Execution, execute, execution_not_begun, initialise, open_view
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run

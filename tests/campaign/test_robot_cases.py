@@ -19,13 +19,7 @@ from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
-from validation.cases.robot import (
-    INDEX_FILE,
-    RobotCases,
-    plan_robot_cases,
-    write_logs,
-    write_robot,
-)
+from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs, write_robot
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
 from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times

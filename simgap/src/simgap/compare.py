@@ -173,11 +173,7 @@ def compare(
     model = ComparedResiduals(raw, {one: sizes[columns([one])] for one in present})
     changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
-        model,
-        present,
-        changes,
-        seed=seed,
-        meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text)),
+        model, present, changes, seed=seed, meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text))
     )
     sure, sets, rejected = select_sure(selection, None)
     found = assemble(robot, model, sure, sets, model)

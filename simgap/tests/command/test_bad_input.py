@@ -38,10 +38,7 @@ ROBOTS = {
     "empty_split.toml": ("time_step_s", 'split = "split.toml"\ntime_step_s'),
 }
 """Text of the good robot file, and what replaces its first copy there."""
-EFFECTS = {
-    "raises.py": "raise ValueError('no')\n",
-    "exits.py": "raise SystemExit(0)\n",
-}
+EFFECTS = {"raises.py": "raise ValueError('no')\n", "exits.py": "raise SystemExit(0)\n"}
 EFFECT = """
 from dataclasses import dataclass
 from simgap.effects.effect import Family, Size

@@ -6,12 +6,7 @@ import pytest
 from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from helpers.marks import slow_but
-from tests.fsw.kinematics.lab import (
-    assert_consistent,
-    assert_poses_found,
-    assert_roots_meet,
-    solve_poses,
-)
+from tests.fsw.kinematics.lab import assert_consistent, assert_poses_found, assert_roots_meet, solve_poses
 from validation.kinematics_samples import (
     FARTHEST,
     NEAREST,

@@ -113,10 +113,7 @@ BAD = {
     "swapped": (lambda: posed(inverse), "The frames are swapped"),
     "rnav": (lambda: posed(lambda X: Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
     "quaternion": (lambda: posed(lambda X: Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
-    "one row off": (
-        lambda: posed(lambda X: Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))),
-        "one row too low",
-    ),
+    "one row off": (lambda: posed(lambda X: Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))), "one row too low"),
 }
 
 
