@@ -14,7 +14,6 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
-from helpers.marks import slow_but
 from sim.frames import FLIP
 from sim.params import nominal_params
 from sim.plant import Plant
@@ -134,14 +133,6 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
             X_RT = tool_pose(arm, expected.frames, tool)
             assert np.linalg.norm(truth.p_RoTo_R_m[tool_index(tool)] - X_RT.p) < NEAR_M
             assert np.linalg.norm(truth.R_RT[tool_index(tool)] - X_RT.R) / np.sqrt(2) < NEAR_RAD
-
-
-@pytest.mark.parametrize("turret_kg", slow_but(TURRETS_KG, TURRETS_KG[-1]))
-@pytest.mark.parametrize("scene", SCENES)
-def test_they_are_in_all_branches_and_tilted_by_up_to_thirty_degrees(scene: str, turret_kg: float) -> None:
-    drawn = [case for case in make_cases(turret_kg) if case.world.scene == scene]
-    assert {case.branch for case in drawn} == set(range(len(BRANCHES)))
-    assert max(case.world.tilt_rad for case in drawn) > 0.9 * MAX_TILT_RAD
 
 
 def test_on_earth_the_arm_hangs_by_centimetres() -> None:

@@ -140,16 +140,6 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
     np.testing.assert_allclose(solved.result.excess[guessed][near], over, rtol=0, atol=0.1)
 
 
-@pytest.mark.parametrize("seed", slow_but(range(6), 0, 3))
-@pytest.mark.parametrize("gravity", GRAVITIES)
-def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_among_them(seed, gravity):
-    solved = random_poses(f"skew:{seed}", gravity, "drill", 150)
-    assert_roots_meet(solved, solved.tolerance)
-    assert_poses_found(solved)
-    if gravity == "rigid":
-        assert_consistent(solved.trial.arm, solved.result)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_m", [1e-15, 1e-12, 1e-9, 1e-6, 1e-5, 1e-4])
 def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_root(offset_m):
