@@ -19,8 +19,7 @@ from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
 from validation.campaigns import Context, Document
-from validation.kinematics_samples import workspace_targets
-from validation.kinematics_trials import Trial, arm_of
+from validation.kinematics import Trial, arm_of, workspace_targets
 from validation.speed import closed_loop, log_reading, recording
 
 FROM_CYCLE: Final = 2_000
@@ -108,7 +107,7 @@ def _rng() -> np.random.Generator:
 def _draw_targets(kind: str) -> tuple[Array, Array]:
     """Draw positions [m] and unit approach vectors in the rover frame, (3, n) each."""
     if kind == "workspace":
-        return workspace_targets(_rng(), IK_TARGETS)
+        return workspace_targets(_rng(), np.zeros(IK_TARGETS, bool))
     arm = arm_of("nominal")
     q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
     X_RT = Trial("nominal", arm, IK_TOOL, None).tool_pose(q)

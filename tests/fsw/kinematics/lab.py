@@ -13,14 +13,15 @@ from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_ki
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import tool_index
-from validation.kinematics_samples import Near, draw_vectors
-from validation.kinematics_trials import (
+from validation.kinematics import (
     DEFLECTED_M,
     RIGID_M,
     SAME_RAD,
+    Near,
     Trial,
     arm_of,
     claimed_roots,
+    draw_vectors,
     find_regular,
     root_distances,
     root_errors,

@@ -7,22 +7,20 @@ from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import assert_consistent, assert_poses_found, assert_roots_meet, solve_poses
-from validation.kinematics_samples import (
+from validation.kinematics import (
+    CASES,
     FARTHEST,
     NEAREST,
+    SAME_RAD,
     Aim,
     Near,
-    draw_targets,
-    draw_vectors,
-    log_distances,
-)
-from validation.kinematics_trials import (
-    CASES,
-    SAME_RAD,
     Trial,
     arm_of,
     claimed_roots,
+    draw_targets,
+    draw_vectors,
     find_regular,
+    log_distances,
     root_distances,
     root_errors,
     smallest_singular_value,

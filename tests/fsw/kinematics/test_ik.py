@@ -38,7 +38,7 @@ from tests.fsw.kinematics.lab import (
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import TOOLS, tool_index
-from validation.kinematics_trials import (
+from validation.kinematics import (
     CLEAR_OF_FOLDS,
     SAME_RAD,
     Trial,
