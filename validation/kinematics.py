@@ -2,7 +2,7 @@
 
 Two roots meet at a straight elbow, at an approach parallel to the pitch axes, and where the turret axis
 intersects the azimuth axis. Distances of joint vectors from there have a uniform logarithm, from 1 urad to
-0.3 rad. So have distances of targets from the faces of the workspace.
+0.3 rad.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ from fsw.kinematics.transforms import (
     wrap_angle,
 )
 from sim.arms import arm_named
-from sim.frames import P_NR_M, PRIMARY, gravity_in_rover
+from sim.frames import approach_from, gravity_in_rover, p_R_from_N, random_targets
 from sim.params import nominal_params
 from sim.world import GRAVITY_M_S2
 
@@ -243,18 +243,6 @@ JOINT_OF: Final = {Near.ELBOW: Joint.ELBOW, Near.WRIST: Joint.TURRET, Near.SHOUL
 """Joint that is moved towards each double root; the shoulder is last, because it depends on the elbow."""
 
 
-class Aim(IntFlag):
-    """Method by which a target was drawn."""
-
-    WORKSPACE = 0
-    """Uniform in the primary workspace and its wedge of approaches."""
-    EDGE = 1
-    """Near a face of the workspace or of the wedge, on either side."""
-    SINGULAR = 2
-    """Near the target of a vector that is near a double root."""
-    ANYWHERE = 3
-
-
 def log_distances(rng: np.random.Generator, n: int) -> Array:
     """Draw distances of either sign with a uniform logarithm, shape (n,)."""
     sizes: Array = 10.0 ** rng.uniform(np.log10(NEAREST), np.log10(FARTHEST), n)
@@ -348,41 +336,21 @@ def _put_near_limits(q: Array, flagged: Kinds, low: Array, high: Array, rng: np.
     q[joint, flagged] = np.where(upper, high[joint, 0] - inward, low[joint, 0] + inward)
 
 
-def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Kinds]:
-    """Draw targets in the workspace, near its faces, near double roots, and anywhere in reach.
+def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Flags]:
+    """Draw targets in the workspace, near double roots, and anywhere in reach.
 
     Returns:
-        Positions [m] and unit approach vectors in the rover frame, (3, n) each, and values of Aim, (n,).
+        Positions [m] and unit approach vectors in the rover frame, (3, n) each; which are of the workspace.
     """
-    aim = rng.choice(4, n, p=[0.6, 0.15, 0.15, 0.1])
-    p_m, approach = workspace_targets(rng, aim == Aim.EDGE)
-    singular = aim == Aim.SINGULAR
+    p_N_m, angles_rad = random_targets(rng, n)
+    p_m, approach = p_R_from_N(p_N_m.T).T, approach_from(angles_rad)
+    drawn = rng.random(n)
+    singular, anywhere = drawn < 0.15, drawn > 0.9
     p_m[:, singular], approach[:, singular] = _around_double_roots(trial, rng, int(singular.sum()))
-    anywhere = aim == Aim.ANYWHERE
     size = int(anywhere.sum())
     p_m[:, anywhere] = trial.arm.X_CF.p[:, :1] + REACH_M * rng.random(size) * _directions(rng, size)
     approach[:, anywhere] = _directions(rng, size)
-    return p_m, approach, aim
-
-
-def workspace_targets(rng: np.random.Generator, edge: Flags) -> tuple[Array, Array]:
-    """Draw targets as `sim.frames.random_surface` does; those of `edge` near a face, on either side."""
-    n = edge.size
-    low = np.array([0.0, PRIMARY.top_z_m, 0.0, -PRIMARY.wedge_side_rad])[:, None]
-    high = np.array([PRIMARY.radius_m, PRIMARY.bottom_z_m, np.pi / 2, PRIMARY.wedge_side_rad])[:, None]
-    u = rng.random((4, n))
-    u[0] = np.sqrt(u[0])
-    values = low + (high - low) * u
-    face, upper, off = rng.integers(4, size=n), rng.random(n) < 0.5, log_distances(rng, n)
-    upper |= face == 0  # the lower bound of the radius, the axis of the cylinder, is no face
-    at = np.arange(n)
-    on_face = np.where(upper, high[face, 0], low[face, 0]) + off
-    values[face, at] = np.where(edge, on_face, values[face, at])
-    radius, z, down, side = values
-    heading = rng.uniform(-np.pi, np.pi, n)
-    p_N_m = np.stack([PRIMARY.centre_x_m + radius * np.cos(heading), radius * np.sin(heading), z])
-    approach = np.stack([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
-    return p_N_m - P_NR_M[:, None], approach
+    return p_m, approach, ~(singular | anywhere)
 
 
 def _around_double_roots(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
