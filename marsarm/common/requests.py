@@ -202,8 +202,6 @@ WRONG_WIDTH: Final = re.compile(
 def describe_bad_table(error: Exception, kind: str) -> str:
     """Describe why a table of a format cannot be read, in place of the words and bytes of a library."""
     text = str(error)
-    if "pickle" in text:
-        return "holds Python objects; only arrays of numbers are read"
     if isinstance(error, UnicodeDecodeError) or any(name in text.lower() for name in NO_UTF8):
         return NOT_UTF8
     width = WRONG_WIDTH.search(text)

@@ -130,18 +130,21 @@ ARRAYS = {
     "infinite approach": (P_M, changed(A, 1, 0, np.inf), "row 1 (the first is 0): approach: inf"),
     "zero approach": (P_M, changed(A, 0, 2, 0.0), "row 0 (the first is 0): approach: 0 0 0 has no direction"),
     "far away": (changed(P_M, 3, 0, 1e300), A, "row 3 (the first is 0): position_m: 1e+300"),
-    "lying": (P_M.T, A, "position_m has the shape (3, 4), not (n, 3)"),
-    "flat": (P_M[0], A[0], "position_m has the shape (3,), not (n, 3)"),
+    "lying": (P_M.T, A, "it must hold position_m, approach, each of shape (n, 3); it has position_m[0]"),
+    "flat": (P_M[0], A[0], "it must hold position_m, approach, each of shape (n, 3); it has position_m"),
     "not as many": (P_M, A[:2], "there are 4 positions and 2 approaches"),
-    "empty": (P_M[:0], A[:0], "there is no target in it"),
-    "objects": (P_M.astype(object), A, "holds Python objects"),
-    "text": (P_M.astype(str), A, "not real numbers"),
-    "complex": (P_M + 1j, A, "position_m holds complex128, not real numbers"),
+    "empty": (P_M[:0], A[:0], "has no rows"),
+    "objects": (P_M.astype(object), A, "Object arrays cannot be loaded"),
+    "text": (P_M.astype(str), A, "needs numbers"),
+    "complex": (P_M + 1j, A, "array 'position_m' is complex128"),
 }
 TABLES = {
-    "a column missing": (one_without("approach_y"), "there must be one column approach_y; it has"),
-    "text": (one_with("position_x_m", ["1"] * 4), "position_x_m holds string, not real numbers"),
-    "lists": (one_with("approach_z", [[1.0]] * 4), "approach_z holds list"),
+    "a column missing": (
+        one_without("approach_y"),
+        "it must hold position_x_m, position_y_m",
+    ),
+    "text": (one_with("position_x_m", ["1"] * 4), "column 'position_x_m' has '1' in row 1"),
+    "lists": (one_with("approach_z", [[1.0]] * 4), "approach_z[0]"),
     "null": (one_with("position_z_m", [1.0, None, 1.0, 1.0]), "row 1 (the first is 0): position_x_m"),
     "zero approach": (
         pa.table(dict.fromkeys(POSITION_COLUMNS, np.ones(2)) | dict.fromkeys(APPROACH_COLUMNS, np.zeros(2))),
@@ -190,11 +193,15 @@ def other_names(path) -> None:
 
 
 FOREIGN = {
-    "text": ("in.npz", lambda path: path.write_text("hello"), "is not a NumPy .npz file"),
-    "one array": ("in.npz", one_array, "is not a NumPy .npz file"),
-    "another zip": ("in.npz", no_numpy, "position_m is not an array"),
+    "text": ("in.npz", lambda path: path.write_text("hello"), "is no NumPy .npz file"),
+    "one array": ("in.npz", one_array, "is no NumPy .npz file"),
+    "another zip": ("in.npz", no_numpy, "cannot be read"),
     "more than there is memory": ("in.npz", enormous, "is too large for the memory"),
-    "other names": ("in.npz", other_names, "there is no array position_m; it must hold"),
+    "other names": (
+        "in.npz",
+        other_names,
+        "each of shape (n, 3); it has position[",
+    ),
     "another kind": ("in.csv", lambda path: path.touch(), "its name must end in .npz or .parquet"),
 }
 
