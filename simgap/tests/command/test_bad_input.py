@@ -202,8 +202,8 @@ DIAGNOSE = {
     "robot.toml log.parquet --patch a.html --report a.html": "this is the file of report too",
     # effects
     "robot.toml log.parquet --effects pipe.py": "no such file",
-    "robot.toml log.parquet --effects raises.py": "it cannot be loaded, ValueError: no",
-    "robot.toml log.parquet --effects exits.py": "it cannot be loaded, SystemExit: 0",
+    "robot.toml log.parquet --effects raises.py": "cannot be run: ValueError: no",
+    "robot.toml log.parquet --effects exits.py": "cannot be run: SystemExit: 0",
     "robot.toml log.parquet --effects word.py": "low, high and typical have to be numbers",
     "robot.toml log.parquet --effects boom.py --effects boom.py": "two have the key 'shoulder: boom'",
 }

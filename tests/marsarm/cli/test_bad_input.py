@@ -218,7 +218,7 @@ CASES = {
     "place --effect boom.py:Boom --no-picture": "boom.py:13: TypeError",
     "place --effect no_code.py:Boom": "no_code.py:1: cannot be run: SyntaxError",
     "place --effect exits.py:Boom": "exits.py:1: cannot be run: SystemExit",
-    "place --effect pipe.py:Boom": "is not a regular file",
+    "place --effect pipe.py:Boom": "no such file",
     # logs
     "log info nosuch.mcap": "cannot be read (No such file or directory)",
     "log info empty.mcap": "an empty file",
