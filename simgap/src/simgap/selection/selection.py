@@ -47,7 +47,6 @@ from simgap.selection.joint_fits import (
     joints_of,
     leave_out,
     list_layers,
-    merge_findings,
     recut_blocks,
     start_fit,
 )
@@ -116,9 +115,6 @@ def select_effects(
         if winners:
             effects, fits = [one.effect for one in winners], [one.fit for one in winners]
             context, present = add_effects(context, first, present, effects, fits)
-            if merged := merge_findings(context, present):
-                present, others = merged
-                competitors[present.effects[-1].key] = others
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
 
@@ -146,8 +142,8 @@ def list_again(
         is_open = context.joint_of(one.effect) in {*open_joints, ALL_JOINTS}
         if one.gain >= MIN_SHARE and is_open and one.effect.key not in known:
             # its base parameters were fitted with it, and go with it
-            is_own = context.sharing.joint_of_column == context.joint_of(one.effect)
-            again.append(replace(one, start=np.where(is_own & (one.start != 0.0), one.start, present.sizes)))
+            is_own = context.sharing.list_fitted(context.joint_of(one.effect)) & (one.start != 0.0)
+            again.append(replace(one, start=np.where(is_own, one.start, present.sizes)))
     return again
 
 
@@ -170,7 +166,7 @@ def screen(
     groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
     for effect in context.catalogue:
         is_open = effect.key not in taken and context.joint_of(effect) in groups
-        if is_open and len(effect.parts) == 1:
+        if is_open:
             groups[context.joint_of(effect)].append(effect)
     trials = [
         (joint, trial)
