@@ -138,6 +138,9 @@ def test_findings_of_one_size_are_one_finding_of_all_joints(far: float, is_one: 
     selection = select_effects(model, BASE, (*CATALOGUE, *shared), seed=1)
     keys = [effect.key for effect in selection.chosen.effects]
     assert sorted(keys) == (["both: square"] if is_one else ["far: square", "near: square"])
+    assert [one.effect.key for one in selection.competitors.get("both: square", ())] == [
+        "both: cube"
+    ] * is_one
 
 
 def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:

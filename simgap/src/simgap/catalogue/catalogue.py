@@ -31,7 +31,6 @@ from simgap.effects.command import (
     ClampHigh,
     ClampLow,
     CommandDelay,
-    CommonAccelerationLimit,
     CommonCommandDelay,
     CommonMeasurementDelay,
     EncoderScale,
@@ -170,27 +169,20 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
         sag = SupplySag.of(robot, scales, logs.fit)
         found += [sag] if sag.high > 0.0 else []
-    found += _common_effects(robot, found)
+    found += _common_delays(robot, found)
     found += transmission_effects(robot, logs.fit, scales)
     found += link_effects(robot, logs.fit, scales)
     return tuple(found)
 
 
-def _common_effects(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
-    """List what all joints may have in common, where several joints may have it: a delay, or a profile."""
+def _common_delays(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
+    """List delays that all joints have in common, where several joints may have one each."""
     commands = tuple(one for one in found if isinstance(one, CommandDelay))
     positions = tuple(one for one in found if isinstance(one, MeasurementDelay))
-    limits = tuple(one for one in found if isinstance(one, AccelerationLimit))
-    common: list[Effect] = []
-    if len(commands) > 1:
-        period_s = robot.control_period_s
-        common += [
-            CommonCommandDelay(commands, period_s=period_s),
-            CommonMeasurementDelay(positions, period_s=period_s),
-        ]
-    if len(limits) > 1 and len({one.joint.unit for one in limits}) == 1:
-        common.append(CommonAccelerationLimit(limits))
-    return common
+    if len(commands) < 2:
+        return []
+    period_s = robot.control_period_s
+    return [CommonCommandDelay(commands, period_s), CommonMeasurementDelay(positions, period_s)]
 
 
 def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:

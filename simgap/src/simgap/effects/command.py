@@ -187,38 +187,7 @@ class MeasurementDelay(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class _Common(Effect):
-    """One effect that all joints have with the same sizes."""
-
-    at_joints: tuple[JointEffect, ...]
-    """The effect of each joint alone."""
-    place: str = "all joints"
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        """Sizes of the joint at which the smallest ones act."""
-        return min((one.sizes for one in self.at_joints), key=lambda sizes: sizes[0].typical)
-
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """The effect at each joint."""
-        return self.at_joints
-
-    def overrides(self, *hooks: str) -> bool:
-        """Return whether the effect of a joint has its own version of any of these hooks."""
-        return self.at_joints[0].overrides(*hooks)
-
-
-@dataclass(frozen=True, slots=True)
-class CommonAccelerationLimit(_Common):
-    """All servos follow their commands with one limited acceleration, as registers of one value do."""
-
-    name: ClassVar[str] = AccelerationLimit.name
-    family: ClassVar[Family] = AccelerationLimit.family
-
-
-@dataclass(frozen=True, slots=True)
-class _CommonDelay(_Common):
+class _CommonDelay(Effect):
     """One delay of all joints.
 
     A robot that gets its commands later by a time does the same later, and one whose positions are older than
@@ -227,8 +196,16 @@ class _CommonDelay(_Common):
     """
 
     family: ClassVar[Family] = Family.TIMING
-    period_s: float = 1.0
+    at_joints: tuple[JointEffect, ...]
+    """The delay of each joint alone."""
+    period_s: float
     """Control period."""
+    place: str = "all joints"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Delay, the same at each joint."""
+        return self.at_joints[0].sizes
 
     @property
     def parts(self) -> tuple[Effect, ...]:
@@ -237,6 +214,10 @@ class _CommonDelay(_Common):
             _SharedDelay(one.place, one.index, one.joint, one.scales, period_s=self.period_s)
             for one in self.at_joints
         )
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the delay of a joint has its own version of any of these hooks."""
+        return self.at_joints[0].overrides(*hooks)
 
 
 @dataclass(frozen=True, slots=True)

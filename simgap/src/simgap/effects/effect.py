@@ -195,7 +195,10 @@ class Effect(ABC):
 
     @property
     def parts(self) -> "tuple[Effect, ...]":
-        """Effects, each with these sizes, whose hooks are called: itself, or one at each joint."""
+        """Effects, each with these sizes, whose hooks are called: itself, or one at each joint.
+
+        One of several parts has no trial of its own: it may replace findings of its kind at their places.
+        """
         return (self,)
 
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:

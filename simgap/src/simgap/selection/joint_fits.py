@@ -14,7 +14,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, refer_to
-from simgap.selection.acceptance import cross_validate
+from simgap.selection.acceptance import MIN_SHARE, cross_validate, improvement_share
 from simgap.selection.context import (
     Context,
     FittedModel,
@@ -127,6 +127,40 @@ def add_effects(
     fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
     left_out = resume_step(cross_validate, context, fits)
     return context, FittedModel(more, fits[0].sizes, fits, left_out)
+
+
+def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel, tuple[Score, ...]] | None:
+    """Replace findings at several joints by one that all joints have in common, if it does as much.
+
+    One effect that does as much as several is the simpler explanation. Each starts where the findings are.
+
+    Returns:
+        The model with the best one, and the others with their sizes; None if none does as much.
+    """
+    common = [one for one in context.catalogue if len(one.parts) > 1]
+    keys = {part.place + one.key.removeprefix(one.place) for one in common for part in one.parts}
+    own = [one for one in present.effects if one.key in keys]
+    if len(own) < 2:
+        return None
+    rest = tuple(one for one in present.effects if one not in own)
+    columns, tried = context.union.columns, []
+    for effect in common:
+        sizes = present.sizes.copy()
+        sizes[columns([effect])] = np.median([sizes[columns([one])] for one in own], axis=0)
+        sizes[columns(own)] = 0.0
+        fits = resume_step(fit_joints, context, (*rest, effect), sizes, present.fits)
+        model = FittedModel((*rest, effect), fits[0].sizes, fits, cross_validate(context, fits))
+        tried.append((effect, model))
+    rows = np.arange(len(context.model.joint_of))
+
+    def gain(model: FittedModel) -> float:
+        return improvement_share(context, rows, context.base_left_out, model.left_out)
+
+    tried.sort(key=lambda pair: -gain(pair[1]))
+    (_, best), others = tried[0], tried[1:]
+    if gain(best) < (1.0 - MIN_SHARE) * gain(present):
+        return None
+    return best, tuple(Score(effect, model.sizes, 0.0) for effect, model in others)
 
 
 def recut_blocks(

@@ -47,6 +47,7 @@ from simgap.selection.joint_fits import (
     joints_of,
     leave_out,
     list_layers,
+    merge_findings,
     recut_blocks,
     start_fit,
 )
@@ -115,6 +116,9 @@ def select_effects(
         if winners:
             effects, fits = [one.effect for one in winners], [one.fit for one in winners]
             context, present = add_effects(context, first, present, effects, fits)
+            if merged := merge_findings(context, present):
+                present, others = merged
+                competitors[present.effects[-1].key] = others
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
 
@@ -166,7 +170,7 @@ def screen(
     groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
     for effect in context.catalogue:
         is_open = effect.key not in taken and context.joint_of(effect) in groups
-        if is_open:
+        if is_open and len(effect.parts) == 1:
             groups[context.joint_of(effect)].append(effect)
     trials = [
         (joint, trial)
