@@ -76,7 +76,8 @@ def by_patch(effects, sizes, folder):
     runtime.place(data, np.zeros(1))
     shown = [0.0]
     for k in range(round(TIME_s[-1] / 0.002)):
-        runtime.step(model, data, COMMAND[[k // 5]])
+        runtime.act(model, data, COMMAND[[k // 5]])
+        mujoco.mj_step(model, data, runtime.n_steps)
         if (k + 1) % 5 == 0:
             shown.append(runtime.shown(data)[0])
     return np.array(shown)
