@@ -361,7 +361,8 @@ def _how_far(diagnosis: Diagnosis) -> str:
     one = max(diagnosis.errors, key=lambda each: each.base / each.noise_floor if is_mixed else each.nominal)
     known = one.noise_floor > 0.0
     noise = f"noise: {quantity(one.noise_floor, one.unit)}" if known else "noise: not known without repeats"
-    steps = f"{quantity(one.nominal, one.unit)}; with base parameters {quantity(one.base, one.unit)}"
+    before = " with the earlier result" if diagnosis.start else ""
+    steps = f"{quantity(one.nominal, one.unit)}{before}; with base parameters {quantity(one.base, one.unit)}"
     found = bool(diagnosis.findings)
     steps += f"; with the findings {quantity(one.explained, one.unit)}" if found else ""
     far = f"on {motions} that took no part, the error of {one.joint} is {steps} ({noise})"

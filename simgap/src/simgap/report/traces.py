@@ -43,8 +43,9 @@ class Trace:
 def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]:
     """Predict the motions of a residual model without and with what a diagnosis has found."""
     effects, sizes = diagnosis.fitted_to(model.kind)
-    found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
-    nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
+    _, reference = diagnosis.fitted_to(model.kind, is_reference=True)
+    points = [np.concatenate([np.zeros(0), *map(np.asarray, part)]) for part in (reference, sizes)]
+    nominal, explained = model.residuals(effects, np.stack(points))
     measured = model.explain("position") if model.kind == SIMULATION else None
     return tuple(_cut(model, nominal, explained, measured))
 
