@@ -31,9 +31,10 @@ from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.patch.found import FOUND_FILE, read_found
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
-from simgap.report.sentences import detail_lines, verdict_lines
+from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot

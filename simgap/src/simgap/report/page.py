@@ -16,13 +16,14 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.checks.records import COARSE_RAD
 from simgap.common.page import Origin, heading, paragraph, save_page, table
+from simgap.report.details import finding_lines
 from simgap.report.sentences import (
     SMALL_UNITS,
-    finding_lines,
     has_floor,
     level,
     percent,
     quantity,
+    rank_findings,
     verdict_lines,
     verdict_word,
 )
@@ -242,7 +243,7 @@ def _finding_part(diagnosis: Diagnosis) -> list[str]:
             percent(one.share) if isfinite(one.share) else "not known",
             ", ".join(one.effects) or "none of these",
         )
-        for one in diagnosis.findings
+        for one in rank_findings(diagnosis)
         if level(one) == "effect"
     ]
     head = ("place", "effect", "size", "own share", "effects not excluded at 5 %")
