@@ -39,7 +39,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.server import LiveView
+    from marsarm.view.recorded_run import RecordedRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +112,13 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     effects = effects_of_run(job.effects)
     with (
         reserve(request.files.log, "log"),
-        open_view(request.files.view, title, job.world, job.arm, effects) as view,
+        open_view(request.files, title, job.world, job.arm, effects) as view,
     ):
         return _carry_out(request, job, progress, view)
 
 
 def _carry_out(
-    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
+    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
 ) -> PlaceReport:
     last = initialise(job.arm, request.seed, progress)
     if last.outcome is not Outcome.DONE:

@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from importlib.metadata import version
 from io import BytesIO, TextIOWrapper
 from typing import Annotated, Final, NoReturn, TextIO
@@ -19,6 +20,8 @@ import typer
 GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that turn OpenGL off in mujoco."""
 EXIT_BAD_INPUT: Final = 2
+LEAST_LIKENESS: Final = 0.75
+"""Least ratio of `difflib` for an option to be suggested: `--tol` has 0.91 to `--tool`, `--foo` 0.73."""
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
 
@@ -153,6 +156,10 @@ def _run(app: typer.Typer, program: str) -> NoReturn:
 def _describe_usage_error(error: typer.TyperException) -> str:
     """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
     message = error.format_message().rstrip(".")
+    wrong = getattr(error, "option_name", None)
+    if wrong is not None:  # of all that the library takes for alike, any short word is like `--json`
+        alike = get_close_matches(wrong, getattr(error, "possibilities", None) or (), 1, LEAST_LIKENESS)
+        message = f"No such option: {wrong}" + "".join(f"; did you mean {name}?" for name in alike)
     parameter = getattr(error, "param", None)
     if parameter is not None and "Input should be" in message:  # the words of a library
         number = "whole number" if "integer" in message else "number"
