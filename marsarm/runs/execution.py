@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config, digest
+from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from marsarm.render.picture import PictureResult, save_movie, save_picture
