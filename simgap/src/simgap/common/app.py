@@ -157,9 +157,9 @@ def _run(app: typer.Typer, program: str) -> NoReturn:
 def _describe_usage_error(error: typer.TyperException) -> str:
     """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
     message = error.format_message().rstrip(".")
-    wrong = getattr(error, "option_name", None)
-    if wrong is not None:  # of all that the library takes for alike, any short word is like `--json`
-        alike = get_close_matches(wrong, getattr(error, "possibilities", None) or (), 1, LEAST_LIKENESS)
+    if hasattr(error, "possibilities"):  # of which any short word is like `--json`
+        wrong: str = vars(error)["option_name"]
+        alike = get_close_matches(wrong, error.possibilities or (), 1, LEAST_LIKENESS)
         message = f"No such option: {wrong}" + "".join(f"; did you mean {name}?" for name in alike)
     parameter = getattr(error, "param", None)
     if parameter is not None and "Input should be" in message:  # the words of a library
