@@ -11,8 +11,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# pip of the new environment; or, where python3 cannot bring one (no ensurepip), pip of the machine.
-PIP = $$(test -x $(BIN)/pip && echo $(BIN)/python -m pip || echo $(PYTHON) -m pip --python $(BIN)/python)
+# pip of the machine, which takes no time to set up; or, where it is missing or too old, that of the new environment.
+HAS_PIP = $(PYTHON) -c 'import sys, venv; from importlib.metadata import version as v; sys.exit(int(v("pip").split(".")[0]) < 23)' 2>/dev/null
+PIP = $$($(HAS_PIP) && echo $(PYTHON) -m pip --python $(BIN)/python || echo $(BIN)/python -m pip)
 # Python compiles what is imported; to compile all that is installed takes 15 s of a processor.
 INSTALL = $(PIP) --disable-pip-version-check --quiet install --no-compile --no-deps
 WORKERS ?= 2
@@ -77,8 +78,8 @@ $(VENV)/locked: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  $(call say,$(PYTHON) is missing or older than 3.11. Install Python 3.11 or later or name one: make PYTHON=python3.12); exit 1; }
 	@$(call say,setting up $(VENV) with $$($(PYTHON) -V))
-	@if $(PYTHON) -c 'import venv; from ensurepip import version' 2>/dev/null; then $(PYTHON) -m venv --clear $(VENV); \
-	elif $(PYTHON) -c 'import venv, pip' 2>/dev/null; then $(PYTHON) -m venv --clear --without-pip $(VENV); \
+	@if $(HAS_PIP); then $(PYTHON) -m venv --clear --without-pip $(VENV); \
+	elif $(PYTHON) -c 'import venv; from ensurepip import version' 2>/dev/null; then $(PYTHON) -m venv --clear $(VENV); \
 	else $(call say,$(PYTHON) cannot make a virtual environment. On Debian or Ubuntu: apt-get install python3-venv); exit 1; fi
 	@$(call say,installing the packages of requirements.lock; about 150 MB the first time)
 	@$(INSTALL) --require-hashes -r requirements.lock || { $(call say,$(NOT_INSTALLED)); exit 1; }
