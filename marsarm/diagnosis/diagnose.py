@@ -147,8 +147,8 @@ def _describe_finding(
     columns = context.union.columns([effect])
     size = selection.engine.chosen.sizes[columns]
     intervals = own.intervals[[int(np.flatnonzero(own.columns == c)[0]) for c in columns]]
-    ends = np.sort([hypothesis.amplitude_values(end) for end in (*intervals.T,)], axis=0)
-    bounds = np.transpose([(one.least, one.most) for one in hypothesis.amplitudes])
+    ends = np.sort([hypothesis.values(end) for end in (*intervals.T,)], axis=0)
+    bounds = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
     members = [
         k
         for one in found.alternatives
@@ -161,9 +161,9 @@ def _describe_finding(
         place=effect.place,
         family=effect.family,
         effect=effect.name,
-        size=tuple(hypothesis.amplitude_values(size).tolist()),
+        size=tuple(hypothesis.values(size).tolist()),
         size_names=tuple(
-            f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.amplitudes
+            f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
         ),
         interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
         text=effect.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),

@@ -48,10 +48,6 @@ class FeatureSelection:
     chosen: tuple[int, ...]
     departures: tuple[Array, ...]
     """Amplitudes of each in typical sizes, (n,)."""
-    null_deviance: float
-    """Deviance without effect, nuisances free."""
-    n_distinct: float
-    """Number of tests that share the probability of a false alarm."""
     sensitivities: Sensitivities
     """Sensitivities that it was made with."""
     engine: Selection
@@ -139,12 +135,9 @@ def select(
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
     chosen = found.chosen.effects
     union, sizes = found.context.union, found.chosen.sizes
-    before = np.concatenate([fit.residuals for fit in found.base.fits])
     return FeatureSelection(
         tuple(sensitivities.index(one.key) for one in chosen),
         tuple(sizes[union.columns([one])] for one in chosen),
-        float(before @ before),
-        found.context.n_distinct,
         sensitivities,
         found,
     )
@@ -180,7 +173,7 @@ class FeatureEffect(Effect):
         Args:
             size: Departures in typical sizes, without a unit, (n_sizes,).
         """
-        values = zip(self.hypothesis.amplitudes, self.hypothesis.amplitude_values(size), strict=True)
+        values = zip(self.hypothesis.parameters, self.hypothesis.values(size), strict=True)
         return ", ".join(
             f"{one.name} {100.0 * np.expm1(value):+.3g} %"
             if one.unit == LOG_UNIT
@@ -227,7 +220,7 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 
 def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
     """Return least and greatest common departure of all amplitudes, in detection limits."""
-    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].amplitudes])
+    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
     limit = model.limits[k].limit
     return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
 
@@ -235,7 +228,7 @@ def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
 def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
     hypothesis, limit = model.sensitivities.hypotheses[k], model.limits[k].limit
     sizes = []
-    for parameter in hypothesis.amplitudes:
+    for parameter in hypothesis.parameters:
         least, most = parameter.departure_range
         typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
         sizes.append(Size(parameter.name, least, most, typical))

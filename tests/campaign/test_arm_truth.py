@@ -27,7 +27,7 @@ MAKER = ArmCases()
 def seen(
     effect: str, place: str, limit: float = 1.0, label: int | None = 0, least: float = -100.0
 ) -> DetectableEffect:
-    sizes = Parameter("size", "m", least, 100.0, 2.0, 0.0), Parameter("shape", "m", 0.0, 9.0, 3.0)
+    sizes = (Parameter("size", "m", least, 100.0, 2.0, 0.0),)
     return DetectableEffect(Hypothesis(effect, place, sizes), limit, label)
 
 
@@ -65,7 +65,6 @@ def test_sizes_are_even_in_their_logarithm_and_as_far_from_neutral_as_they_say()
     assert below == pytest.approx(0.5, abs=0.06)
     for one in effects:
         assert abs(one.values[0]) == pytest.approx(2.0 * one.times_limit * one.source.limit)
-        assert one.values[1] == 3.0
     assert {np.sign(one.values[0]) for one in effects} == {-1.0, 1.0}
 
 

@@ -20,12 +20,7 @@ from marsarm.diagnosis.arm.blind_case import (
     record_blind,
     sample_background,
 )
-from marsarm.diagnosis.arm.case import (
-    CampaignModel,
-    diagnose_fitted_case,
-    fit_case,
-    load_campaign_model,
-)
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -136,8 +131,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
         try:
             fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
-            fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
-            return to_document(diagnose_fitted_case(fitted_case, campaign).diagnosis)
+            return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
 
@@ -202,7 +196,7 @@ def _true_effect(one: SampledEffect, outside: bool) -> SealedEffect:
     if outside:
         spec = list_uncatalogued()[name].spec(one.values)
     else:
-        spec = effect_text(catalogue_effect(hypothesis.key, one.amplitudes))
+        spec = effect_text(catalogue_effect(hypothesis.key, one.values))
     values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
     return SealedEffect(*name, values, one.times_limit, spec)
 

@@ -44,16 +44,11 @@ class DetectableEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledEffect:
-    """Sampled effect: values of all its parameters, and its amplitude in detection limits."""
+    """Sampled effect: values of its parameters, shape (n,), and its amplitude in detection limits."""
 
     source: DetectableEffect
     values: Array
     times_limit: float
-
-    @property
-    def amplitudes(self) -> Array:
-        """Values of the amplitude parameters, shape (n,)."""
-        return self.values[[one.is_amplitude for one in self.source.hypothesis.parameters]]
 
 
 def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
@@ -75,7 +70,7 @@ def sample_amplitude(
 ) -> SampledEffect:
     """Sample an amplitude log-uniformly, with a random sign, within the bounds.
 
-    All amplitude parameters depart from neutral by the same number of typical sizes.
+    All parameters depart from neutral by the same number of typical sizes.
 
     Args:
         one: Effect with its detection limit.
@@ -86,7 +81,7 @@ def sample_amplitude(
     if _room(one, sign) < multiples[0] * one.limit:
         sign = -sign
     typical = min(times * one.limit, _room(one, sign))
-    values = one.hypothesis.values(np.full(len(one.hypothesis.amplitudes), sign * typical))
+    values = one.hypothesis.values(np.full(len(one.hypothesis.parameters), sign * typical))
     return SampledEffect(one, values, typical / one.limit)
 
 
@@ -100,7 +95,7 @@ def list_detectable(
 
 def _room(one: DetectableEffect, sign: int) -> float:
     """Return how many typical sizes all amplitudes together may depart to one side."""
-    ends = [parameter.departure_range for parameter in one.hypothesis.amplitudes]
+    ends = [parameter.departure_range for parameter in one.hypothesis.parameters]
     return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)
 
 

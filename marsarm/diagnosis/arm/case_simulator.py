@@ -187,7 +187,7 @@ def fit_nuisances(
         beside = moved
         selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator.simulate)
     cost = _cost(whiten, beside, selection)
-    if beside is not alone and selection.chosen and cost < before.null_deviance:
+    if beside is not alone and selection.chosen and cost < _deviance(whiten, alone.residual):
         return beside, selection
     return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator.simulate)
 
@@ -252,7 +252,7 @@ def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> fl
     The whitener is that of the model, so that deviances of several selections can be compared.
     """
     k = sum(a.size for a in selection.departures)
-    needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
+    needed = float(chi2.isf(FALSE_ALARM / max(selection.engine.context.n_distinct, 1.0), k)) if k else 0.0
     return _deviance(whiten, fit.residual - selection.change()) + needed
 
 

@@ -22,7 +22,7 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_effect,
 )
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, simulator_digest
-from marsarm.diagnosis.arm.case import CampaignModel, diagnose_fitted_case, fit_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -101,8 +101,8 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
         publish(truth.digest())
         progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
-        model, diagnosis = _diagnose(Path(name), campaign, truth, request.seed)
-    is_right, reason = judge(truth, model, diagnosis)
+        diagnosis = _diagnose(Path(name), campaign, truth, request.seed)
+    is_right, reason = judge(truth, campaign.model, diagnosis)
     return Demo(truth, diagnosis, is_right, reason)
 
 
@@ -154,21 +154,18 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
-    effect = catalogue_effect(hypothesis.key, drawn.amplitudes)
+    effect = catalogue_effect(hypothesis.key, drawn.values)
     truth = DemoTruth(
         salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
     return truth, (*background, effect)
 
 
-def _diagnose(
-    folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
-) -> tuple[DiagnosisModel, Diagnosis]:
+def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> Diagnosis:
     fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
     if truth.kind == "left out":
         campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
-    case = fit_case(fitted, held_out, campaign, seed)
-    return case.model, diagnose_fitted_case(case, campaign).diagnosis
+    return diagnose_case(fitted, held_out, campaign, seed).diagnosis
 
 
 def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[bool, str]:

@@ -48,7 +48,7 @@ def adapt_step(share: float, seen: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class JacobianColumn:
-    """Column of the sensitivities: an amplitude parameter of a hypothesis, or a nuisance."""
+    """Column of the sensitivities: a parameter of a hypothesis, or a nuisance."""
 
     hypothesis: int | None
     index: int
@@ -76,12 +76,11 @@ class _Perturbation:
 
 
 def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
-    """List every amplitude parameter of every hypothesis in order, then the nuisances."""
+    """List every parameter of every hypothesis in order, then the nuisances."""
     sized = [
         JacobianColumn(k, at)
         for k, hypothesis in enumerate(simulator.hypotheses)
-        for at, parameter in enumerate(hypothesis.parameters)
-        if parameter.is_amplitude
+        for at in range(len(hypothesis.parameters))
     ]
     return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
 
@@ -263,10 +262,13 @@ def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _
         departure = 1.0 if one.one_sided else float(np.sign(share)) * one.nuisance.sigma
         return _Perturbation((one.effect(departure),), departure)
     hypothesis = simulator.hypotheses[column.hypothesis]
-    parameter, values = hypothesis.parameters[column.index], hypothesis.absent
-    absent = values[column.index]
-    values[column.index] = np.clip(absent + share * parameter.typical, parameter.least, parameter.most)
-    if values[column.index] == absent:
+    parameter, values = (
+        hypothesis.parameters[column.index],
+        np.array([p.neutral for p in hypothesis.parameters]),
+    )
+    value = float(np.clip(parameter.neutral + share * parameter.typical, parameter.least, parameter.most))
+    if value == parameter.neutral:
         return None
-    size = float((values[column.index] - absent) / parameter.typical)
+    values[column.index] = value
+    size = (value - parameter.neutral) / parameter.typical
     return _Perturbation(tuple(simulator.effects({hypothesis: values})), size)

@@ -42,7 +42,7 @@ def test_from_the_limit_of_the_selection_on_nine_of_ten_are_reported_and_sets_ho
             is_located = made.hypotheses[one].place in finding.places
             held += campaign.label[one] in named if level(finding) == "effect" else is_located
             if indices(campaign, diagnosis)[0] == one:
-                true = made.hypotheses[one].amplitude_values(t[made.owner == one])
+                true = made.hypotheses[one].values(t[made.owner == one])
                 covered += [
                     low <= size <= high for (low, high), size in zip(finding.interval, true, strict=True)
                 ]

@@ -168,7 +168,7 @@ def test_no_tick_after_the_last_bin_influences_a_feature(touch: MotionFeatures) 
 def remembering() -> Effect:
     """Return the out-of-catalogue effect of a sensor with memory."""
     found = list_uncatalogued()["remanent-core", "elbow"]
-    return make_effect(found.catalogue_entry, found.hypothesis, np.array([0.1, 0.2]))
+    return make_effect(found.catalogue_entry, np.array([0.1]))
 
 
 def test_what_only_reads_is_read_as_avionics_do_without_another_step(touch: MotionFeatures) -> None:
@@ -205,7 +205,7 @@ def test_a_sensitivity_is_the_difference_of_predictions(poses: FeatureSet) -> No
     for column in list_columns(simulator)[:3]:
         assert column.hypothesis is not None
         hypothesis = simulator.hypotheses[column.hypothesis]
-        there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
+        there = np.array([p.neutral + 1.5 * p.typical for p in hypothesis.parameters])
         change = simulator.predict_effects(simulator.effects({hypothesis: there})) - nominal
         (side,) = simulate_side(simulator, [column], nominal, 0, [1.0])
         predicted = 1.5 * side.change / side.size
@@ -225,7 +225,7 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet
     sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
     for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
         (one,) = hypothesis.parameters
-        there = {hypothesis: np.array([one.absent + side.size * one.typical])}
+        there = {hypothesis: np.array([one.neutral + side.size * one.typical])}
         alone = simulator.predict_effects(simulator.effects(there)) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin

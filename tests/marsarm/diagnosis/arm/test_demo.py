@@ -28,7 +28,7 @@ def other_place(model: DiagnosisModel, finding: Finding) -> int:
 def test_the_same_seed_draws_the_same(made: World) -> None:
     hypotheses = tuple(to_hypothesis(one) for one in list_candidates(None))[: len(made.hypotheses)]
     columns = np.concatenate([np.flatnonzero(made.owner == h)[:1] for h in range(len(hypotheses))])
-    sizes = [len(one.amplitudes) for one in hypotheses]
+    sizes = [len(one.parameters) for one in hypotheses]
     kept = found(made)
     model = build_model(
         replace(
