@@ -71,9 +71,6 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
 
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
-
-    Returns:
-        Findings, and what remains unexplained.
     """
     sensitivities = selection.sensitivities
     for h, a in zip(selection.chosen, selection.departures, strict=True):

@@ -122,7 +122,7 @@ def build_model(
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
-    """Compute the cosine of the largest principal angle between the columns of every two hypotheses.
+    """Compute the cosine (h, h) of the largest angle between the columns of every two hypotheses.
 
     The metric is R, with nuisances eliminated. The cosine is 0 between hypotheses with different numbers of
     columns: one is at most a special case of the other, and parsimony decides. It is 0 for a hypothesis that
@@ -130,9 +130,6 @@ def alias_cosines(equations: NormalEquations) -> Array:
 
     Args:
         equations: Normal equations of the campaign, with h hypotheses.
-
-    Returns:
-        Absolute cosines, shape (h, h).
     """
     of = [np.flatnonzero(equations.owner == h) for h in range(equations.owner[-1] + 1)]
     roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
@@ -187,9 +184,6 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectabi
     Args:
         equations: Normal equations of the campaign, with h hypotheses.
         label: Equivalence class of every hypothesis, shape (h,).
-
-    Returns:
-        One a hypothesis.
     """
     result = []
     n_classes = np.unique(label[equations.identifiable]).size
@@ -226,14 +220,11 @@ def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
 
 
 def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
-    """Compute the directions of the lack-of-fit test: a constant, and the centred conditions.
+    """Compute directions (n, d) of norm 1 or 0: a constant, and the centred conditions.
 
     Args:
         layout: Layout of the features with c conditions.
         rows: Indices of n features.
-
-    Returns:
-        Directions of norm 1 or 0, shape (n, 1 + c).
     """
     centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
     all_of = np.column_stack([np.ones(rows.size), centred])

@@ -42,14 +42,7 @@ class Whitener:
     scatter: tuple[BlockCovariance, ...]
 
     def __call__(self, X: Array) -> Array:
-        """Whiten features.
-
-        Args:
-            X: Features in the units of their channels, shape (m,) or (m, n).
-
-        Returns:
-            Whitened features, same shape.
-        """
+        """Whiten features in the units of their channels, shape (m,) or (m, n)."""
         Z = (X.T / self.sigma).T
         for block in self.scatter:
             part = Z[block.rows]
@@ -170,9 +163,6 @@ def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit
     Args:
         y: Whitened features, without a unit, shape (m,).
         columns: Indices of columns of effects.
-
-    Returns:
-        The fit.
     """
     active = np.concatenate([np.arange(equations.q), equations.q + columns])
     information = equations.G[np.ix_(active, active)]

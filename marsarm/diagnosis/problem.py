@@ -68,12 +68,20 @@ class Hypothesis:
         return f"{self.place}: {self.effect}"
 
     def departures(self, values: Array) -> Array:
-        """Return departures from neutral in typical sizes, for values in their units, shape (n,) both."""
+        """Return the departures from neutral in typical sizes, shape (n,).
+
+        Args:
+            values: Values in their units, shape (n,).
+        """
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
         return np.asarray((values - neutral) / typical)
 
     def values(self, departures: Array) -> Array:
-        """Return values in their units, for departures from neutral in typical sizes, shape (n,) both."""
+        """Return the values in their units, shape (n,).
+
+        Args:
+            departures: Departures from neutral, without a unit (typical sizes), shape (n,).
+        """
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
         return np.asarray(neutral + typical * departures)
 

@@ -53,11 +53,7 @@ class FeatureSelection:
     engine: Selection
 
     def change(self) -> Array:
-        """Compute the change of the features by the selected effects.
-
-        Returns:
-            Change in the units of the channels, shape (m,).
-        """
+        """Compute the change of the features by the selected effects in their units, shape (m,)."""
         hypotheses = [self.sensitivities.hypotheses[h] for h in self.chosen]
         pairs = zip(hypotheses, self.departures, strict=True)
         return self.sensitivities.change({one: one.values(a) for one, a in pairs})
@@ -71,9 +67,6 @@ def select_simulated(
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
         simulate: Simulator of the case; None to extrapolate.
-
-    Returns:
-        The last selection.
     """
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
     simulated: dict[int, tuple[Array, Array]] = {}
@@ -126,9 +119,6 @@ def select(
         whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
         excluded: Hypotheses that do not compete.
-
-    Returns:
-        Selection, the effects in the order found.
     """
     residuals = FeatureResiduals(sensitivities, whiten, value)
     effects = list_feature_effects(model, excluded)
@@ -190,9 +180,6 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
 
     Args:
         excluded: Indices of hypotheses that do not compete.
-
-    Returns:
-        One effect a class with a finite limit.
     """
     absent = {*excluded, *model.left_out}
     members: dict[int, list[int]] = {}
@@ -271,15 +258,12 @@ class FeatureResiduals:
         self._condition = dict(zip(layout.conditions, layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates, in noise floors.
+        """Return the residuals of candidates in noise floors, (n_candidates, m).
 
         Args:
             effects: Feature effects of all candidates.
             sizes: Departures from neutral in typical sizes, without a unit, one effect after the other,
                 (n_candidates, n_sizes).
-
-        Returns:
-            (n_candidates, m).
         """
         own = [self._columns[one.key] for one in effects]
         columns = np.concatenate([np.zeros(0, np.intp), *own])
@@ -291,12 +275,5 @@ class FeatureResiduals:
         return self
 
     def explain(self, name: str) -> Array:
-        """Return a condition of the features.
-
-        Args:
-            name: Name of the condition.
-
-        Returns:
-            (m,), in its unit; NaN for a condition that features do not have.
-        """
+        """Return a condition of the features in its unit, (m,); NaN for one that they do not have."""
         return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))

@@ -73,14 +73,11 @@ class Sensitivities:
         return next(k for k, one in enumerate(self.hypotheses) if one.key == key)
 
     def change(self, settings: EffectValues) -> Array:
-        """Compute the change of the features by effects: parabolas, linear beyond the simulated departures.
+        """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures.
 
         Args:
             settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
                 have no influence.
-
-        Returns:
-            Change in the units of the channels, shape (m,).
         """
         total = np.zeros(self.layout.size)
         for hypothesis, values in settings.items():
@@ -101,9 +98,6 @@ class Sensitivities:
             hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures in typical sizes, without a unit, shape (n,), not all 0.
             change: Simulated change there in the units of the channels, shape (m,).
-
-        Returns:
-            Sensitivities with another curvature and reach, and other slopes of such nuisances.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         curve, reach = self.curve.copy(), self.reach.copy()
@@ -128,9 +122,6 @@ class Sensitivities:
         Args:
             hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
-
-        Returns:
-            Sensitivities with other slopes.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         inside = np.clip(a, -self.reach[columns], self.reach[columns])
@@ -203,30 +194,24 @@ def load_sensitivities(path: Path) -> Sensitivities:
 
 
 def continue_parabola(effect: Array, curve: Array, reach: Array, a: Array) -> Array:
-    """Compute the change by amplitudes: parabolas up to their reach, and straight on beyond.
+    """Compute changes (m,) or (n, m): parabolas up to their reach, and straight on beyond.
 
     Args:
         effect: First derivatives of the features, shape (m, k).
         curve: Second-order coefficients, shape (m, k).
         reach: Largest simulated departures, without a unit (typical sizes), shape (k,).
         a: Departures, without a unit (typical sizes), shape (k,), or of n candidates, shape (n, k).
-
-    Returns:
-        Changes in the unit of `effect`, shape (m,) or (n, m).
     """
     inside = np.clip(a, -reach, reach)
     return np.asarray(a @ effect.T + (inside * (2.0 * a - inside)) @ curve.T)
 
 
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
-    """Fit a parabola through 0 and two points; through one point, a line.
+    """Fit slope and curvature (m,) at 0 through 0 and two points; through one point, a line.
 
     Args:
         ends: One or two simulated changes of the features in the units of their channels, shape (m,),
             each with its step.
-
-    Returns:
-        First and second-order coefficient at 0, each of shape (m,).
     """
     (high, up), (low, down) = ends[0], ends[-1]
     curvature = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)

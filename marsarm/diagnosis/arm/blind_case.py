@@ -116,7 +116,7 @@ def record_blind(
     seed: int,
     progress: Progress,
 ) -> bool:
-    """Record sessions of an arm with effects; one whose motion does not complete gets no log.
+    """Record sessions of an arm with effects; return whether every motion completed.
 
     Args:
         folder: Folder of the logs.
@@ -124,9 +124,6 @@ def record_blind(
         sessions: Sessions of the campaign.
         seed: Seed of the sensor noise.
         progress: Called with done, total and step.
-
-    Returns:
-        True if all sessions have a log.
     """
     arm = arm_named("nominal").with_effects(effects)
     reference, begun = blind_reference(arm), effects_of_run(effects)

@@ -85,7 +85,7 @@ def load_campaign_model(
 
 
 def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array) -> JointError | None:
-    """Compute the root mean square tool error over rests and the five tools.
+    """Compute the root mean square tool error over rests and the tools; None without whole poses.
 
     A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
 
@@ -94,9 +94,6 @@ def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array)
         rows: Residuals as in `Explanation.residuals`, rotation in rad and shift in m, turret frame, shape
             (m,) each.
         sigma: Noise floor in the same units, shape (m,).
-
-    Returns:
-        Errors in m; None if no rest has all six components of a pose.
     """
     at = _screw_rows(keys)
     if not at.size:

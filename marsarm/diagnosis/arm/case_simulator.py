@@ -73,11 +73,7 @@ class CaseSimulator:
             return np.full(self.at.size, np.nan)
 
     def residual(self) -> Array:
-        """Subtract the nominal from the measured features.
-
-        Returns:
-            Residual in the units of the channels, shape (m,).
-        """
+        """Subtract the nominal from the measured features, in the units of the channels, shape (m,)."""
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
@@ -91,9 +87,6 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimula
     Args:
         arm: Simulator of the arm under the drive of the case.
         layout: Layout of the campaign's features, m of them.
-
-    Returns:
-        Simulator of the shared features.
     """
     number = {key: k for k, key in enumerate(arm.layout.keys)}
     rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
@@ -114,9 +107,6 @@ def resimulate(
         patch: Effects that are switched on.
         only: Predicate of the motions to simulate.
         otherwise: Change of the other motions in the units of the channels, shape (m,).
-
-    Returns:
-        Simulator with the patch and the new nominal prediction.
     """
     arm, extrapolated = case.arm.with_patch(patch), case.nominal.copy()
     simulated = arm.predict_effects((), only)
@@ -130,15 +120,12 @@ def simulate_change(
     nominal: Array,
     only: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """Simulate the change of the features by effects, only in motions that the effects can influence.
+    """Simulate the change (n,) by effects; 0 in motions that they cannot influence.
 
     Args:
         arm: Simulator of the arm, with n features.
         nominal: Prediction without effects in the units of the channels, shape (n,).
         only: Predicate of the motions to simulate.
-
-    Returns:
-        Change, shape (n,); 0 in motions that are not simulated.
     """
     touched = AffectedMotions(effects)
     found = arm.predict_effects(effects, lambda one: touched(one) and only(one)) - nominal
@@ -167,9 +154,6 @@ def fit_nuisances(
 
     Args:
         first: Simulator at nominal nuisances.
-
-    Returns:
-        Best fit, and the effects that are selected there.
     """
     whiten = build_full_whitener(model.sensitivities)
     alone = beside = _fit_alone(model, whiten, first, patch)

@@ -139,11 +139,7 @@ def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Prog
 
 
 def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
-    """Draw what is on in the arm.
-
-    Returns:
-        The truth, and all effects of the arm.
-    """
+    """Draw what is on in the arm; return the truth, and all effects of the arm."""
     kinds, shares = zip(*KINDS, strict=True)
     kind: Kind = kinds[int(rng.choice(len(kinds), p=shares))]
     background, salt = sample_background(rng), rng.bytes(16).hex()

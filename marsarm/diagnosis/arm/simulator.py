@@ -99,13 +99,10 @@ class ArmSimulator:
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
     ) -> Array:
-        """Predict the features with the patch and these effects.
+        """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
 
         Args:
             effects: Effects that are switched on beside the patch.
-
-        Returns:
-            Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
 
         Raises:
             PlantDiverged: MuJoCo counted a warning.
@@ -126,9 +123,6 @@ def build_simulator(
         sigma: Noise floor in the units of the channels, shape (m,).
         kinds: Classes of the candidate effects by name; None for the catalogue.
         patch: Effects that are always on.
-
-    Returns:
-        Simulator with all candidate effects and nuisances.
     """
     entries = {to_hypothesis(one): one for one in list_candidates(kinds)}
     return ArmSimulator(
@@ -184,13 +178,21 @@ def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
 
 
 def make_effect(made: catalogue.EffectHypothesis, values: Array) -> Effect:
-    """Create an effect from the values of its parameters in the units of the diagnosis, shape (n,)."""
+    """Create an effect.
+
+    Args:
+        values: Values of its parameters in the units of the diagnosis, shape (n,).
+    """
     pairs = zip(_list_parameters(made), values.tolist(), strict=True)
     return made.effect(**{p.name: float(np.exp(v)) if p.unit == LOG_UNIT else v for p, v in pairs})
 
 
 def catalogue_effect(key: str, values: Array) -> Effect:
-    """Create an effect of the catalogue from the key of its hypothesis; values as for `make_effect`."""
+    """Create an effect of the catalogue from the key of its hypothesis.
+
+    Args:
+        values: Values of its parameters in the units of the diagnosis, shape (n,).
+    """
     made = next(one for one in list_candidates(None) if to_hypothesis(one).key == key)
     return make_effect(made, values)
 
@@ -200,9 +202,6 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
 
     Args:
         sigma: Noise floor in the units of the channels, shape (m,).
-
-    Returns:
-        Layout of the m features.
     """
     features = feature_set.list_features()
     named = [feature_channel(feature) for feature in features]
