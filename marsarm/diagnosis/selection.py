@@ -184,7 +184,7 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
     absent = {*excluded, *model.left_out}
     members: dict[int, list[int]] = {}
     for k, limit in enumerate(model.limits):
-        if np.isfinite(limit.limit) and k not in absent:
+        if np.isfinite(limit) and k not in absent:
             members.setdefault(int(model.label[k]), []).append(k)
     return tuple(
         _feature_effect(model, next(k for k in of if not any(_has_more_room(model, one, k) for one in of)))
@@ -208,12 +208,12 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
     """Return least and greatest common departure of all amplitudes, in detection limits."""
     ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
-    limit = model.limits[k].limit
+    limit = model.limits[k]
     return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
 
 
 def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
-    hypothesis, limit = model.sensitivities.hypotheses[k], model.limits[k].limit
+    hypothesis, limit = model.sensitivities.hypotheses[k], float(model.limits[k])
     sizes = []
     for parameter in hypothesis.parameters:
         least, most = parameter.departure_range

@@ -98,8 +98,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             part.rename(campaign)
         model = load_model(campaign, self.kinds, run, part_of(progress, RECORDING_SHARE, 1.0)).model
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
-        limits = [one.limit for one in model.limits]
-        known = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+        known = list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [])

@@ -12,7 +12,8 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.record import record_campaign
-from marsarm.diagnosis.problem import Hypothesis, Ints
+from marsarm.diagnosis.model import DiagnosisModel
+from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
@@ -85,12 +86,14 @@ def sample_amplitude(
     return SampledEffect(one, values, typical / one.limit)
 
 
-def list_detectable(
-    hypotheses: Sequence[Hypothesis], limits: Sequence[float], label: Ints
-) -> list[DetectableEffect]:
-    """List hypotheses with their detection limits in typical sizes and their equivalence classes."""
-    rows = zip(hypotheses, limits, label, strict=True)
-    return [DetectableEffect(one, limit, int(number)) for one, limit, number in rows]
+def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffect]:
+    """List the hypotheses of a model with their equivalence classes.
+
+    Args:
+        limits: Detection limits, without a unit (typical sizes), shape (h,).
+    """
+    rows = zip(model.sensitivities.hypotheses, limits.tolist(), model.label.tolist(), strict=True)
+    return [DetectableEffect(*row) for row in rows]
 
 
 def _room(one: DetectableEffect, sign: int) -> float:

@@ -160,7 +160,7 @@ def diagnose_case(
     model = _restrict_model(campaign.model, first)
     fit, selection = fit_nuisances(model, first, patch, seed)
     found = diagnose(model, fit.residual, selection)
-    seen = sum(one.family_wise_limit <= 1.0 for one in model.limits)
+    seen = int(np.sum(model.family_wise_limits <= 1.0))
     remarks = (
         *audit_recordings(recordings),
         *missing,

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.feature_set import every_motion, measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
-from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
+from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Ints
@@ -127,8 +127,9 @@ def simulate_change(
         nominal: Prediction without effects in the units of the channels, shape (n,).
         only: Predicate of the motions to simulate.
     """
-    touched = AffectedMotions(effects)
-    found = arm.predict_effects(effects, lambda one: touched(one) and only(one)) - nominal
+    found = (
+        arm.predict_effects(effects, lambda one: only(one) and any(moves(e, one) for e in effects)) - nominal
+    )
     return np.where(np.isfinite(found), found, 0.0)
 
 

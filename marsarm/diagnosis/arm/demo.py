@@ -146,8 +146,7 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    limits = [one.family_wise_limit for one in model.limits]
-    seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+    seen = list_detectable(model, model.family_wise_limits)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
     effect = catalogue_effect(hypothesis.key, drawn.values)

@@ -97,10 +97,11 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
     missing = [name for name in TRACKER_COLUMNS if name not in names]
     if missing:
         raise BadTracker(f"{path}: has no column {', '.join(missing)}")
-    if not rows:
+    cells = [row.split(",") for row in rows if row]
+    if not cells:
         return no_tracker_poses()
     try:
-        table = np.array([row.split(",") for row in rows]).astype(float)
+        table = np.array(cells).astype(float).reshape(-1, len(names))
     except ValueError as error:
         raise BadTracker(f"{path}: something in it is no number, or rows have different lengths") from error
     numbers = table[:, [names.index(name) for name in TRACKER_COLUMNS]].T

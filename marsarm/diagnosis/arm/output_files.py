@@ -134,7 +134,7 @@ def save_diagnosis_files(
 
 def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
     digests = {
-        kind: json_sha256(sorted(map(file_sha256, paths)))
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
         for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
         if paths
     } | {

@@ -130,21 +130,12 @@ def build_simulator(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class AffectedMotions:
-    """Predicate of the motions that effects can influence: at a joint if it moves, geometry never."""
-
-    effects: tuple[Effect, ...]
-
-    def __call__(self, one: MotionFeatures) -> bool:
-        """Check that any of the effects influences the motion."""
-        return any(self._shows(effect, one) for effect in self.effects)
-
-    def _shows(self, effect: Effect, one: MotionFeatures) -> bool:
-        if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
-            return False  # no motion of a campaign reaches a hardstop
-        joint = getattr(effect, "joint", None)
-        return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+def moves(effect: Effect, one: MotionFeatures) -> bool:
+    """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
+    if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
+        return False  # no motion of a campaign reaches a hardstop
+    joint = getattr(effect, "joint", None)
+    return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
 def list_candidates(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:

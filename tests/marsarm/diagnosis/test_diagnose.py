@@ -32,7 +32,7 @@ def test_from_the_limit_of_the_selection_on_nine_of_ten_are_reported_and_sets_ho
     reported, held, covered, cases = 0, 0, [], 60
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
-        t = np.where(made.owner == one, campaign.limits[one].family_wise_limit, 0.0)
+        t = np.where(made.owner == one, campaign.family_wise_limits[one], 0.0)
         diagnosis = _diagnose(made, campaign, rng, t)
         reported += bool(diagnosis.findings)
         for finding in diagnosis.findings[:1]:
