@@ -247,7 +247,7 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     Random and one-sided nuisances stay 0.
     """
     equations = model.equations
-    fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
+    fit = fit_linear(equations, equations.whiten(current.residual), beside)
     found = np.zeros(len(model.sensitivities.nuisances))
     found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])

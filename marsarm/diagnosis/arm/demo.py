@@ -22,7 +22,7 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_effect,
 )
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, simulator_digest
-from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -79,7 +79,7 @@ class Demo:
     """Result of a demonstration."""
 
     truth: DemoTruth
-    diagnosis: Diagnosis
+    case: CaseDiagnosis
     is_right: bool
     reason: str
     """Why it is right or wrong, as a sentence."""
@@ -101,16 +101,15 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
         publish(truth.digest())
         progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
-        diagnosis = _diagnose(Path(name), campaign, truth, request.seed)
-    is_right, reason = judge(truth, campaign.model, diagnosis)
-    return Demo(truth, diagnosis, is_right, reason)
+        case = _diagnose(Path(name), campaign, truth, request.seed)
+    return Demo(truth, case, *judge(truth, campaign.model, case.diagnosis))
 
 
 def demo_json(found: Demo) -> dict[str, Any]:
     """Return the document of a demonstration."""
     truth = {**asdict(found.truth), "sha256": found.truth.digest()}
     right = {"is_right": found.is_right, "reason": found.reason}
-    return {**right, "truth": truth, "diagnosis": to_document(found.diagnosis)}
+    return {**right, "truth": truth, "diagnosis": to_document(found.case.diagnosis)}
 
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
@@ -156,11 +155,11 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     return truth, (*background, effect)
 
 
-def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> Diagnosis:
+def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> CaseDiagnosis:
     fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
     if truth.kind == "left out":
         campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
-    return diagnose_case(fitted, held_out, campaign, seed).diagnosis
+    return diagnose_case(fitted, held_out, campaign, seed)
 
 
 def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[bool, str]:
