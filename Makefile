@@ -2,7 +2,8 @@
 # demo    place the APXS on a rock, draw a picture    campaign  run the campaign NAME, or list all
 # test    run the short tests                         package   build wheel and source distribution in dist/
 # test-all  run all tests                             lock      choose package versions anew (needs uv)
-# lint    style, types, imports, docstrings, files    clean     remove what the others made
+# lint    style, types, imports, docstrings, links    clean     remove what the others made
+# site    documents and Python reference as a site, in build/site
 #
 # Each target sets up what it needs. Only python3 (3.11 or later), pip, make and git are taken for granted.
 # Progress goes to standard error, so that `make -s bench > bench.json` is a JSON file.
@@ -20,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: setup demo test test-all bench campaign lint lock package clean
+.PHONY: setup demo test test-all bench campaign lint lock package site clean
 
 setup: $(VENV)/ready
 
@@ -49,14 +50,21 @@ package: $(VENV)/ready
 	@$(call say,building the source distribution, and the wheel from it, in dist/)
 	@$(BIN)/python .ci/package.py dist >/dev/null
 
-# All six speak before any of them stops the target.
+site: $(VENV)/ready
+	@$(BIN)/python -c "import furo, myst_nb" 2>/dev/null || { $(call say,installing Sphinx and its theme); \
+	  $(PIP) --disable-pip-version-check --quiet install --no-build-isolation -e simgap -e '.[site]'; }
+	@$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+	@$(call say,the first page is build/site/index.html)
+
+# All seven speak before any of them stops the target.
 lint: $(VENV)/ready
-	@$(call say,ruff; mypy; import-linter; docstrings and sizes; files made from arm.toml; requirements)
+	@$(call say,ruff; mypy; import-linter; docstrings and sizes; links; files made from arm.toml; requirements)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
+	$(BIN)/python .ci/links.py || failed=1; \
 	$(BIN)/marsarm arm --check >/dev/null || failed=1; \
 	$(BIN)/python -m validation requirements --brief || failed=1; \
 	exit $$failed
