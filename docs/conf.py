@@ -47,6 +47,7 @@ html_theme = "furo"
 html_title = project
 html_show_sourcelink = False
 html_copy_source = False
+html_show_search_summary = False  # it would need a server
 
 
 def change_source(_: Sphinx, page: str, text: list[str]) -> None:

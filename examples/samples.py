@@ -56,7 +56,7 @@ def write_servo(folder: Path) -> None:
     """Write an arm whose elbow gets its commands three rows late, until it is repaired."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     random = np.random.default_rng(1)
-    time_s, commands = 0.01 * np.arange(300), []
+    time_s, commands = np.arange(0.0, 3.0, 0.01), []
     for _ in range(4):
         steps = random.uniform(-0.5, 0.5, (6, 2))
         commands.append(np.where(time_s[:, None] < 0.5, 0.0, steps[(2.0 * time_s).astype(int)]))
@@ -82,7 +82,7 @@ def write_so101(folder: Path) -> None:
         spec.actuator(joint.name).set_to_position(kp=joint.kp_Nm_rad)
     model, names = spec.compile(), tuple(joint.name for joint in robot.joints)
     model.jnt_stiffness[names.index("wrist_flex")] = 0.6
-    random, time_s = np.random.default_rng(1), 0.02 * np.arange(250)
+    random, time_s = np.random.default_rng(1), np.arange(0.0, 5.0, 0.02)
     ramp = np.minimum(time_s, 1.0)[:, None]
     reach_rad = np.array([0.6, 0.3, 0.4, 0.6, 0.6, 0.3])
     commands = []

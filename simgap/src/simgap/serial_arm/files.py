@@ -159,7 +159,10 @@ class RotationColumns(TableColumns):
         return Unit(quantity, 1.0) if self.form in ("quaternion", "matrix") else super().convert(quantity)
 
     def rotations(self, value: Array) -> tuple[Array, Integers]:
-        """Convert the columns, (columns, n) in radians or unitless, to rotation matrices.
+        """Convert the values of the columns to rotation matrices.
+
+        Args:
+            value: Angles, rotation vectors [rad], quaternions or matrices, (columns, n).
 
         Returns:
             The matrices, (3, 3, n), and the indices of the rows that are no rotation.
