@@ -23,7 +23,7 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
-from sim.arms import SPRING_FRAMES, arm_named
+from sim.arms import arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import Warming
 from sim.effects.joints import GearStiffness
@@ -32,6 +32,7 @@ from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
 from sim.sequence import run_sequence
+from sim.tolerances import SPRING_FRAMES
 from validation.campaigns import Context, Document
 
 WARMING_K = 50.0

@@ -3,7 +3,7 @@
 from marsarm.cli.analysis import arm, budget, calibrate, dictionary, ik, monte_carlo, reach
 from marsarm.cli.diagnosis import diagnose, gap_app
 from marsarm.cli.log import log_app, replay
-from marsarm.cli.runs import hardstop, place, run, view
+from marsarm.cli.runs import hardstop, place, run, show, view
 from simgap.common.app import make_app, run_app
 from simgap.common.verb import VerbCommand
 
@@ -11,6 +11,7 @@ app = make_app(
     "marsarm", "Control of the arms of Curiosity and like rovers, a MuJoCo plant for them, and ground tools."
 )
 
+app.command()(show)
 app.command()(place)
 app.command(cls=VerbCommand)(ik)
 app.command(cls=VerbCommand)(reach)

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.config import CYCLE_HZ, configure, digest, ticks
+from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, SetParam, Stop, Unstow
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Booted, CommandRefused
 from fsw.kinematics.chain import forward, tool_pose
