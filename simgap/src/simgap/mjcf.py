@@ -11,6 +11,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.files.robot_file import SettingTable
 
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
@@ -47,6 +48,37 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
                 _, included = _read_xml(path)
                 _insert_includes(included, folder, (*within, path))
                 parent[k : k + 1] = [*included]
+
+
+def set_numbers(xml: str, numbers: Sequence[tuple[SettingTable, float]], where: str) -> str:
+    """Return the text of a model with other numbers.
+
+    Args:
+        numbers: Places of numbers, and their values.
+        where: Key of the robot file, for errors.
+
+    Raises:
+        RobotError: the model has no such element, or no such place in an attribute.
+    """
+    root = ElementTree.fromstring(xml)
+    for one, value in numbers:
+        named = [each for each in root.iter(one.element) if each.get("name", "") == one.name]
+        *inner, attribute = one.attribute.split("/")
+        found = [part for each in named for part in (each.findall("/".join(inner)) if inner else [each])]
+        if len(found) != 1:
+            words = f"<{one.element}>" + (f" named {one.name!r}" if one.name else " without a name")
+            inside = f" with <{'/'.join(inner)}>" if inner else ""
+            raise RobotError(f"{where}: the model has {len(found)} {words}{inside}; name one that it has once")
+        numbers_there = found[0].get(attribute, "").split() if one.index is not None else [""]
+        place = one.index or 0
+        if place >= len(numbers_there):
+            raise RobotError(
+                f"{where}: {attribute} of {one.name or one.element!r} has {len(numbers_there)} numbers in the "
+                f"model; write there all of them, or an index below"
+            )
+        numbers_there[place] = repr(one.offset + one.factor * value)
+        found[0].set(attribute, " ".join(numbers_there))
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:

@@ -139,8 +139,13 @@ class InverseResiduals:
         every = sizes.reshape(sizes.shape[0] * sizes.shape[1], sizes.shape[2])
         distinct, which = np.unique(every, axis=0, return_inverse=True)
         candidates = _Candidates(self._robot, self._acting(effects, distinct), len(distinct))
-        rows = which.reshape(sizes.shape[:2]).T
-        return np.concatenate([self._of_motion(m, candidates, own) for m, own in enumerate(rows)], axis=1)
+        found = np.empty((len(sizes), self.motion_of.size))
+        of_motion = [np.flatnonzero(self.motion_of == m) for m in range(len(self.motions))]
+        for c in range(len(distinct)):  # all motions of a candidate in turn, for which its model is made once
+            wanted = which.reshape(sizes.shape[:2]) == c
+            for m in np.flatnonzero(wanted.any(axis=0)):
+                found[np.ix_(wanted[:, m], of_motion[m])] = self._of_candidate(m, candidates, c)
+        return found
 
     def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_ActingTorque]:
         found, first = [], 0
@@ -151,12 +156,6 @@ class InverseResiduals:
                 joint = self.joints.index(effect.place) if effect.place in self.joints else -1
                 found.append(_ActingTorque(effect, size, joint))
         return found
-
-    def _of_motion(self, m: int, candidates: "_Candidates", rows: Integers) -> Array:
-        """Return the residuals of a motion for the candidates of these rows, which may repeat."""
-        chosen, place = np.unique(rows, return_inverse=True)
-        found = [self._of_candidate(m, candidates, int(c)) for c in chosen]
-        return np.stack(found)[place]
 
     def _of_candidate(self, m: int, candidates: "_Candidates", c: int) -> Array:
         one = self._decoded(m, candidates, c)
@@ -263,10 +262,11 @@ class _Candidates:
     """Numbers of the model for each candidate."""
 
     def __init__(self, robot: Robot, acting: Sequence[_ActingTorque], n: int) -> None:
-        self.n = n
-        self._robot = robot
-        self._acting = acting
         self._batch = mujoco.batch.Batch(robot.model, nsim=n, nthread=1)
+        self._with_hook = {
+            hook: [one for one in acting if one.effect.overrides(hook)] for hook in TORQUE_HOOKS
+        }
+        self._models: dict[int, mujoco.MjModel] = {}
         self.fields = nominal_fields(robot, n, self._batch)
         for one in self.with_hook("set_model"):
             one.effect.set_model(one.size, self.fields, robot)
@@ -283,11 +283,13 @@ class _Candidates:
 
     def with_hook(self, hook: str) -> list[_ActingTorque]:
         """Return the effects that override a hook."""
-        return [one for one in self._acting if one.effect.overrides(hook)]
+        return self._with_hook[hook]
 
     def model(self, c: int) -> mujoco.MjModel | None:
         """Return the model of a candidate; None if its fields are nominal."""
-        return self._batch.get_model(c) if self._changed[c] else None
+        if self._changed[c] and c not in self._models:
+            self._models = {c: self._batch.get_model(c)}
+        return self._models[c] if self._changed[c] else None
 
 
 def _option(model: mujoco.MjModel, name: str) -> Array:
