@@ -48,10 +48,8 @@ def load(
     if not motions:
         raise RobotError("logs: none is given; name at least one log file")
     motions = _add_conditions(robot.file, motions, members)
-    members = [
-        replace(one, others=(*one.others, *(f"{name}={value:.9g}" for name, value in motion.conditions.items())))
-        for one, motion in zip(members, motions, strict=True)
-    ]
+    said = [[f"{name}={value:.9g}" for name, value in one.conditions.items()] for one in motions]
+    members = [replace(one, others=(*one.others, *own)) for one, own in zip(members, said, strict=True)]
     for group in robot.file.motion.repeats:
         alike = find_members(group, members, "repeats")
         motions = [replace(one, repeat_of=group[0]) if one.name in alike else one for one in motions]
@@ -157,9 +155,7 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
     wanted = [name for one, _ in signals.values() for name in (one.column, one.time_column)]
     gains = {joint: table.gain_column for joint, table in file.joints.items() if table.gain_column}
     conditions = {name: table.column for name, table in file.conditions.items() if table.column}
-    numbers = dict.fromkeys(
-        filter(None, (file.time.column, *wanted, *gains.values(), *conditions.values()))
-    )
+    numbers = dict.fromkeys(filter(None, (file.time.column, *wanted, *gains.values(), *conditions.values())))
     texts = dict.fromkeys(filter(None, (*file.motion.columns, file.motion.repeat_column)))
     log = open_log(path, list(numbers), list(texts), file.csv)
     rows = MotionRows(log, file)

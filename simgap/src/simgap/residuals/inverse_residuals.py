@@ -143,7 +143,7 @@ class InverseResiduals:
         of_motion = [np.flatnonzero(self.motion_of == m) for m in range(len(self.motions))]
         for c in range(len(distinct)):  # all motions of a candidate in turn, for which its model is made once
             wanted = which.reshape(sizes.shape[:2]) == c
-            for m in np.flatnonzero(wanted.any(axis=0)):
+            for m in np.flatnonzero(wanted.any(axis=0)).tolist():
                 found[np.ix_(wanted[:, m], of_motion[m])] = self._of_candidate(m, candidates, c)
         return found
 
@@ -163,9 +163,7 @@ class InverseResiduals:
         torque_Nm = self._needed_Nm(m, candidates, c, kept) + self._dry_Nm(m, candidates, c, one)
         return self._rows(kept, kept.torque_Nm - torque_Nm / candidates.fields.torque_scale[c])
 
-    def _dynamics(
-        self, m: int, model: mujoco.MjModel | None, one: FilteredMotion
-    ) -> tuple[Array, Array]:
+    def _dynamics(self, m: int, model: mujoco.MjModel | None, one: FilteredMotion) -> tuple[Array, Array]:
         """Return torque and load of a motion, or of its kept samples; those of the nominal model once."""
         is_measured = one is self._filtered[m] or one is self._kept_of[m]
         if model is None and is_measured and (m, one.time_s.size) in self._nominal:
