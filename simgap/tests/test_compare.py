@@ -1,6 +1,5 @@
 """Comparison of two sets of logs: what both share is no change, and what differs is named with its sign."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +8,10 @@ import pytest
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, ToyResiduals, draw_toy
 from helpers.verdicts import LIFT, diagnosis, finding
-from simgap.arrays import Array
 from simgap.assemble import select_sure
-from simgap.compare import AFTER, change_of, list_limits
-from simgap.effects.effect import Effect
+from simgap.compare import AFTER, list_limits
 from simgap.report.comparison import comparison_lines
-from simgap.residuals.conditioned import ConditionedResiduals
+from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.result import Comparison, Limit
 from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
@@ -36,17 +33,15 @@ def draw_sets(seed: int, common: dict[str, float], change: dict[str, float]) -> 
     return model
 
 
-def compared(model: ToyResiduals, known: Mapping[Effect, Array]) -> ConditionedResiduals:
-    is_after = np.array([float(name.startswith(AFTER)) for name in model.motions])
-    return ConditionedResiduals(model, {AFTER: is_after}, known)
-
-
 def compare_toys(model: ToyResiduals) -> Selection:
     common = select_effects(model, BASE, CATALOGUE, seed=1)
     present, columns = (*BASE, *common.chosen.effects), common.context.union.columns
     known = {one: common.chosen.sizes[columns([one])] for one in present}
-    changes = [change_of(one) for one in (*BASE, *CATALOGUE)]
-    return select_sure(select_effects(compared(model, known), present, changes, seed=1), None)[0]
+    changes = [Change(one.place, one) for one in (*BASE, *CATALOGUE)]
+    is_after = np.array([name.startswith(AFTER) for name in model.motions])
+    return select_sure(
+        select_effects(KnownResiduals(model, known, is_after), present, changes, seed=1), None
+    )[0]
 
 
 @pytest.mark.parametrize("seed", slow_but(range(1, 6), 1))
@@ -65,18 +60,19 @@ def test_a_change_is_named_with_its_size_and_what_is_common_is_not(
 
 def test_a_change_that_was_not_seen_has_a_limit() -> None:
     found = compare_toys(draw_sets(1, {}, {}))
-    limits = list_limits(found, [change_of(one) for one in BASE])
+    limits = list_limits(found, [Change(one.place, one) for one in BASE])
     assert [(one.place, one.name) for one in limits] == [("near", "gain"), ("far", "gain")]
     assert all(one.low <= 0.0 <= one.high and one.high - one.low < 0.01 for one in limits)
 
 
 def test_a_change_may_undo_an_effect_but_not_turn_it_round() -> None:
     model = draw_sets(1, {}, {})
-    square, change = CATALOGUE[0], change_of(CATALOGUE[0])
-    known = compared(model, {square: np.array([4.0])})
+    square, change = CATALOGUE[0], Change("near", CATALOGUE[0])
+    is_after = np.array([name.startswith(AFTER) for name in model.motions])
+    known = KnownResiduals(model, {square: np.array([4.0])}, is_after)
     alone, beyond = known.residuals([change], np.array([[1.0], [7.0]]))
     assert np.array_equal(alone, beyond)  # the largest size is 5
-    after = np.array([name.startswith("after") for name in model.motions])[model.motion_of]
+    after = is_after[model.motion_of]
     (same,) = known.residuals([], np.zeros((1, 0)))
     assert np.array_equal(alone[~after], same[~after])
     assert not np.array_equal(alone[after], same[after])

@@ -1,4 +1,4 @@
-"""A payload between two conditions: a twin of a UR10e with exact link masses and a wrong scale of currents."""
+"""A payload between two conditions: a twin of a UR10e with exact masses and a wrong scale of currents."""
 
 from pathlib import Path
 
@@ -13,7 +13,8 @@ from simgap.robot import Robot
 MODEL = """<mujoco model="twin"><compiler angle="radian" autolimits="true"/><worldbody>
 <body name="shoulder" pos="0 0 0.181"><joint name="pan" axis="0 0 1" range="-6.28 6.28"/>
  <inertial pos="0 0 0" mass="7.369" diaginertia="0.0315 0.0315 0.0219"/>
- <body name="upper" pos="0 0.176 0" quat="0.7071068 0 0.7071068 0"><joint name="lift" axis="0 1 0" range="-6.28 6.28"/>
+ <body name="upper" pos="0 0.176 0" quat="0.7071068 0 0.7071068 0">
+  <joint name="lift" axis="0 1 0" range="-6.28 6.28"/>
   <inertial pos="0 0 0.3062" mass="13.051" diaginertia="0.4218 0.4218 0.0363"/>
   <body name="forearm" pos="0 -0.137 0.6127"><joint name="elbow" axis="0 1 0" range="-3.14 3.14"/>
    <inertial pos="0 0 0.2859" mass="3.989" diaginertia="0.1111 0.1111 0.0109"/>
@@ -47,11 +48,8 @@ def write_log(path: Path, payload_kg: float, seed: int) -> None:
     data, rng, t, rows = mujoco.MjData(model), np.random.default_rng(seed), np.arange(0.0, 8.0, 0.008), []
     for motion in range(4):
         middle = MIDDLE_RAD + rng.uniform(-1.5, 1.5, 6)
-        size, rate, phase = (
-            rng.uniform(0.2, 0.6, (2, 6)),
-            rng.uniform(0.5, 2.5, (2, 6)),
-            rng.uniform(0, 6.28, (2, 6)),
-        )
+        size, rate = rng.uniform(0.2, 0.6, (2, 6)), rng.uniform(0.5, 2.5, (2, 6))
+        phase = rng.uniform(0.0, 6.28, (2, 6))
         angle = t[:, None, None] * rate + phase
         q = middle + (size * np.sin(angle)).sum(axis=1)
         v, a = (size * rate * np.cos(angle)).sum(axis=1), -(size * rate**2 * np.sin(angle)).sum(axis=1)

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from simgap.arrays import Flags
 from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
-from simgap.effects.effect import Effect
-from simgap.effects.variation import Variation, unbound
+from simgap.effects.effect import Effect, JointEffect
 from simgap.logs import Logs, Motion
-from simgap.residuals.conditioned import ConditionedResiduals
+from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.result import Comparison, Limit
 from simgap.robot import Robot
@@ -71,10 +71,9 @@ def compare(
     )
     sizes, columns = common.chosen.sizes, common.context.union.columns
     present = (*base, *common.chosen.effects)
-    is_after = np.array([float(name.startswith(AFTER)) for name in raw.motions])
-    known_sizes = {one: sizes[columns([one])] for one in present}
-    model = ConditionedResiduals(raw, {AFTER: is_after}, known_sizes)
-    changes = [change_of(one) for one in (*base, *shown)]
+    is_after: Flags = np.array([name.startswith(AFTER) for name in raw.motions])
+    model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
+    changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
         model,
         present,
@@ -99,12 +98,12 @@ def _rename(motions: Sequence[Motion], prefix: str) -> list[Motion]:
     ]
 
 
-def change_of(effect: Effect) -> Variation:
-    """Return the change of the sizes of an effect from the first set of logs to the second."""
-    return Variation(effect.place, unbound(effect), AFTER, is_change=True)
+def _unbound(effect: Effect) -> Effect:
+    """Return a base effect without its prior."""
+    return replace(effect, is_base=False) if isinstance(effect, JointEffect) else effect
 
 
-def list_limits(selection: Selection, changes: Sequence[Variation]) -> tuple[Limit, ...]:
+def list_limits(selection: Selection, changes: Sequence[Change]) -> tuple[Limit, ...]:
     """List the intervals of changes of base parameters: all of a joint may change, beside the findings."""
     context, chosen = selection.context, selection.chosen
     found = []

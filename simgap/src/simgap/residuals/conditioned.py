@@ -1,8 +1,6 @@
 """Residuals of motions under several conditions: a model for each, and sizes that follow their numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
-from types import MappingProxyType
 
 import numpy as np
 
@@ -10,7 +8,7 @@ from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
 from simgap.logs import Motion
-from simgap.residuals.residuals import Referred, ResidualModel, refer_to, residuals_by_motion
+from simgap.residuals.residuals import ResidualModel, refer_to, residuals_by_motion
 from simgap.robot import Robot
 
 MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
@@ -99,19 +97,13 @@ class ConditionedResiduals:
 
     by_motion = True
 
-    def __init__(
-        self,
-        raw: ResidualModel,
-        numbers: Mapping[str, Array],
-        known: Mapping[Effect, Array] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, raw: ResidualModel, numbers: Mapping[str, Array]) -> None:
         """Keep the residuals and the numbers.
 
         Args:
             numbers: Name of a number -> its value for each motion, (n_motions,).
-            known: Effects and their sizes, from which all other sizes count.
         """
-        self.raw, self.numbers, self.known = raw, dict(numbers), dict(known)
+        self.raw, self.numbers = raw, dict(numbers)
         self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
         self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
         self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
@@ -119,21 +111,14 @@ class ConditionedResiduals:
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n); a sum of sizes ends at its bounds."""
-        if not self.known and not any(isinstance(one, Variation) for one in effects):
-            if sizes.ndim == 2:
-                return self.raw.residuals(effects, sizes)
-            return residuals_by_motion(self.raw, effects, sizes)
+        if sizes.ndim == 2 and not any(isinstance(one, Variation) for one in effects):
+            return self.raw.residuals(effects, sizes)
         if sizes.ndim == 2:
             sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
-        inner = {one.key: one for one in self.known}
-        inner |= {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
-        places, n = {}, 0
-        for key, one in inner.items():
-            places[key] = slice(n, n + len(one.sizes))
-            n += len(one.sizes)
-        total = np.zeros((*sizes.shape[:2], n))
-        for one, size in self.known.items():
-            total[..., places[one.key]] += size
+        inner = {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
+        ends = np.cumsum([0, *(len(one.sizes) for one in inner.values())]).tolist()
+        places = dict(zip(inner, map(slice, ends, ends[1:]), strict=False))
+        total = np.zeros((*sizes.shape[:2], ends[-1]))
         first = 0
         for effect in effects:
             own = sizes[..., first : first + len(effect.sizes)]
@@ -152,15 +137,14 @@ class ConditionedResiduals:
         """Return the residuals of these motions alone."""
         kept = np.isin(self.motions, [*motions])
         numbers = {name: value[kept] for name, value in self.numbers.items()}
-        return ConditionedResiduals(self.raw.select(motions), numbers, self.known)
+        return ConditionedResiduals(self.raw.select(motions), numbers)
 
     def around(self, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
-        """Return the residuals with another reference, or the same if their kind has none."""
-        if not isinstance(self.raw, Referred):
-            return self
-        moved = copy(self)
-        moved.raw = self.raw.around(effects, sizes)
-        return moved
+        """Return the residuals with another reference; effects that follow a number are left out of it."""
+        steady = [not isinstance(one, Variation) for one in effects]
+        kept = np.repeat(steady, [len(one.sizes) for one in effects])
+        own = [one for one, is_steady in zip(effects, steady, strict=True) if is_steady]
+        return ConditionedResiduals(refer_to(self.raw, own, sizes[0, kept]), self.numbers)
 
     def explain(self, name: str) -> Array:
         """Return a variable at the measured motion, (n,)."""
