@@ -305,6 +305,7 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
     except NoPlan as error:
         raise BadRequest(f"arm: no poses for Earth without a turret: {error}") from error
     runs = []
+    progress(0, len(HARDSTOP_ORDER), "hardstops")
     for run in initialise_joints(bare, World("earth")):
         runs.append(run)
         progress(len(runs), len(HARDSTOP_ORDER), "hardstops")
