@@ -31,7 +31,8 @@ from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, part_of

@@ -37,7 +37,7 @@ from sim.initialisation import (
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome
-from sim.world import WARM_C, World
+from sim.setting import WARM_C, World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress

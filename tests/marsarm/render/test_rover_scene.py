@@ -14,7 +14,8 @@ from marsarm.runs import execution
 from marsarm.runs.execution import DrawnPoses, save_artifacts
 from marsarm.runs.request import RunFiles
 from sim.arm_model.load import default_arm
-from sim.world import Scene, Surface, World, build
+from sim.setting import Scene, Surface, World
+from sim.world import build
 from simgap.common.progress import no_progress
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
