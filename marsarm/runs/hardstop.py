@@ -65,7 +65,7 @@ NAMES: Final = {
     HomingStage.RELEASE: "release: slowly away",
 }
 COLDEST_C, WARMEST_C = -130.0, 50.0
-EXPECTED_S: Final = 1500.0
+EXPECTED_S: Final = 1030.0
 """Approximate duration of the initialisation of all joints, for the progress bar."""
 
 
