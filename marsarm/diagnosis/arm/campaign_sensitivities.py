@@ -45,7 +45,8 @@ from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sens
 from marsarm.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
 from sim.params import nominal_params
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, part_of
 

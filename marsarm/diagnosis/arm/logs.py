@@ -25,7 +25,7 @@ from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
 from sim.loop import RecordedStart
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.toml import decode_text, describe_first_problem
 
