@@ -14,11 +14,11 @@ from simgap.report.sentences import (
     level,
     list_differing,
     percent,
-    quantity,
     rank_findings,
     regime_words,
 )
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+from simgap.units import quantity
 
 GAINS: Final = {
     "gain_ratio": "the gain",

@@ -18,11 +18,9 @@ from simgap.checks.records import COARSE_RAD
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.report.details import finding_lines
 from simgap.report.sentences import (
-    SMALL_UNITS,
     has_floor,
     level,
     percent,
-    quantity,
     rank_findings,
     verdict_lines,
     verdict_word,
@@ -30,6 +28,7 @@ from simgap.report.sentences import (
 from simgap.report.traces import Trace, choose_traces, thin
 from simgap.result import Diagnosis, JointError
 from simgap.robot import SLIDE_m_rad
+from simgap.units import SMALL_UNITS, quantity
 
 SERIES: Final = {
     "measured": "measured",

@@ -8,16 +8,10 @@ from typing import Final
 
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+from simgap.units import quantity
 
 MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
-SMALL_UNITS: Final = {
-    "rad": ("mrad", 1e3),
-    "m": ("mm", 1e3),
-    "rad/s": ("mrad/s", 1e3),
-    "m/s": ("mm/s", 1e3),
-}
-"""Units in which errors of a robot are small numbers, and their factors."""
 NOT_LOCATED: Final = "something that is not located"
 MUCH: Final = 2.0
 """Error over noise from which the first line says what is left: half of it or more is no noise."""
@@ -87,14 +81,6 @@ def regime_words(regime: str) -> str:
     return {"slow": "in slow motion", "fast": "in fast motion", "all motion": "in all motion"}.get(
         regime, regime
     )
-
-
-def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit, small angles and lengths in thousandths."""
-    if not isfinite(value):
-        return "not known"
-    small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
-    return f"{value * factor:.3g} {small}"
 
 
 def percent(share: float) -> str:

@@ -11,7 +11,6 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.report.sentences import quantity
 from simgap.residuals.noise import count_independent, cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
@@ -35,6 +34,7 @@ from simgap.selection.selection import (
     start_refit,
 )
 from simgap.selection.sharing import ALL_JOINTS
+from simgap.units import quantity
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""
