@@ -15,6 +15,7 @@ from simgap.checks.records import COARSE_RAD, REFUSED, Audit, Remark, joint_samp
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion, Usable
+from simgap.report.user_units import convert_errors
 from simgap.residuals.encoder_residuals import why_refused
 from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
 from simgap.residuals.residuals import ResidualModel, refer_to
@@ -101,7 +102,7 @@ def diagnose(
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
     return replace(
-        join_parts(parts),
+        convert_errors(robot, join_parts(parts)),
         seed=seed,
         is_base_only=base_only,
         refused=() if audit is None else audit.refused,

@@ -136,4 +136,4 @@ def quantity(value: float, unit: str) -> str:
     if not isfinite(value):
         return "not known"
     small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
-    return f"{value * factor:.3g} {small}"
+    return f"{float(f'{value * factor:.3g}'):.7g} {small}"  # without the exponent of 2.04e+03

@@ -7,7 +7,7 @@ import html
 import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from math import floor, isfinite, log10
+from math import degrees, floor, isfinite, log10
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +43,11 @@ BARS: Final = {
     "base": "base parameters fitted",
     "explained": "with the findings",
 }
-LEAST_SPANS: Final = {"rad": COARSE_RAD, "m": SLIDE_m_rad * COARSE_RAD}
+LEAST_SPANS: Final = {
+    "rad": COARSE_RAD,
+    "deg": degrees(COARSE_RAD),
+    "m": SLIDE_m_rad * COARSE_RAD,
+}
 """Least ranges of positions that fill a figure, by unit: a joint that moves less looks idle, as it is."""
 STEPS: Final = 16
 """Steps of usual encoders, of 12 bits, in LEAST_SPANS; no error smaller than a step fills a figure."""

@@ -147,12 +147,20 @@ def _much_left(errors: Sequence[JointError]) -> str:
 
 def rank_findings(diagnosis: Diagnosis) -> list[Finding]:
     """Return the findings, first that which explains the most of the largest error."""
-    errors = {one.joint: one.base for one in diagnosis.errors}
-    largest = max(errors.values(), default=0.0)
+    largest: dict[str, float] = {}
+    for one in diagnosis.errors:
+        largest[one.kind] = max(largest.get(one.kind, 0.0), one.base)
+    errors = {
+        (one.joint, one.kind or diagnosis.kinds[0]): one.base / (largest[one.kind] or 1.0)
+        for one in diagnosis.errors
+    }
+    effects = (effect.key for effect in diagnosis.effects)
+    kinds = dict(zip(effects, diagnosis.effect_kinds, strict=False))
 
     def weight(one: Finding) -> float:
         share = one.share if isfinite(one.share) else 0.0
-        return share * errors.get(one.place, largest)
+        kind = kinds.get(f"{one.place}: {one.effect}", diagnosis.kinds[0])
+        return share * errors.get((one.place, kind), 1.0)
 
     return sorted(diagnosis.findings, key=weight, reverse=True)
 
