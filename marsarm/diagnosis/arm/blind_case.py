@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.problem import Hypothesis, Ints
 from sim.arm_model.load import default_arm
-from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
+from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from sim.effects.effect import Effect
 from sim.effects.environment import Numerics
@@ -22,6 +22,7 @@ from sim.effects.joints import GearFriction
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
 from sim.plant import PlantDiverged
+from sim.tolerances import draw_calibration_errors
 from simgap.common.progress import Progress, no_progress
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, flight_params
