@@ -43,10 +43,14 @@ def detail_lines(diagnosis: Diagnosis) -> list[str]:
 
 def finding_lines(diagnosis: Diagnosis) -> list[str]:
     """Return sentences of each finding, of what remains, is not named, and cannot be known."""
+    return [*finding_sentences(rank_findings(diagnosis)), *rest_lines(diagnosis)]
+
+
+def rest_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return sentences of what remains, is not named, and cannot be known."""
     errors = map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
     base = [base_sentence(one) for one in list_differing(diagnosis)]
     return [
-        *finding_sentences(rank_findings(diagnosis)),
         *errors,
         *remainder_sentences(diagnosis.remaining, diagnosis.is_base_only),
         *_shorten(rejected_sentences(diagnosis.rejected), "refusal of a name", "refusals of names"),
