@@ -36,6 +36,7 @@ from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, trace_motions
+from simgap.report.user_units import convert_trace
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors
@@ -275,7 +276,10 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         raise
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
     patch = None if request.patch is None else make_patch(robot, *result.of_model())
-    traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
+    traces: tuple[Trace, ...] = ()
+    if request.report is not None:
+        made = trace_motions(robot, _shown(logs), result, found.usable)
+        traces = tuple(convert_trace(robot, one) for one in made)
     return RobotDiagnosis(request, result, traces, patch, digests)
 
 
