@@ -133,10 +133,11 @@ def watch_log(path: Path) -> WatchedRun:
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
-    return WatchedRun(path.name, _facts(log.header), tuple(notes), surroundings.scene, frames, events)
+    return WatchedRun(path.name, list_facts(log.header), tuple(notes), surroundings.scene, frames, events)
 
 
-def _facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+def list_facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    """List names and values of what identifies a run, from the header of its log."""
     names = {
         "arm": "arm",
         "seed": "seed",

@@ -15,13 +15,14 @@ from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import default_arm
-from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
+from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession
 from sim.effects.effect import Effect
 from sim.effects.environment import Numerics
 from sim.effects.joints import GearFriction
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
+from sim.tolerances import draw_calibration_errors
 from simgap.common.progress import Progress, no_progress
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)

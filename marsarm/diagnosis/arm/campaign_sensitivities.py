@@ -19,7 +19,7 @@ import numpy as np
 
 import fsw
 import sim
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings

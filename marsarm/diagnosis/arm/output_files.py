@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, drawing, flight_params
@@ -19,8 +19,8 @@ from simgap import Diagnosis, to_document
 from simgap.common.files import atomic_write, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
+from simgap.report.details import finding_sentences
 from simgap.report.page import save_diagnosis_page
-from simgap.report.sentences import finding_sentence
 
 
 class NothingToWrite(Exception):
@@ -49,7 +49,7 @@ def save_patch(diagnosis: Diagnosis, path: Path) -> None:
     """
     comments = [
         "Findings of a diagnosis; switch them on with --effect and the name of this file.",
-        *map(finding_sentence, diagnosis.findings),
+        *finding_sentences(diagnosis.findings),
     ]
     with atomic_write(path, "patch") as file:
         file.write(effect_file_text(effects_of_findings(diagnosis), comments).encode())

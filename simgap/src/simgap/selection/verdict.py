@@ -11,6 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
+from simgap.report.sentences import quantity
 from simgap.residuals.noise import count_independent, cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
@@ -271,7 +272,7 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
         return ""
     return (
         f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
-        f'"{second.effect.name}" differ by {change:.2g} {model.units[joint]} (RMS)'
+        f'"{second.effect.name}" differ by {quantity(change, model.units[joint])} (RMS)'
     )
 
 
