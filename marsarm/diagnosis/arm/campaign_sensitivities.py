@@ -29,8 +29,7 @@ from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
     OneSidedStep,
     adapt_step,
-    find_equal_columns,
-    find_shared_slopes,
+    find_borrowed_slopes,
     group_columns,
     list_columns,
     perturb_both_sides,
@@ -142,8 +141,8 @@ def _difference_all(
     """
     simulator = _simulator(campaign)
     columns = list_columns(simulator)
-    same = find_equal_columns(simulator, columns)
-    shares = {k: 1.0 for k in range(len(columns)) if k not in same}
+    borrowed = find_borrowed_slopes(simulator, columns)
+    shares = {k: 1.0 for k, one in enumerate(columns) if k not in borrowed or one.hypothesis is not None}
     if given is None:
         shares = _choose_steps(campaign, run, part_of(progress, 0.0, STEPS_SHARE), shares)
     else:
@@ -181,7 +180,7 @@ def _choose_steps(
     """
     simulator = _simulator(campaign)
     columns = list_columns(simulator)
-    fixed = find_shared_slopes(simulator, columns)
+    fixed = find_borrowed_slopes(simulator, columns)
     last: dict[int, OneSidedStep] = {}
     begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
@@ -226,10 +225,8 @@ def _assemble(
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, typical) in find_equal_columns(simulator, columns).items():
-        slope[:, k] = slope[:, other] / typical
-    for k, (other, typical) in find_shared_slopes(simulator, columns).items():
-        slope[:, k] = slope[:, other] * typical
+    for k, (other, factor) in find_borrowed_slopes(simulator, columns).items():
+        slope[:, k] = slope[:, other] * factor
     owner = [column.hypothesis for column in columns if column.hypothesis is not None]
     sized = len(owner)
     nuisance = _restrict_nuisances(simulator, slope[:, sized:])
