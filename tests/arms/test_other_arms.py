@@ -31,7 +31,8 @@ from sim.initialisation import prepare_random_homing
 from sim.placement import preview_placement
 from sim.plant import Plant
 from sim.sequence import Outcome
-from sim.world import World, build, inside_rover
+from sim.setting import World
+from sim.world import build, inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm

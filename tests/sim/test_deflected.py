@@ -23,7 +23,7 @@ from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.sequence import run_sequence
-from sim.world import MAX_TILT_RAD, World
+from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 

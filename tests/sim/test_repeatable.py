@@ -25,7 +25,7 @@ from sim.loop import ClosedLoop, OpenLoopArm, RecordedStart, Setup, SimulationOp
 from sim.record import CycleRecord
 from sim.scenario.effects import BadEffect, effect_text
 from sim.sequence import Outcome, run_commands, run_sequence
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 from tests.tools import TOOLS
 

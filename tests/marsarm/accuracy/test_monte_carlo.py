@@ -12,7 +12,7 @@ from marsarm.accuracy.monte_carlo import MonteCarloReport, check_coverage, run_m
 from marsarm.accuracy.monte_carlo_report import monte_carlo_document, monte_carlo_requirements
 from marsarm.accuracy.request import MonteCarloRequest
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm

@@ -25,7 +25,7 @@ from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
 from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 from tests.marsarm.command import marsarm
 
 RUN = CliRunner()

@@ -24,7 +24,7 @@ from sim.effects.gears import CoulombFriction
 from sim.effects.geometry import Warming
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
-from sim.world import World
+from sim.setting import World
 
 HOSTILE_BYTES = [b"\x00", b"\xff", b"\x00\x00\x00\x00\x00\x00\x00\x80", b"\x01\x00\x00\x00\x00\x00\xf0\x7f"]
 """Bits of zero; of NaN and -1; of the least integer and -0.0; of a signalling NaN."""

@@ -26,7 +26,8 @@ from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.world import Surface, World, build
+from sim.setting import Surface, World
+from sim.world import build
 from tests.sim import lab
 from tests.sim.effects import bench
 

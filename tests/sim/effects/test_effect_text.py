@@ -19,7 +19,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.scenario.file import BadScenario, parse_scenario
 from sim.scenario.run import scenario_setup
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from tests.sim import lab
 from tests.tools import SWITCHES, TOOLS

@@ -22,7 +22,8 @@ from sim.plant import Plant
 from sim.scenario.data import Done, Faulted, Injection, Recovered, Scenario, TaughtPoint
 from sim.scenario.run import NotTaught, ScenarioResult, ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome, run_sequence
-from sim.world import Surface, World, build
+from sim.setting import Surface, World
+from sim.world import build
 from tests.sim import lab
 from tests.tools import TOOL_SWITCHES, tool_index
 
