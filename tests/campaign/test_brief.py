@@ -9,7 +9,7 @@ from validation.__main__ import main
 from validation.campaigns import TABLE, Campaign, Context, find_campaign, read_sizes
 from validation.programs import BriefResult
 
-WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "mutants", "robot-baselines", "so101", "view"}
+WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "robot-baselines", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
 
 
