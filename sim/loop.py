@@ -243,11 +243,7 @@ class OpenLoopArm:
         )
 
     def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:
-        """Step the arm through actuator commands.
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
-        """
+        """Step the arm through actuator commands; PlantDiverged if MuJoCo counted a warning."""
         for drive in drives:
             yield self.avionics.sense()
             self.avionics.apply(drive)

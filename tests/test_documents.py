@@ -15,9 +15,7 @@ from simgap.command.app import app as simgap_app
 from validation.campaigns import TABLE
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "simgap").glob("*.md")],
-)
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "simgap").glob("*.md")])
 CODE = re.compile(r"```.*?```", re.DOTALL)
 PARTS: Final = ("fsw", "sim", "marsarm", "simgap", "tests", "validation", "examples")
 PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}

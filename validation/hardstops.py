@@ -103,9 +103,7 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
             }
             for place in PLACES
         },
-        "earth_less_mars_mrad": {
-            "equal torque": _mean_difference(results, joints),
-        },
+        "earth_less_mars_mrad": {"equal torque": _mean_difference(results, joints)},
     }
 
 

@@ -18,25 +18,13 @@ from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
-from marsarm.telemetry.format import (
-    CHUNK_CYCLES,
-    COMMAND_TOPIC,
-    EVR_TOPIC,
-    TICK_NS,
-    end_metadata,
-)
+from marsarm.telemetry.format import CHUNK_CYCLES, COMMAND_TOPIC, EVR_TOPIC, TICK_NS, end_metadata
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.log_writer import ChunkWriter, Packer
 from marsarm.telemetry.robot_description import DrawnScene
 from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
-from marsarm.telemetry.topics import (
-    PACKET_TOPICS,
-    ROSOUT_TOPIC,
-    TopicSpec,
-    begin_log,
-    topic_specs,
-)
+from marsarm.telemetry.topics import PACKET_TOPICS, ROSOUT_TOPIC, TopicSpec, begin_log, topic_specs
 from sim.arms import UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop

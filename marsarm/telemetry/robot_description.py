@@ -83,9 +83,7 @@ class TurningFrame(NamedTuple):
 
 
 def robot_description(
-    fixed: Sequence[FixedFrame],
-    turning: Sequence[TurningFrame],
-    visuals: Mapping[str, Sequence[Visual]],
+    fixed: Sequence[FixedFrame], turning: Sequence[TurningFrame], visuals: Mapping[str, Sequence[Visual]]
 ) -> str:
     """Return the URDF of the frames of a log, which together are a tree, and of the shapes in them."""
     robot = Element("robot", name=ROBOT_NAME)

@@ -342,11 +342,7 @@ def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator)
 
 
 def refuse_first_joint(joint: Joint) -> None:
-    """Refuse the joint that has no other between itself and the rover.
-
-    Raises:
-        ValueError: it is the azimuth.
-    """
+    """Refuse the joint that has no other between itself and the rover; ValueError if it is the azimuth."""
     if joint is Joint.AZIMUTH:
         raise ValueError("joint: azimuth has no joint between itself and the rover")
 

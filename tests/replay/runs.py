@@ -123,10 +123,7 @@ RUNS = (
     ReferenceRun(
         "press",
         DRILL_THERE,
-        (
-            (GuardedMove("drill", beyond(0.06), IN), LONG),
-            (Preload("drill", 24.0), LONG),
-        ),
+        ((GuardedMove("drill", beyond(0.06), IN), LONG), (Preload("drill", 24.0), LONG)),
         "Preloaded",
         world=World(surface=DRILL_ROCK),
     ),

@@ -76,11 +76,7 @@ def compare(
     model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
     changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
-        model,
-        present,
-        changes,
-        seed=seed,
-        meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text)),
+        model, present, changes, seed=seed, meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text))
     )
     sure, sets, rejected = select_sure(selection, None)
     found = convert_errors(robot, assemble(robot, model, sure, sets, model))

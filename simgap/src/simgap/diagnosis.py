@@ -306,11 +306,7 @@ def end_sentence(text: str) -> str:
 
 
 def check_names(effects: Sequence[Effect]) -> None:
-    """Refuse two effects of one name at one place.
-
-    Raises:
-        RobotError: Two have the same key.
-    """
+    """Refuse two effects of one name at one place; RobotError if two have the same key."""
     twice = _find_repeated([effect.key for effect in effects])
     if twice is not None:
         raise RobotError(f"effects: two have the key {twice!r}; give yours another name, and each file once")

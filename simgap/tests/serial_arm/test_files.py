@@ -74,10 +74,7 @@ def test_an_arm_without_gravity_in_its_file_stands_upright(tmp_path):
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (
-            ('unit = "mm"', 'unit = "mn"'),
-            "mapping.toml: position.unit: 'mn' is no unit of length; did you",
-        ),
+        (('unit = "mm"', 'unit = "mn"'), "mapping.toml: position.unit: 'mn' is no unit of length; did you"),
         (('unit = "mm"', 'unit = "deg"'), "mapping.toml: position.unit: 'deg' is no unit of length"),
         (('unit = "deg"', 'unit = "count"'), "joints.unit: 'count' needs a range"),
         (('["x", "y", "z"]', '["x", "y"]'), "position: columns: there are 2; give three"),

@@ -167,11 +167,7 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
 
 
 @pytest.mark.parametrize(
-    ("path", "complaint"),
-    [
-        ("file.txt/scene.png", "there is no folder"),
-        ("scene", r"must end in \.png"),
-    ],
+    ("path", "complaint"), [("file.txt/scene.png", "there is no folder"), ("scene", r"must end in \.png")]
 )
 def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
     (tmp_path / "file.txt").touch()

@@ -337,11 +337,7 @@ def print_lines(diagnosis: Diagnosis) -> None:
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> None:
-    """Write the files of a request.
-
-    Raises:
-        BadOutput: a file cannot be written.
-    """
+    """Write the files of a request; BadOutput if a file cannot be written."""
     if made.request.report is not None:
         save_page_of(made, made.request.report)
     folder = made.request.patch
@@ -359,11 +355,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
 
 
 def save_page_of(made: RobotDiagnosis, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Write the page; BadOutput if the file cannot be written."""
     digests = {**made.digests, "result": json_sha256(diagnosis_json(made))}
     origin = Origin(command_text("simgap diagnose", made.request), digests)
     save_diagnosis_page(made.diagnosis, made.traces, path, origin)

@@ -16,6 +16,7 @@ from typer.core import TyperCommand
 
 from simgap.common.app import EXIT_BAD_INPUT, release_stdout
 from simgap.common.errors import UserError, describe_problems
+from simgap.common.modules import user_files
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
 from simgap.common.origin import current_date
 from simgap.common.progress import show_progress
@@ -27,14 +28,11 @@ FRAME_PATTERN: Final = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>[0-9]+
 """Line of a traceback as text, which is all that a worker process sends."""
 MARKUP: Final = re.compile(r"\[[a-z#/@][^\[]*?\]")
 """What rich takes for markup; its own function for this takes a tenth of the time of `--help` to load."""
-EFFECT_MODULES: Final = ["simgap.catalogue.own_effects"]
-"""Modules whose `user_files` lists the files of a user's effects; a program adds its own."""
 
 
 def describe_failed_effect(error: Exception) -> str | None:
     """Describe an exception that passed through the file of a user's effect; None for any other exception."""
-    modules = (sys.modules.get(name) for name in EFFECT_MODULES)
-    files = set().union(*(module.user_files() for module in modules if module is not None))
+    files = user_files()
     if not files:
         return None
     lines = "".join(traceback.format_exception(error))

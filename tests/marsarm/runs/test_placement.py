@@ -1,11 +1,19 @@
-"""Tests of `marsarm place` as a user runs it: output, errors and files."""
+"""Placements by the command."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.faults import StalledEarly
 from helpers.marks import slow_but
+from marsarm.runs.place import place
+from marsarm.runs.request import PlaceRequest, RunFiles
 from marsarm.telemetry.read import read_log
+from sim.arms import arm_named
+from sim.effects.joints import HardstopAngle
+from sim.sequence import Outcome
 from tests.marsarm.command import largest_file, marsarm, marsarm_process
 
 
@@ -108,3 +116,16 @@ def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
     done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
     assert done.returncode == 2
     assert "tool: 'spoon' cannot be placed" in done.stderr
+
+
+def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_be(tmp_path, monkeypatch):
+    arm = arm_named("nominal")
+    in_the_way = tuple(HardstopAngle(joint, 0.03) for joint in Joint)
+    monkeypatch.setattr("marsarm.common.requests.arm_named", lambda *_: replace(arm, effects=in_the_way))
+    report = place(PlaceRequest(files=RunFiles(log=tmp_path / "run.mcap")))
+    result = report.execution.result
+    assert result.outcome is Outcome.FAULTED
+    assert any(isinstance(evr, StalledEarly) for _, evr in result.evrs)
+    assert result.contact is None
+    assert "not recorded (the arm was not initialised)" in report.execution.artifacts.log_problem
+    assert not list(tmp_path.iterdir())

@@ -1,23 +1,17 @@
-"""Cost and worth of a diagnosis of a robot: CPU time, and simpler fits.
+"""Worth of a diagnosis of a robot: errors of the diagnosis and of simpler fits on held-out motions.
 
-Cost: cases of the pendulum and of the arm with two joints are drawn from tuning seeds; motions are left out
-at the end. Costs are CPU seconds of one process. docs/robot-cost.png shows them.
-
-Baselines: every fit reads the same motions with the same loss; only the effects differ. Effects at a body
-take no part. The errors are mean absolute residuals of motions that took no part, by joint.
+Every fit reads the same motions with the same loss; only the effects differ. Effects at a body take no part.
+The errors are mean absolute residuals of motions that took no part, by joint.
 """
 
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from marsarm.render.svg import save_figure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
 from simgap.checks.records import Audit
@@ -30,90 +24,10 @@ from simgap.loading import load
 from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
-from simgap.selection.checkpoint import Meter, Progress
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from validation.campaigns import Context, Document, keep_results
-from validation.cases.robot_draw import Kind, draw_case
-from validation.cases.robot_setup import PERIOD_S, SAMPLES
-
-MODELS: Final = {"pendulum": "pendulum", "two_joint": "arm with two joints"}
-KINDS: Final[tuple[Kind, ...]] = ("none", "single", "pair")
-FITTED: Final = (4, 6, 8)
-"""Numbers of fitted motions; a diagnosis needs four."""
-DIAGNOSIS_SEED: Final = 1
-"""Seed of the diagnosis, independent of that of the cases."""
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """Case, and the number of its motions that are fitted."""
-
-    model: str
-    kind: Kind
-    motions: int
-
-    @property
-    def name(self) -> str:
-        return f"{self.model}, {self.kind}, {self.motions} motions"
-
-
-SETTINGS: Final = tuple(Setting(*one) for one in product(MODELS, KINDS, FITTED))
-
-
-def measure(setting: Setting, seed: int, progress: Progress) -> Document:
-    """Diagnose a case; return its cost."""
-    robot, logs, _ = draw_case(seed, setting.kind, setting.model)
-    began = time.process_time()
-    found = diagnose(
-        robot, logs.fit[: setting.motions], held_out=logs.judged, seed=DIAGNOSIS_SEED, progress=progress
-    )
-    return {
-        "model": setting.model,
-        "effects": KINDS.index(setting.kind),
-        "log_s": setting.motions * SAMPLES * PERIOD_S,
-        "cpu_s": time.process_time() - began,
-        "findings": len(found.findings),
-    }
-
-
-def plot(rows: list[dict[str, Any]], figure: Any) -> None:
-    """Plot a panel a model, and a line a number of effects."""
-    for model, axes in zip(MODELS, figure.subplots(1, len(MODELS), sharey=True), strict=True):
-        for effects in range(len(KINDS)):
-            mine = [row for row in rows if (row["model"], row["effects"]) == (model, effects)]
-            label = f"{effects} effect{'' if effects == 1 else 's'}"
-            if mine:
-                axes.plot([row["log_s"] for row in mine], [row["cpu_s"] for row in mine], "o-", label=label)
-        axes.set_title(MODELS[model])
-        axes.set_xlabel("fitted log [s]")
-        axes.set_xlim(0.0, 1.05 * FITTED[-1] * SAMPLES * PERIOD_S)
-        if axes.lines:
-            axes.legend(loc="upper left")
-        axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("cost [CPU s]")
-    figure.axes[0].set_ylim(bottom=0.0)  # after the last panel, because it ends the common scaling
-
-
-def cost(context: Context, settings: int = len(SETTINGS)) -> Document:
-    """Measure the first settings.
-
-    Args:
-        context: Its file keeps results, from which an interrupted campaign goes on; the plot goes beside it.
-        settings: Number of settings.
-    """
-    rows = []
-    with keep_results(context.out, context.seed) as once:
-        for done, setting in enumerate(SETTINGS[:settings]):
-
-            def tell(share: float, text: str, done: int = done, name: str = setting.name) -> None:
-                context.progress(done + share, settings, f"{name}: {text}")
-
-            rows.append(once(setting.name, partial(measure, setting, context.seed, tell)))
-    if context.out is not None:
-        save_figure(context.out.with_suffix(".png"), (8.0, 3.4), 150, partial(plot, rows))
-    return {"costs": rows}
-
+from validation.campaigns import Context, Document
 
 BASE: Final = (GainError, Armature, ViscousFriction, CoulombFriction)
 LADDER: Final[dict[str, tuple[type[Effect], ...]]] = {
@@ -175,7 +89,7 @@ def diagnose_baseline(robot: Robot, logs: Logs, found: Audit) -> tuple[Baseline,
     return Baseline("diagnosis", error, time.process_time() - began), keys
 
 
-def baselines(context: Context, robot: Path, logs: str, split: str = "", fits: int = len(FITS)) -> Document:
+def campaign(context: Context, robot: Path, logs: str, split: str = "", fits: int = len(FITS)) -> Document:
     """Compare a diagnosis with simpler fits on held-out motions.
 
     Args:
