@@ -241,9 +241,6 @@ def effects_of_params(params: Params) -> tuple[Effect, ...]:
 
     Args:
         params: Flight parameters of an arm of the default drawing.
-
-    Returns:
-        Effects; none for the parameters of the drawing.
     """
     found: list[Effect] = []
     now = nominal_params()

@@ -157,7 +157,9 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
     held_out_recordings = load_checked_recordings(job.held_out, base)
     _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
     _check_held_out(fitted, held_out_recordings)
-    _check_motion(fitted)
+    missing = find_missing_motion(fitted)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
     logs, held_out = job.logs, job.held_out
     if job.campaign is not None:
         logs, held_out = _campaign_logs(job.campaign, fitted, held_out_recordings)
@@ -172,13 +174,6 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
     patch = (*effects_of_params(base), *job.patch)
     return diagnose_case(fitted, held_out_recordings, campaign, job.seed, patch)
-
-
-def _check_motion(recordings: Sequence[Recording]) -> None:
-    """Refuse too little motion, before the long computation."""
-    missing = find_missing_motion(recordings)
-    if missing:
-        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
 def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:

@@ -1,7 +1,6 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -135,14 +134,11 @@ def save_diagnosis_files(
 
 def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
     digests = {
-        "logs": _files_sha256(job.logs),
-        **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
+        if paths
+    } | {
         "parameters": digest(flight_params(job)),
         "result": json_sha256(to_document(result.diagnosis)),
     }
     return Origin(command_text("marsarm diagnose", request), digests)
-
-
-def _files_sha256(paths: Sequence[Path]) -> str:
-    """Compute the SHA-256 of the digests of files, whatever their names and order."""
-    return hashlib.sha256("".join(sorted(map(file_sha256, paths))).encode()).hexdigest()
