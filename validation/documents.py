@@ -8,8 +8,10 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
+from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -130,14 +132,17 @@ def run_step(step: Step, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def campaign(context: Context) -> Document:
-    """Run all steps in the folder `out`, and return those that failed."""
-    assert context.out is not None
-    context.out.mkdir(parents=True, exist_ok=True)
-    make_folder(context.out)
+    """Run all steps in the folder `out`, or in one that is deleted, and return those that failed."""
+    if context.out is not None and context.out.exists():
+        raise BadRequest(f"out {context.out}: exists; name a folder that does not")
     steps, failed = read_steps(), []
-    for k, step in enumerate(steps):
-        context.progress(k, len(steps), step.text.partition("\n")[0])
-        done = run_step(step, context.out)
-        if done.returncode != 0:
-            failed.append({"page": step.page, "text": step.text, "said": done.stderr[-1000:]})
+    with TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
+        folder = context.out or Path(scratch, "clone")
+        folder.mkdir(parents=True)
+        make_folder(folder)
+        for k, step in enumerate(steps):
+            context.progress(k, len(steps), step.text.partition("\n")[0])
+            done = run_step(step, folder)
+            if done.returncode != 0:
+                failed.append({"page": step.page, "text": step.text, "said": done.stderr[-1000:]})
     return {"steps": len(steps), "failed": failed, "in_bounds": not failed}
