@@ -14,6 +14,8 @@ from simgap.checks.commands import count_foreign_commands
 from simgap.checks.records import COARSE_RAD, REFUSED, Audit, Remark, joint_samples
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
+from simgap.effects.variation import Variation, unbound
+from simgap.files.columns import hint_at
 from simgap.logs import Logs, Motion, Usable
 from simgap.report.user_units import convert_errors
 from simgap.residuals.encoder_residuals import why_refused
@@ -75,6 +77,7 @@ def diagnose(
     logs = Logs(tuple(motions))
     given = dict(start or {})
     known = [] if base_only else [*catalogue(robot, logs), *effects]
+    known += list_variations(robot, logs, known)
     check_names(known)
     known = _replace_known(known, given, base_effects(robot, logs))
     parts = []
@@ -123,6 +126,34 @@ def _list_kinds(
             "whole catalogue"
         )
     return kinds
+
+
+def list_variations(robot: Robot, logs: Logs, known: Sequence[Effect]) -> list[Effect]:
+    """List the effects that may follow a condition, as the robot file names them.
+
+    Args:
+        known: The catalogue; empty: nothing is listed.
+
+    Raises:
+        RobotError: No effect has such a name, or a condition is neutral in all motions.
+    """
+    found: list[Effect] = []
+    candidates = [*base_effects(robot, logs), *known]
+    for condition, table in (robot.file.conditions if robot.file and known else {}).items():
+        largest = max(abs(motion.conditions[condition] - table.neutral) for motion in logs.fit)
+        where = f"conditions.{condition}"
+        if table.effects and largest == 0.0:
+            raise RobotError(
+                f"{where}: is {table.neutral:g} in all fitted motions; fit some with another value"
+            )
+        for name in table.effects:
+            own = [one for one in candidates if one.name.lower() == name.lower()]
+            if not own:
+                there = sorted({one.name for one in candidates})
+                hint = hint_at(name, there, "there are")
+                raise RobotError(f"{where}.effects: no joint can have the effect {name!r}; {hint}")
+            found += [Variation(one.place, unbound(one), condition, largest) for one in own]
+    return found
 
 
 def _part_of(progress: Progress, part: int, parts: int) -> Progress:

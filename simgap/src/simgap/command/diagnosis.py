@@ -245,7 +245,9 @@ def _refuse_any(given: dict[str, bool], why: str) -> None:
 def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
-        check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
+        check_distinct_files(
+            {"model": robot.path.parent / robot.file.model, "patch": request.patch / MODEL_FILE}
+        )
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
     start = {} if request.start is None else read_found(robot, request.start)

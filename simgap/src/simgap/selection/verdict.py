@@ -143,8 +143,8 @@ def start_competitor(
 
     Beside it, the other sizes of its joint are those without the findings, or those of that refit.
     """
-    union, joint = context.union, context.joint_of(score.effect)
-    is_mine = (context.sharing.joint_of_column == joint) | (joint == ALL_JOINTS)
+    union = context.union
+    is_mine = context.sharing.list_fitted(context.joint_of(score.effect))
     own, gone = union.columns([score.effect]), union.columns(layer)
     starts = [without.sizes.copy(), np.where(is_mine & (score.start != 0.0), score.start, without.sizes)]
     for start in starts:
