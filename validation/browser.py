@@ -83,7 +83,8 @@ CONTRAST = """
   };
   let least = 21;
   for (const node of document.body.querySelectorAll(":not(script):not(style):not(noscript)")) {
-    if (![...node.childNodes].some((one) => one.nodeType === Node.TEXT_NODE && one.data.trim())) continue;
+    const hasText = [...node.childNodes].some((one) => one.nodeType === Node.TEXT_NODE && one.data.trim());
+    if (!hasText || !node.getClientRects().length) continue;  // such as the title of a figure
     const style = getComputedStyle(node);
     const own = parse(node instanceof SVGElement ? style.fill : style.color);
     const [ink, paper] = [own, behind(node)].map(light);
