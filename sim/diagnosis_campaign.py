@@ -27,7 +27,7 @@ from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence
-from sim.world import WARM_C, Surface, World
+from sim.setting import WARM_C, Surface, World
 
 Degrees5 = tuple[int, int, int, int, int]
 ROLL_RAD: Final = float(np.radians(20.0))

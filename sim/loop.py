@@ -28,7 +28,8 @@ from sim.effects.effect import Effect, Hardware, apply_effects, check_effects, n
 from sim.effects.faults import InjectedFault
 from sim.plant import Plant
 from sim.record import CycleRecord, Truth
-from sim.world import World, build, params_in_world
+from sim.setting import World
+from sim.world import build, params_in_world
 
 SETTLE_S = 16.0
 

@@ -44,7 +44,8 @@ from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sens
 from marsarm.telemetry.header import model_digest
 from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, part_of
 

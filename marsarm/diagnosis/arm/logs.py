@@ -26,7 +26,7 @@ from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
 from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.toml import decode_text, describe_first_problem
 

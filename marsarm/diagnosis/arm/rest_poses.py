@@ -29,8 +29,9 @@ from sim.effects.structure import LinkBending, LinkCreep
 from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
 from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance
+from sim.setting import World
 from sim.tracker import turret_pose
-from sim.world import World, build
+from sim.world import build
 from simgap import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4

@@ -12,7 +12,7 @@ from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_m
 from marsarm.diagnosis.arm.logs import Recording, world_from_imu
 from sim.arms import arm_named
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 
 BASE = nominal_params()
 
