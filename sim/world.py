@@ -47,7 +47,7 @@ PICTURE_SHARE: Final = 0.94
 """Share of the picture, from its centre, in which the camera `target` keeps what it shows."""
 MAST_TOP_N_M: Final = np.array([0.78, 0.56, -2.16])
 """Top of the mast in models/mjcf/rover.xml."""
-BOULDER_HALF_M: Final = (0.30, 0.26)
+BOULDER_HALF_M: Final = (0.28, 0.24)
 """Half axes of the boulder; the arm needs 0.1 m around the point that it touches."""
 BEHIND_FACE_M: Final = 0.002
 """Distance of the boulder's face behind the disc that is touched, so that the disc is seen."""
@@ -223,7 +223,8 @@ def _show_mast(spec: mujoco.MjSpec, face: Array) -> None:
     """Move the camera `target` until it sees the whole arm, the rock and the top of the mast, and no more."""
     camera = spec.camera("target")
     shoulder = spec.body("rmech").pos + FLIP * spec.body("arm1").pos
-    seen = (face - (0.0, 0.0, ROCK_HEIGHT_M), face, shoulder + (0.0, 0.0, ELBOW_ABOVE_M), FLIP * MAST_TOP_N_M)
+    elbow = shoulder + np.array([0.0, 0.0, ELBOW_ABOVE_M])
+    seen = (face - (0.0, 0.0, ROCK_HEIGHT_M), face, elbow, FLIP * MAST_TOP_N_M)
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, camera.quat)
     x, y, z = axes.reshape(3, 3).T @ np.array(seen).T
@@ -255,7 +256,7 @@ def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
 
 
 def _add_boulder(spec: mujoco.MjSpec, face: Array, z: Array) -> None:
-    """Add a boulder from the face to below the ground; it is looks only, and nothing of it is above the face."""
+    """Add a boulder from the face to below the ground; it has no contact, and nothing above the face."""
     ground_m = min(0.0, float(face[2]) - BELOW_ROCK_M)
     half_m = np.array([*BOULDER_HALF_M, 0.6 * (face[2] - ground_m) + 0.12])
     centre = face - 0.15 * z

@@ -26,7 +26,7 @@ Renderer = Literal["opengl", "rays", "none"]
 
 FRAMES_PER_S: Final = 16
 FINER: Final = 2
-"""Factor of the pixels that OpenGL draws along a side of a picture: the edges of its shadows are saws else."""
+"""Factor of the pixels along a side of a picture that OpenGL draws: else the edges of shadows are saws."""
 APT: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 

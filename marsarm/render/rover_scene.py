@@ -18,8 +18,8 @@ RADIUS_M: Final = 2.3
 FOOT_M: Final = 4 * RADIUS_M
 """Radius of the hill that has the slope on top: on its highest side it is at most as steep as the slope."""
 SECTORS: Final = 96
-GRAIN_1_M: Final = 1.0
-"""Copies of the texture in a metre, times those of the material, as on the plain."""
+GRAIN_1_M: Final = 0.125
+"""Copies of the texture in a metre, as on the plain."""
 
 
 def tilt_rover(spec: mujoco.MjSpec) -> None:
@@ -73,10 +73,10 @@ def tilt_rover(spec: mujoco.MjSpec) -> None:
 
 
 class _Hill:
-    """Hill on the plain: a slope around a centre, whose lowest point is on the plain, and sides that run out."""
+    """Hill: a slope around a centre, whose lowest point is on the plain, and sides that run out into it."""
 
     def __init__(self, centre_m: Array, gravity: Array) -> None:
-        """Take the centre of the slope, shape (3,), and gravity in the axes of the rover, world axes if level."""
+        """Take the centre of the slope, shape (3,), and gravity in world axes turned with the rover."""
         self._centre_m = centre_m
         self._rise = gravity[:2] / gravity[2]
         self.drop_m = RADIUS_M * float(np.linalg.norm(self._rise))

@@ -119,6 +119,10 @@ def expected(plant: Plant) -> dict[str, list[list[float]]]:
             continue
         z = data.geom_xmat[geom].reshape(3, 3)[:, 2]
         p = data.geom_xpos[geom] - FLIP * P_NR_M
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            centre, half = model.geom_aabb[geom].reshape(2, 3)
+            middle = p + data.geom_xmat[geom].reshape(3, 3) @ centre
+            found["box"].append([*middle, *(2 / np.sqrt(3.0) * half), *z])
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
             found["box"].append([*p, 2 * a, 2 * b, 2 * c, *z])
         if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
