@@ -1,12 +1,12 @@
 """Configuration of flight software: the parameters, and what is computed from them once."""
 
-import hashlib
-from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache, cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
@@ -54,27 +54,6 @@ class Config:
     def params_sha256(self) -> str:
         """Return the SHA-256 of the parameter values; few configurations are asked for it."""
         return digest(self.params)
-
-
-def digest(params: Params) -> str:
-    """Compute the SHA-256 of the parameter values; equal values give equal digests."""
-    return hashlib.sha256(_canonical_text(params).encode()).hexdigest()
-
-
-def _canonical_text(value: object) -> str:
-    """Convert a value to the one text that all equal values share."""
-    if is_dataclass(value):
-        return "".join(
-            [f"{name}={_canonical_text(getattr(value, name))};" for name in _field_names(value.__class__)]
-        )
-    if isinstance(value, tuple):
-        return f"({','.join(_canonical_text(item) for item in value)})"
-    return float(value).hex() if isinstance(value, float) else str(value)
-
-
-@cache
-def _field_names(record: type) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(record))
 
 
 def configure(params: Params) -> Config:

@@ -3,18 +3,14 @@
 `__init__.pyi` lists them with their types; each is imported when it is first used. docs/python.md shows how.
 """
 
-from typing import Any, Final
+from typing import Any
 
 from simgap.common.names import list_names, load_name
 
-_HOME: Final = list_names(__name__)
-"""Module of each public name."""
-__all__ = tuple(_HOME)
-
 
 def __getattr__(name: str) -> Any:
-    return load_name(__name__, _HOME, name)
+    return load_name(__name__, name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+    return sorted({*globals(), *list_names(__name__)})

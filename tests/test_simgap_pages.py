@@ -2,14 +2,15 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from helpers.arm_folder import write_arm
 from helpers.command import run_simgap
 from helpers.verdicts import ARMATURE, FRICTION, GAIN, REFUSED, REST, Drawn, diagnosis, finding
 from simgap.report.page import save_diagnosis_page
-from simgap.report.traces import make_traces
-from validation.browser import LOADED, MISSING, Browser, find_chromium
+from simgap.report.traces import Trace, make_traces
+from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED, MISSING, Browser, find_chromium
 
 WIDTHS = (320, 400, 1400)
 FOUND = diagnosis(
@@ -39,9 +40,28 @@ def test_a_page_fits_every_width_in_both_schemes_without_an_error(page, tmp_path
                 browser.open(page, width, 900, dark, LOADED)
                 assert browser.evaluate("document.documentElement.scrollWidth") == width
                 n_traces = browser.evaluate("document.querySelectorAll('.traces path.trace').length")
-                assert n_traces == {"check": 8, "diagnosis": 10}[name]
+                assert n_traces == {"check": 10, "diagnosis": 10}[name]
+                assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
         assert not browser.problems
         assert len(browser.requests) == 2 * len(WIDTHS)
+
+
+def test_a_fast_oscillation_is_an_area_and_a_spike_is_left_out(tmp_path):
+    time_s = np.linspace(0.0, 10.0, 2000)
+    chirp_rad, spike_rad = np.sin(6.0 * time_s**3), 0.001 * np.sin(time_s)
+    spike_rad[900] = 3.0
+    with Browser() as browser:
+        for measured_rad, has_area, has_mark in ((chirp_rad, True, False), (spike_rad, False, True)):
+            trace = Trace("lift", "simulation", "a", "rad", time_s, measured_rad, 0 * time_s, 0 * time_s)
+            save_diagnosis_page(FOUND, [trace], tmp_path / "page.html")
+            browser.open((tmp_path / "page.html").as_uri(), 1400, 900, False, LOADED)
+            assert browser.evaluate("Boolean(document.querySelector('path.area.measured'))") is has_area
+            assert browser.evaluate("Boolean(document.querySelector('path.beyond.measured'))") is has_mark
+        ticks = browser.evaluate(
+            "Math.max(...[...document.querySelectorAll('.tick[text-anchor=end]')]"
+            ".map((one) => Number(one.textContent)).filter(Number.isFinite))"
+        )
+        assert ticks < 1.0
 
 
 def test_traces_zoom_and_show_values_at_the_pointer(page):

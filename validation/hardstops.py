@@ -12,7 +12,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from sim.arms import BuiltArm, arm_named, without_turret
+from sim.arms import BuiltArm, arm_named
+from sim.bare_arm import without_turret
 from sim.initialisation import prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World

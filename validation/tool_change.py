@@ -29,7 +29,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
-from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
+from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import Warming
 from sim.effects.joints import GearStiffness
@@ -40,6 +40,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
 from sim.plant import Plant
 from sim.sequence import run_sequence
+from sim.tolerances import SPRING_FRAMES
 from sim.world import World, build, lower_ground
 from validation.campaigns import Context, Document
 

@@ -7,7 +7,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from fsw.config import Config, configure, digest
+from fsw.config import Config, configure
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.confidence import Interval, quantile_interval

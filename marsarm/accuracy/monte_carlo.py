@@ -9,7 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import Config, configure, digest
+from fsw.config import Config, configure
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.budget import COMPONENTS, Budget, compute_tool_budget

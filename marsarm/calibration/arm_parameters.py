@@ -16,12 +16,12 @@ from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.arm_model.description import BuiltTolerances
 from sim.arm_model.load import default_arm
-from sim.arms import SPRING_FRAMES
 from sim.effects.effect import rotate_matrix
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.plant import SCREW_AXES
+from sim.tolerances import SPRING_FRAMES
 from simgap import FitParameter
 
 MASS_FRAMES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose

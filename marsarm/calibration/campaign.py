@@ -20,7 +20,8 @@ from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew, stack_poses
 from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
 from sim.arm_check import NoPlan
-from sim.arms import BuiltArm, without_turret
+from sim.arms import BuiltArm
+from sim.bare_arm import without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
 from sim.frames import P_NR_M, Workspace

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from marsarm.calibration.calibrate import Calibration, data_sha256, provenance, rms_m

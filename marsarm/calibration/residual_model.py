@@ -36,8 +36,8 @@ from marsarm.calibration.deflection_jacobian import (
     differentiate_deflection,
     screw_derivatives,
 )
-from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
+from sim.tolerances import SPRING_FRAMES
 from simgap import Fit, Linearisation, error_screw, linearise
 
 

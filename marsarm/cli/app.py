@@ -3,7 +3,7 @@
 from marsarm.cli.analysis import arm, budget, calibrate, dictionary, ik, monte_carlo, reach
 from marsarm.cli.diagnosis import diagnose, gap_app
 from marsarm.cli.log import log_app, replay
-from marsarm.cli.runs import hardstop, place, run, view
+from marsarm.cli.runs import hardstop, place, run, show, view
 from simgap.common.app import make_app, run_app
 from simgap.common.verb import EFFECT_MODULES, VerbCommand
 
@@ -12,6 +12,7 @@ app = make_app(
 )
 EFFECT_MODULES.append("sim.scenario.effects")
 
+app.command()(show)
 app.command()(place)
 app.command(cls=VerbCommand)(ik)
 app.command(cls=VerbCommand)(reach)

@@ -1,10 +1,10 @@
-"""Define the verbs that move an arm or show it: `place`, `run`, `hardstop` and `view`."""
+"""Define the verbs that move an arm or show it: `show`, `place`, `run`, `hardstop` and `view`."""
 
 from typing import Annotated
 
 import typer
 
-from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
+from marsarm.runs.request import SHOWN_PLACEMENT, HardstopRequest, PlaceRequest, RunRequest
 from marsarm.view.request import ViewRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
@@ -17,6 +17,26 @@ PlanOption = Annotated[
     bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
 ]
 ListOption = Annotated[bool, typer.Option("--list", help="Run nothing; list the built-in scenarios.")]
+
+
+@verb
+def show(progress: Progress, request: PlaceRequest = SHOWN_PLACEMENT) -> VerbResult:
+    """Place an instrument, and open a page in the browser that plays it.
+
+    The options are those of `place`. Without a display it says where the page is; any browser plays it, also
+    on another machine.
+
+    Example: marsarm show --tool mahli --arm as-built:7
+    """
+    from marsarm.runs.place import place
+    from marsarm.runs.report import place_document, place_parts
+    from marsarm.view.browser import OpenedPage
+
+    report = place(request, progress)
+    page = report.execution.artifacts.page
+    is_done = report.execution.result.outcome == "done"
+    view = report.execution.view if page is None or request.files.view else OpenedPage(page)
+    return shown(place_document(report), place_parts(report), is_done, view=view)
 
 
 @verb

@@ -15,10 +15,8 @@ from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
-from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.scenario.effects import BadEffect, parse_effect_text, read_effect_file
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
 from simgap.common.toml import NOT_UTF8
@@ -115,39 +113,6 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
             "of this arm, or --mismatch if it is meant"
         )
     return params
-
-
-def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Parse effects, each written as text or as the name of a TOML file, for an arm with these tools.
-
-    Raises:
-        BadRequest: some are wrong; the message lists all errors.
-    """
-    effects: list[Effect] = []
-    problems: list[str] = []
-    for text in texts:
-        try:
-            if text.endswith(".toml"):
-                effects += read_effect_file(Path(text), tools)
-            else:
-                effects.append(parse_effect_text(text, tools))
-        except BadEffect as error:
-            problems.append(str(error))
-    if problems:
-        raise BadRequest("\n".join(problems))
-    return tuple(effects)
-
-
-def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
-    """Return the arm with those of these effects that it has before a run begins.
-
-    Raises:
-        BadRequest: the arm cannot have one of them.
-    """
-    try:
-        return arm.with_effects(effects)
-    except EffectMisfit as error:
-        raise BadRequest(str(error)) from error
 
 
 def parse_tool(name: str, tools: Sequence[str]) -> str:

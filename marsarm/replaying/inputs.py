@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import digest
 from fsw.dictionary.commands import Command
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits

@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config, digest
+from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from marsarm.render.picture import PictureResult, save_movie, save_picture
@@ -36,7 +37,7 @@ from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.server import LiveView
+    from marsarm.view.recorded_run import RecordedRun
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
 """Cycles between two frames of a movie, and between two reports of the progress."""
@@ -65,9 +66,14 @@ class LogNotWritten(Evr):
 class Artifacts:
     """Files that a run wrote."""
 
-    picture: PictureResult | None
-    movie: PictureResult | None
-    log_problem: str | None
+    picture: PictureResult | None = None
+    movie: PictureResult | None = None
+    page: Path | None = None
+    page_problem: str | None = None
+    """Reason why there is no page."""
+    replaced: frozenset[Path] = frozenset()
+    """Files that were there before."""
+    log_problem: str | None = None
     """Reason why the log is not complete."""
     events: tuple[tuple[float, Evr], ...] = ()
     """Time [s] and event of each event of the ground."""
@@ -173,18 +179,12 @@ class StoppableRun(Protocol[Result_co]):
         """Return the result; valid after the last cycle."""
 
 
-def save_artifacts(
-    files: RunFiles,
-    world: World,
-    arm: ArmModel,
-    drawn: DrawnPoses,
-    events: tuple[tuple[float, LogNotWritten], ...],
-    progress: Progress,
-) -> Artifacts:
-    """Draw the picture and the movie of a run, and collect its artifacts; `events` are those of its log."""
-    problem = next((event.message for _, event in events), None)
+def save_pictures(
+    files: RunFiles, world: World, arm: ArmModel, drawn: DrawnPoses, progress: Progress
+) -> tuple[PictureResult | None, PictureResult | None]:
+    """Draw the picture and the movie of a run, each None if it is not wanted."""
     if files.picture is None and files.movie is None:
-        return Artifacts(None, None, problem, events)
+        return None, None
     spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
@@ -204,7 +204,18 @@ def save_artifacts(
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, iter_poses(), "overview", files.movie)
-    return Artifacts(picture, movie, problem, events)
+    return picture, movie
+
+
+def write_page(run: "RecordedRun", header: Mapping[str, str], path: Path) -> str | None:
+    """Write the page of a run; return the reason if there is none, None else."""
+    from marsarm.view.page import save_page  # a run without a page does not wait for it
+
+    try:
+        save_page(run.collect(header), path)
+    except BadRequest as error:
+        return f"no page: {error}"
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,17 +227,17 @@ class Execution(Generic[Result]):
     realtime_factor: float
     """Duration on Mars over wall time; 0 for a run that did not begin."""
     artifacts: Artifacts
-    view: "LiveView | None" = None
-    """Viewer that shows the run, if one was asked for."""
+    view: "RecordedRun | None" = None
+    """What recorded the run, and may show it again."""
 
 
 @contextmanager
 def open_view(
-    is_wanted: bool, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
-) -> Iterator["LiveView | None"]:
-    """Open a viewer for the runs of the block; give None if none is wanted.
+    files: RunFiles, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
+) -> Iterator["RecordedRun | None"]:
+    """Open what records the runs of a block for a page, and a viewer if one is wanted; None if neither is.
 
-    It is stopped if the block fails, or no run begins in it. Else it stays open, to play the runs again.
+    A viewer is stopped if the block fails, or no run begins in it. Else it stays open, to play them again.
 
     Args:
         effects: Effects beyond those of the arm.
@@ -234,13 +245,15 @@ def open_view(
     Raises:
         BadRequest: the viewer cannot be opened.
     """
-    if not is_wanted:
+    if not files.view and files.page is None:
         yield None
         return
-    from marsarm.view.server import LiveView  # a run without a viewer does not wait for it
+    from marsarm.view.recorded_run import RecordedRun  # a run without a view does not wait for it
+    from marsarm.view.server import LiveView
 
+    opened = LiveView if files.view else RecordedRun
     with ExitStack() as stack:
-        view = stack.enter_context(LiveView(title, world, arm, effects))
+        view = stack.enter_context(opened(title, world, arm, effects))
         yield view
         if view.has_begun:
             stack.pop_all()
@@ -249,7 +262,7 @@ def open_view(
 def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
     """Return the record of a run that did not begin because its arm was not initialised."""
     reason = f"log {files.log}: not recorded (the arm was not initialised)"
-    artifacts = Artifacts(None, None, None if files.log is None else reason)
+    artifacts = Artifacts(log_problem=None if files.log is None else reason)
     return Execution(result, digest(arm.params), 0.0, artifacts)
 
 
@@ -263,9 +276,9 @@ def execute(
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
     arm: ArmModel,
-    view: "LiveView | None" = None,
+    view: "RecordedRun | None" = None,
 ) -> Execution[Result]:
-    """Carry out a run: record every cycle, then draw the picture and the movie.
+    """Carry out a run: record every cycle, then write page, picture and movie.
 
     Args:
         progress_at: Function that returns the amount done at a cycle, and the total amount.
@@ -278,6 +291,8 @@ def execute(
     share = 1.0 if files.movie is None else 0.5 * (1.0 + INITIALISATION_SHARE)
     running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
     drawn = DrawnPoses()
+    named = (files.picture, files.movie, files.page)
+    replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
     with RunLog(files.log, header, loop.config, world, arm) as log:
         cycles, is_stopping = iter(run), False
@@ -299,5 +314,15 @@ def execute(
         raise loop.failure
     result = run.result()
     drawn.best = loop.plant.data.qpos if drawn.best is None else drawn.best
-    artifacts = save_artifacts(files, world, arm, drawn, log.events, drawing)
+    picture, movie = save_pictures(files, world, arm, drawn, drawing)
+    problem = None if files.page is None or view is None else write_page(view, header, files.page)
+    artifacts = Artifacts(
+        picture,
+        movie,
+        page=files.page if problem is None else None,
+        page_problem=problem,
+        replaced=replaced,
+        log_problem=next((event.message for _, event in log.events), None),
+        events=log.events,
+    )
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

@@ -16,12 +16,14 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
-from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
+from marsarm.common.effects import fit_effects, parse_effects
+from marsarm.common.requests import make_world, select_arm
 from marsarm.render.svg import save_figure
 from marsarm.runs.execution import open_view
-from marsarm.runs.request import HardstopRequest
+from marsarm.runs.request import HardstopRequest, RunFiles
 from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
-from sim.arms import BuiltArm, effects_of_run, without_turret
+from sim.arms import BuiltArm, effects_of_run
+from sim.bare_arm import without_turret
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
@@ -41,7 +43,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.server import LiveView
+    from marsarm.view.recorded_run import RecordedRun
 
 BEFORE_S: Final = 3.0
 """Time before the contact with the hardstop from which the figure begins."""
@@ -76,7 +78,7 @@ class HardstopReport:
     """One run for every repetition and joint, or one run of all joints."""
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
-    view: "LiveView | None" = None
+    view: "RecordedRun | None" = None
     """Viewer that shows the runs, if one was asked for."""
 
     @property
@@ -100,7 +102,7 @@ def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> Hard
     """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_hardstop(request)
     title = f"hardstops of {job.arm.name} arm"
-    with open_view(request.view, title, job.world, job.arm, job.effects) as view:
+    with open_view(RunFiles(view=request.view), title, job.world, job.arm, job.effects) as view:
         runs = tuple(_iter_runs(request, job, progress, view))
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
     return HardstopReport(request, runs, poses, view)
@@ -163,7 +165,7 @@ def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
 
 
 def _iter_runs(
-    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "RecordedRun | None"
 ) -> Iterator[InitialisationResult]:
     """Carry out one run after the other until one fails."""
     if request.joint is None and request.repeat == 1:
@@ -190,7 +192,7 @@ def _iter_runs(
             return
 
 
-def _watched(run: InitialisationRun, view: "LiveView | None") -> Iterator[CycleRecord]:
+def _watched(run: InitialisationRun, view: "RecordedRun | None") -> Iterator[CycleRecord]:
     """Run all cycles, and show each in the viewer if there is one."""
     run.loop.with_truth = view is not None
     for record in run:
@@ -200,7 +202,7 @@ def _watched(run: InitialisationRun, view: "LiveView | None") -> Iterator[CycleR
 
 
 def _run_all_joints(
-    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "RecordedRun | None"
 ) -> InitialisationResult:
     start_rad = job.arm.params.hardstop.start_rad
     loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))

@@ -9,14 +9,8 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name, vector3
-from marsarm.common.requests import (
-    check_targets,
-    fit_effects,
-    format_numbers,
-    make_world,
-    parse_effects,
-    select_arm,
-)
+from marsarm.common.effects import fit_effects, parse_effects
+from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
 from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     Execution,
@@ -39,7 +33,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.server import LiveView
+    from marsarm.view.recorded_run import RecordedRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +106,13 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     effects = effects_of_run(job.effects)
     with (
         reserve(request.files.log, "log"),
-        open_view(request.files.view, title, job.world, job.arm, effects) as view,
+        open_view(request.files, title, job.world, job.arm, effects) as view,
     ):
         return _carry_out(request, job, progress, view)
 
 
 def _carry_out(
-    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
+    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
 ) -> PlaceReport:
     last = initialise(job.arm, request.seed, progress)
     if last.outcome is not Outcome.DONE:

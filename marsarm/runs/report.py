@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import degrees, isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from sim.scenario.records import upper_snake
 from simgap.common.report import Emphasis, ReportTable, file_lines
 
 if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joints
-    from marsarm.runs.execution import Execution
+    from marsarm.runs.execution import Artifacts, Execution
     from marsarm.runs.hardstop import HardstopReport, StopPlan
     from marsarm.runs.place import PlaceReport
     from marsarm.runs.request import RunFiles
@@ -81,6 +82,8 @@ def _execution_document(execution: "Execution[Any]", files: "RunFiles") -> dict[
         "log_problem": artifacts.log_problem,
         "picture": artifacts.picture and artifacts.picture.path,
         "movie": artifacts.movie and artifacts.movie.path,
+        "page": artifacts.page,
+        "page_problem": artifacts.page_problem,
     }
 
 
@@ -89,7 +92,7 @@ def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str
     result, artifacts = execution.result, execution.artifacts
     speed = f"{execution.realtime_factor:.0f} times real time"
     drawn = {
-        name: f"{one.path or 'none'}" + (f"  ({one.hint})" if one.hint else "")
+        name: _file_text(one.path, artifacts) + (f"  ({one.hint})" if one.hint else "")
         for name, one in (("picture", artifacts.picture), ("movie", artifacts.movie))
         if one is not None
     }
@@ -100,8 +103,20 @@ def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str
             for time_s, evr in result.evrs
             if evr.severity >= Severity.WARNING_LO
         ),
-        *file_lines({**drawn, "log": files.log and (artifacts.log_problem or files.log)}),
+        *file_lines(
+            {
+                **drawn,
+                "page": files.page and (artifacts.page_problem or _file_text(artifacts.page, artifacts)),
+                "log": files.log and (artifacts.log_problem or files.log),
+            }
+        ),
     ]
+
+
+def _file_text(path: Path | None, artifacts: "Artifacts") -> str:
+    if path is None:
+        return "none"
+    return f"{path}, in place of an older one" if path in artifacts.replaced else str(path)
 
 
 def evr_document(time_s: float, evr: Evr) -> dict[str, Any]:

@@ -22,7 +22,11 @@ WhenDiskFull = Literal["go-on", "stop"]
 
 
 ViewOption = Annotated[
-    bool, Option("Show the run in the browser while it runs, then play it again until Ctrl-C.", name="--view")
+    bool,
+    Option(
+        "Show the run in the browser while it runs, then play it again until Ctrl-C; needs the extra `view`.",
+        name="--view",
+    ),
 ]
 
 
@@ -43,7 +47,15 @@ class RunFiles:
         ),
     ] = None
     movie: Annotated[
-        Path | None, Option("Draw the whole run.", "FILE.mp4|FILE.gif", suffixes=(".gif", ".mp4"))
+        Path | None,
+        Option(
+            "Draw the whole run; .mp4 needs the extra `movie`.",
+            "FILE.gif|FILE.mp4",
+            suffixes=(".gif", ".mp4"),
+        ),
+    ] = None
+    page: Annotated[
+        Path | None, Option("Write a page that plays the run.", "FILE.html", suffixes=(".html",))
     ] = None
     view: ViewOption = False
     when_disk_full: Annotated[
@@ -162,3 +174,7 @@ class HardstopRequest:
     picture: Annotated[
         Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
     ] = None
+
+
+SHOWN_PLACEMENT: Final = PlaceRequest(files=RunFiles(page=Path("place.html")))
+"""Placement of `marsarm show`."""

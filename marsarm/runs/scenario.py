@@ -4,7 +4,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.requests import make_world, parse_effects, select_arm
+from marsarm.common.effects import parse_effects
+from marsarm.common.requests import make_world, select_arm
 from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
@@ -31,7 +32,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.server import LiveView
+    from marsarm.view.recorded_run import RecordedRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +61,13 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     title = f"{scenario.title} on {arm.name} arm"
     with (
         reserve(request.files.log, "log"),
-        open_view(request.files.view, title, scenario.world, arm, scenario.effects) as view,
+        open_view(request.files, title, scenario.world, arm, scenario.effects) as view,
     ):
         return _carry_out(request, scenario, arm, progress, view)
 
 
 def _carry_out(
-    request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "LiveView | None"
+    request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "RecordedRun | None"
 ) -> RunReport:
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)

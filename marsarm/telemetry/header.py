@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
 
-from fsw.config import digest
 from fsw.dictionary.commands import Command
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference

@@ -11,10 +11,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import Severity
 from marsarm.render.rays import Triangles, join_triangles
-from marsarm.view.frames import SAMPLE_CYCLES, Event, Samples, Trail, ViewFrames
+from marsarm.view.frames import SAMPLE_CYCLES, Event, Trail, ViewFrames
+from marsarm.view.recorded_run import RecordedRun
 from marsarm.view.request import DEFAULT_PORT
 from marsarm.view.scene import (
     ARROW_HEAD_M,
@@ -34,7 +34,7 @@ from marsarm.view.scene import (
     TRAIL_STEP_M,
     Scene,
 )
-from marsarm.view.watched_run import Plot, WatchedRun, build_surroundings, make_plots
+from marsarm.view.watched_run import Plot, WatchedRun, make_plots
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.record import CycleRecord
@@ -298,53 +298,27 @@ DRAW_PERIOD_S: Final = 0.1
 """Least wall time between two drawings of a run that runs: drawing must not slow it."""
 
 
-class LiveView:
+class LiveView(RecordedRun):
     """Viewer that is fed with the cycles of a run; a context manager that stops it."""
 
     def __init__(self, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]) -> None:
-        """Open the viewer.
-
-        Args:
-            title: Title of the run.
-            world: World of the run.
-            arm: Arm with its flight parameters.
+        """Open the viewer of a run, which is described as for a recorded one.
 
         Raises:
             BadRequest: the viewer cannot be opened.
         """
-        self._title = title
-        self._surroundings = build_surroundings(world, arm.params, (*arm.effects, *effects), arm.model)
+        super().__init__(title, world, arm, effects)
         self._viewer = Viewer(self._surroundings.scene, DEFAULT_PORT, title, "leave out --view")
-        self._records: list[CycleRecord] = []
-        self._times_s: list[float] = []
-        self._tools: list[int] = []
         self._trail: Trail | None = None
-        self._tool = self._drawn_tool = self._last_tick = 0
-        self._begun_s = 0.0
-        self._events: list[Event] = []
+        self._drawn_tool = 0
         self._drawn_s = -DRAW_PERIOD_S
-
-    @property
-    def has_begun(self) -> bool:
-        """Return whether a run has begun."""
-        return bool(self._records)
 
     def watch(self, record: CycleRecord) -> None:
         """Keep a sample of a cycle with its events, and draw it if a drawing is due."""
-        if record.tick < self._last_tick:  # another run, which follows the last one
-            self._begun_s += (self._last_tick + 1) / CYCLE_HZ
-            self._trail, self._tool = None, 0
-        self._last_tick = record.tick
-        time_s = self._begun_s + record.tick / CYCLE_HZ
-        if record.outputs.tool is not None:
-            self._tool = int(record.outputs.tool.tool)
-        self._events += [Event(time_s, evr.severity, evr.message) for evr in record.outputs.evrs]
-        if record.tick % SAMPLE_CYCLES:
-            return
-        self._records.append(record)
-        self._times_s.append(time_s)
-        self._tools.append(self._tool)
-        if time.monotonic() - self._drawn_s >= DRAW_PERIOD_S:
+        if record.tick < self._last_tick:
+            self._trail = None
+        super().watch(record)
+        if record.tick % SAMPLE_CYCLES == 0 and time.monotonic() - self._drawn_s >= DRAW_PERIOD_S:
             self._drawn_s = time.monotonic()
             self._draw()
 
@@ -367,10 +341,6 @@ class LiveView:
             self._trail = whole
         return whole
 
-    def _frames(self, part: slice) -> ViewFrames:
-        samples = Samples.of_records(self._times_s[part], self._tools[part], self._records[part])
-        return self._surroundings.frames(samples)
-
     def play(self) -> None:
         """Play the whole run until the user presses Ctrl-C.
 
@@ -380,9 +350,6 @@ class LiveView:
         with self:
             scene, frames = self._surroundings.scene, self._frames(slice(None))
             self._viewer.play(WatchedRun(self._title, (), (), scene, frames, tuple(self._events)))
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._viewer.stop()

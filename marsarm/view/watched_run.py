@@ -136,24 +136,25 @@ def watch_log(path: Path) -> WatchedRun:
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
-    facts = (("log", path.name), *_facts(log.header))
+    facts = (("log", path.name), *list_facts(log.header))
     title = _title(log.header) or path.name
     return WatchedRun(title, facts, tuple(notes), surroundings.scene, frames, events)
 
 
 def _title(header: Mapping[str, str]) -> str:
-    """Return the commands of a run and its arm in words; nothing for a log without commands."""
+    """Return the first commands of a run in words; nothing for a log without commands."""
     commands = [
         " ".join(filter(None, (one["type"], one["fields"].get("tool"))))
         for one in _parse(header.get("commands", "[]"))
     ]
     more = [f"{len(commands) - MOST_COMMANDS} more"] if len(commands) > MOST_COMMANDS else []
-    words = ", ".join(commands[:MOST_COMMANDS] + more)
-    return f"{words}: arm {header['arm']}" if words and "arm" in header else words
+    return ", ".join(commands[:MOST_COMMANDS] + more)
 
 
-def _facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+def list_facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    """List names and values of what identifies a run, from the header of its log."""
     names = {
+        "arm": "arm",
         "seed": "seed",
         "marsarm": "marsarm",
         "git": "commit",

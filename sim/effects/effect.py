@@ -2,9 +2,8 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, ClassVar, Protocol, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, get_type_hints
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +14,13 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.arm_model.description import ArmDescription
 from sim.arm_model.load import default_arm
-from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.world import WARM_C, grow
+
+if TYPE_CHECKING:  # an arm is described without a simulation of it
+    import mujoco
+
+    from sim.plant import Plant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +180,7 @@ class Effect:
     built_in: ClassVar[bool] = True
     """True if the arm has the effect during its hardstop initialisation; False if a run adds it."""
 
-    def on_model(self, spec: mujoco.MjSpec) -> None:
+    def on_model(self, spec: "mujoco.MjSpec") -> None:
         """Change the MuJoCo model."""
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
@@ -227,7 +230,7 @@ class Timed(Effect):
         """Add this effect to those that have not begun."""
         return replace(hardware, timed=(*hardware.timed, self))
 
-    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+    def begin(self, plant: "Plant", hardware: Hardware) -> Hardware:
         """Change the running plant; return the avionics and sensors from this cycle on."""
         return hardware
 
@@ -256,11 +259,11 @@ class EachCycle(Effect):
         """Add this effect to those that act in every cycle."""
         return replace(hardware, each_cycle=(*hardware.each_cycle, ActiveEffect(self)))
 
-    def begin(self, plant: Plant, hardware: Hardware) -> Any:
+    def begin(self, plant: "Plant", hardware: Hardware) -> Any:
         """Return the initial state; None unless overridden."""
         return None
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: Any) -> tuple[Any, Disturbance]:
+    def cycle(self, plant: "Plant", hardware: Hardware, state: Any) -> tuple[Any, Disturbance]:
         """Return the next state, and the disturbance of the plant in this cycle.
 
         An override that changes the plant itself sets the change again in every cycle.
@@ -284,7 +287,7 @@ def check_effects(effects: Iterable[Effect], params: Params) -> None:
             raise EffectMisfit(f"effect {type(effect).__name__}: {problem}")
 
 
-def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
+def apply_effects(effects: Iterable[Effect], spec: "mujoco.MjSpec", hardware: Hardware) -> Hardware:
     """Change the MuJoCo model by all effects, in order; return the avionics and sensors.
 
     The arm grows to its temperature last, with the coefficients that the effects leave.
@@ -310,14 +313,14 @@ def params_with_effects(effects: Iterable[Effect], params: Params) -> Params:
     return params
 
 
-def apply_cycle_effects(plant: Plant, hardware: Hardware) -> Hardware:
+def apply_cycle_effects(plant: "Plant", hardware: Hardware) -> Hardware:
     """Apply the effects of every cycle to the plant; return the avionics and sensors after it."""
     hardware, total = evaluate_cycle_effects(plant, hardware)
     plant.set_disturbance(total)
     return hardware
 
 
-def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, Disturbance]:
+def evaluate_cycle_effects(plant: "Plant", hardware: Hardware) -> tuple[Hardware, Disturbance]:
     """Compute avionics, sensors and the total disturbance of this cycle; the plant keeps its own."""
     total, active = NO_DISTURBANCE, []
     for one in hardware.each_cycle:

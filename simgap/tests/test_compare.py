@@ -9,8 +9,9 @@ from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, ToyResiduals, draw_toy
 from helpers.verdicts import LIFT, diagnosis, finding
 from simgap.assemble import select_sure
-from simgap.compare import Change, ComparedResiduals, list_limits
+from simgap.compare import AFTER, list_limits
 from simgap.report.comparison import comparison_lines
+from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.result import Comparison, Limit
 from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
@@ -37,7 +38,10 @@ def compare_toys(model: ToyResiduals) -> Selection:
     present, columns = (*BASE, *common.chosen.effects), common.context.union.columns
     known = {one: common.chosen.sizes[columns([one])] for one in present}
     changes = [Change(one.place, one) for one in (*BASE, *CATALOGUE)]
-    return select_sure(select_effects(ComparedResiduals(model, known), present, changes, seed=1), None)[0]
+    is_after = np.array([name.startswith(AFTER) for name in model.motions])
+    return select_sure(
+        select_effects(KnownResiduals(model, known, is_after), present, changes, seed=1), None
+    )[0]
 
 
 @pytest.mark.parametrize("seed", slow_but(range(1, 6), 1))
@@ -64,10 +68,11 @@ def test_a_change_that_was_not_seen_has_a_limit() -> None:
 def test_a_change_may_undo_an_effect_but_not_turn_it_round() -> None:
     model = draw_sets(1, {}, {})
     square, change = CATALOGUE[0], Change("near", CATALOGUE[0])
-    known = ComparedResiduals(model, {square: np.array([4.0])})
+    is_after = np.array([name.startswith(AFTER) for name in model.motions])
+    known = KnownResiduals(model, {square: np.array([4.0])}, is_after)
     alone, beyond = known.residuals([change], np.array([[1.0], [7.0]]))
     assert np.array_equal(alone, beyond)  # the largest size is 5
-    after = np.array([name.startswith("after") for name in model.motions])[model.motion_of]
+    after = is_after[model.motion_of]
     (same,) = known.residuals([], np.zeros((1, 0)))
     assert np.array_equal(alone[~after], same[~after])
     assert not np.array_equal(alone[after], same[after])

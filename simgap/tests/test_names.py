@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import simgap
+from simgap.common.names import list_names
 
 
 def run_python(*words: str) -> str:
@@ -16,7 +17,7 @@ def run_python(*words: str) -> str:
 def test_every_name_exists_and_comes_from_the_module_that_defines_it():
     for name in simgap.__all__:
         value = getattr(simgap, name)
-        home = simgap._HOME[name]
+        home = list_names("simgap")[name]
         assert getattr(value, "__module__", home) in (home, "numpy"), name
     assert set(simgap.__all__) <= set(dir(simgap))
 

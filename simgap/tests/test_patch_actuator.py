@@ -41,7 +41,8 @@ def by_patch(robot):
     runtime = RuntimeEffects(model, [], [RuntimeJoint("swing", "swing", "swing", joint.mode)], 0.002)
     shown = [0.0]
     for k in range(5 * (TIME_s.size - 1)):
-        runtime.step(model, data, COMMAND[[k // 5]])
+        runtime.act(model, data, COMMAND[[k // 5]])
+        mujoco.mj_step(model, data, runtime.n_steps)
         if k % 5 == 4:
             shown.append(runtime.shown(data)[0])
     return shown

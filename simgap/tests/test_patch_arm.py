@@ -56,7 +56,8 @@ def shown(effects, sizes, folder):
             mujoco.mj_step(model, data, 5)
             rows.append(data.qpos[joints].copy())
         else:
-            runtime.step(model, data, command)
+            runtime.act(model, data, command)
+            mujoco.mj_step(model, data, runtime.n_steps)
             rows.append(runtime.shown(data))
     return np.array(rows).T
 

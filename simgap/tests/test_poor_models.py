@@ -14,7 +14,7 @@ from simgap.catalogue.catalogue import base_effects
 from simgap.effects.actuation import DampingGain
 from simgap.effects.effect import Size
 from simgap.logs import Logs, Motion, Signal
-from simgap.report.sentences import bound_sentences, finding_sentence
+from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.selection.acceptance import Candidate, pays
@@ -107,9 +107,9 @@ def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name() -> None
     found = doubt_names([known, unknown, elsewhere])
     assert [one.effects for one in found] == [(), (), FRICTION.effects]
     assert [one.families for one in found] == [FRICTION.families, (), FRICTION.families]
-    assert "95 % sure of the kind" in finding_sentence(found[0])
+    assert "95 % sure of the kind" in finding_sentences(found[:1])[0]
 
 
 def test_a_base_parameter_at_a_contradicted_bound_is_told() -> None:
     (line,) = bound_sentences([GAIN, replace(ARMATURE, value=0.0, is_pushed=True)])
-    assert line.startswith("armature of pan ends at its bound, 0, ")
+    assert line.startswith("armature of pan (0) ends at its bound, ")

@@ -9,7 +9,7 @@ import pytest
 from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
-from simgap.common.toml import Record
+from simgap.common.record import Record
 from simgap.files.robot_file import (
     CsvTable,
     JointTable,

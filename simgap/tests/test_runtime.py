@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.pendulum import motion, pendulum, waves
+from helpers.pendulum import motion, pendulum, simulated, waves
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
 from simgap.effects.forces import LoadFriction
-from simgap.logs import Logs
+from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
 from test_patch import SCALES
@@ -69,7 +69,8 @@ def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
     (tmp_path / "runtime.toml").write_text(patch.runtime)
     runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
-    runtime.step(model, data, np.zeros(1))
+    runtime.act(model, data, np.zeros(1))
+    mujoco.mj_step(model, data, runtime.n_steps)
     assert data.qfrc_applied[0] == pytest.approx(0.2)
 
 
@@ -79,7 +80,8 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
     runtime = read(tmp_path, patch.runtime, patch.model_xml)
     data = mujoco.MjData(model)
     gain, limited = model.actuator_gainprm.copy(), model.actuator_forcelimited.copy()
-    runtime.step(model, data, np.array([0.3]))
+    runtime.act(model, data, np.array([0.3]))
+    mujoco.mj_step(model, data, runtime.n_steps)
     assert np.array_equal(model.actuator_gainprm, gain)
     assert np.array_equal(model.actuator_forcelimited, limited)
     assert math.isclose(data.time, 0.002)
@@ -109,3 +111,24 @@ def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
     (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.forces:LoadFriction", "os:system"))
     with pytest.raises(RobotError, match="os is no module of simgap"):
         RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
+
+
+def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
+    robot = pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
+    effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
+    command = np.repeat(waves(TIME_s[::5], seed=5), 5)
+    off = np.repeat(abs(TIME_s[::5] - 1.3) < 0.3, 5)
+    enabled = Signal(TIME_s - 0.001, np.where(off, 0.0, 1.0))
+    log = motion(TIME_s, 0.0 * TIME_s, command, gain={"swing": 0.6}, enabled=enabled)
+    engine = simulated(robot, log, *zip(effects, sizes, strict=True))
+    patch = make_patch(robot, effects, sizes)
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = read(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
+    shown = []
+    for k in range(TIME_s.size):
+        shown.append(data.qpos[0])
+        if k % 5 == 0:
+            runtime.act(model, data, command[[k]], gain=0.6, is_on=not off[k])
+        mujoco.mj_step(model, data)
+    assert shown[::5] == pytest.approx(engine[::5], abs=1e-9)
+    assert np.ptp(shown) > 0.3

@@ -247,7 +247,8 @@ def test_the_wrapper_moves_a_slide_as_the_engine_does(robot, tmp_path):
     shown = []
     for command in COMMAND:
         shown.append(runtime.shown(data) if shown else np.zeros(2))
-        runtime.step(model, data, command)
+        runtime.act(model, data, command)
+        mujoco.mj_step(model, data, runtime.n_steps)
     assert np.transpose(shown) == pytest.approx(by_engine(robot, [delay], [0.0123]), abs=1e-12)
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, configure, digest, ticks
+from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, Stop, Unstow
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Booted, CommandRefused
 from fsw.state import boot, outputs_at_rest

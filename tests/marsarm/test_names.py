@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import marsarm
+from simgap.common.names import list_names
 from tests.marsarm.command import ROOT
 
 
@@ -18,7 +19,7 @@ def run_python(text: str) -> str:
 def test_every_name_exists_and_comes_from_the_module_that_defines_it():
     for name in marsarm.__all__:
         value = getattr(marsarm, name)
-        home = marsarm._HOME[name]
+        home = list_names("marsarm")[name]
         assert getattr(value, "__module__", home) == home, name
     assert set(marsarm.__all__) <= set(dir(marsarm))
 

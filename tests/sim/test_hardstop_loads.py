@@ -19,7 +19,8 @@ from sim.arm_check import (
     sweep_clearance,
     sweep_poses,
 )
-from sim.arms import arm_named, without_turret
+from sim.arms import arm_named
+from sim.bare_arm import without_turret
 from sim.clearance import ClearanceModel
 from sim.world import World
 

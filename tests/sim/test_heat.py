@@ -8,11 +8,12 @@ import pytest
 from fsw.config import configure, configure_at
 from fsw.kinematics.chain import forward, tool_pose
 from marsarm.accuracy.trial import configure_true
-from sim.arms import arm_named, list_frames
+from sim.arms import arm_named
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
 from sim.effects.geometry import Expansion
 from sim.effects.sensors import StructureSensor
+from sim.tolerances import list_frames
 from tests.sim.effects import bench
 
 NOMINAL = arm_named("nominal")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.validity import check_limits
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams, params_from_table, params_table

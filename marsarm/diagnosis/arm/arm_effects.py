@@ -22,7 +22,6 @@ from fsw.kinematics.transforms import Pose, inverse, stack_poses
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
 from sim.arm_model.load import default_arm
-from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from sim.effects import environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect, joint_of, link_of
@@ -43,6 +42,7 @@ from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES, SPRING_NAMES
+from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from simgap import Family, screw_log
 
 NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
@@ -241,9 +241,6 @@ def effects_of_params(params: Params) -> tuple[Effect, ...]:
 
     Args:
         params: Flight parameters of an arm of the default drawing.
-
-    Returns:
-        Effects; none for the parameters of the drawing.
     """
     found: list[Effect] = []
     now = nominal_params()

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, digest
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array

@@ -19,7 +19,7 @@ import numpy as np
 
 import fsw
 import sim
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -27,17 +27,15 @@ from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, est
 from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
-    JacobianColumn,
     OneSidedStep,
     adapt_step,
-    count_sides,
     find_equal_columns,
     find_shared_slopes,
     group_columns,
     list_columns,
+    perturb_both_sides,
     simulate_side,
     step_error,
-    step_size,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
@@ -139,7 +137,7 @@ def _difference_all(
         shares = _choose_steps(paths, names, run, part_of(progress, 0.0, STEPS_SHARE), shares)
     else:
         shares |= dict(enumerate(given.tolist()))
-    two_sided = {k: by for k, by in shares.items() if count_sides(simulator, columns[k]) > 1}
+    two_sided = {k: by for k, by in shares.items() if len(perturb_both_sides(simulator, columns[k], by)) > 1}
     jobs = [*_list_jobs(paths, names, shares, 0), *_list_jobs(paths, names, two_sided, 1)]
     sides: tuple[dict[int, OneSidedStep], ...] = {}, {}
     rest = part_of(progress, STEPS_SHARE if given is None else 0.0, 1.0)
@@ -188,7 +186,9 @@ def _choose_steps(
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
         chosen |= {k: last[k].share for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
-        wanted = _adapt_steps(simulator, columns, last, seen)
+        better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
+        ends = {k: perturb_both_sides(simulator, columns[k], share)[0] for k, share in better.items()}
+        wanted = {k: share for k, share in better.items() if ends[k].size != last[k].size}
         if not wanted:
             break
     return chosen
@@ -197,21 +197,6 @@ def _choose_steps(
 def _list_numerical(simulator: ArmSimulator) -> list[int]:
     """List the indices of the nuisances of numerics."""
     return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
-
-
-def _adapt_steps(
-    simulator: ArmSimulator,
-    columns: Sequence[JacobianColumn],
-    last: Mapping[int, OneSidedStep],
-    seen: Mapping[int, float],
-) -> dict[int, float]:
-    """Return better steps for columns whose steps are too small or too large."""
-    found: dict[int, float] = {}
-    for k, by in seen.items():
-        share = adapt_step(last[k].share, by)
-        if share is not None and step_size(simulator, columns[k], share) != last[k].size:
-            found[k] = share
-    return found
 
 
 def _assemble(

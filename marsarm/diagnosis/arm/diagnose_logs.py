@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
+from marsarm.common.effects import parse_effects
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.requests import load_fitting_params, parse_effects
+from marsarm.common.requests import load_fitting_params
 from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs
@@ -156,7 +157,9 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
     held_out_recordings = load_checked_recordings(job.held_out, base)
     _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
     _check_held_out(fitted, held_out_recordings)
-    _check_motion(fitted)
+    missing = find_missing_motion(fitted)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
     logs, held_out = job.logs, job.held_out
     if job.campaign is not None:
         logs, held_out = _campaign_logs(job.campaign, fitted, held_out_recordings)
@@ -171,13 +174,6 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
     patch = (*effects_of_params(base), *job.patch)
     return diagnose_case(fitted, held_out_recordings, campaign, job.seed, patch)
-
-
-def _check_motion(recordings: Sequence[Recording]) -> None:
-    """Refuse too little motion, before the long computation."""
-    missing = find_missing_motion(recordings)
-    if missing:
-        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
 def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:

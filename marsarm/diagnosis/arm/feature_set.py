@@ -119,11 +119,7 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
-    """Compute the measured features.
-
-    Returns:
-        Features in the units of their channels, shape (m,).
-    """
+    """Compute the measured features in the units of their channels, shape (m,)."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         tracked = one.turning_points.recording.tracker_poses

@@ -1,12 +1,11 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, flight_params
@@ -21,8 +20,8 @@ from simgap import Diagnosis, to_document
 from simgap.common.files import atomic_write, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
+from simgap.report.details import finding_sentences
 from simgap.report.page import save_diagnosis_page
-from simgap.report.sentences import finding_sentence
 
 
 class NothingToWrite(Exception):
@@ -51,7 +50,7 @@ def save_patch(diagnosis: Diagnosis, path: Path) -> None:
     """
     comments = [
         "Findings of a diagnosis; switch them on with --effect and the name of this file.",
-        *map(finding_sentence, diagnosis.findings),
+        *finding_sentences(diagnosis.findings),
     ]
     with atomic_write(path, "patch") as file:
         file.write(effect_file_text(effects_of_findings(diagnosis), comments).encode())
@@ -135,14 +134,11 @@ def save_diagnosis_files(
 
 def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
     digests = {
-        "logs": _files_sha256(job.logs),
-        **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
+        if paths
+    } | {
         "parameters": digest(flight_params(job)),
         "result": json_sha256(to_document(result.diagnosis)),
     }
     return Origin(command_text("marsarm diagnose", request), digests)
-
-
-def _files_sha256(paths: Sequence[Path]) -> str:
-    """Compute the SHA-256 of the digests of files, whatever their names and order."""
-    return hashlib.sha256("".join(sorted(map(file_sha256, paths))).encode()).hexdigest()

@@ -12,7 +12,8 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
-from marsarm.common.requests import fit_effects, parse_effects, select_arm
+from marsarm.common.effects import fit_effects, parse_effects
+from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
@@ -125,27 +126,6 @@ def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
     ]
 
 
-def check_record_request(request: RecordRequest) -> None:
-    """Refuse a request that cannot be carried out; write nothing.
-
-    Raises:
-        BadRequest: Seed, effects, arm or folder are wrong.
-        BadOutput: The folder cannot be written.
-    """
-    check_options(request)
-    arm = select_arm(request.arm, request.params, request.mismatch)
-    if arm.model.name != default_arm().name:
-        raise BadRequest(
-            f"arm {request.arm}: the diagnosis knows the drawing {default_arm().name} only; give nominal, "
-            "as-built:SEED or calibrated:SEED"
-        )
-    fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
-    _choose_sessions(request, arm)
-    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
-        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
-    check_new_path(request.out, "out")
-
-
 def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
     """Return the sessions of the campaign that a request asks for.
 
@@ -169,12 +149,19 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> lis
         BadRequest: The request is wrong, or the arm cannot carry out a session with these effects.
         BadOutput: The folder cannot be written.
     """
-    check_record_request(request)
+    check_options(request)
     arm = select_arm(request.arm, request.params, request.mismatch)
+    if arm.model.name != default_arm().name:
+        raise BadRequest(
+            f"arm {request.arm}: the diagnosis knows the drawing {default_arm().name} only; give nominal, "
+            "as-built:SEED or calibrated:SEED"
+        )
     effects = parse_effects(request.effects, arm.params.tool_names)
-    arm = fit_effects(arm, effects)
-    begun = effects_of_run(effects)
-    wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
+    arm, begun, wanted = fit_effects(arm, effects), effects_of_run(effects), _choose_sessions(request, arm)
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
+    check_new_path(request.out, "out")
+    reference, paths = true_reference(arm), []
     try:
         with atomic_path(request.out.resolve()) as part:
             part.mkdir(parents=True, exist_ok=True)

@@ -60,6 +60,7 @@ class DemoRequest:
 
     seed: SeedOption = 0
     workers: WorkersOption = None
+    report: ReportOption = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,14 +83,7 @@ def find_turning_points(recording: Recording) -> TurningPoints:
 
 
 def read_resolvers(turning_points: TurningPoints) -> Array:
-    """Compute the recorded resolvers minus motor angles at the rests.
-
-    Args:
-        turning_points: Turning points of a recording with r rests.
-
-    Returns:
-        Differences in rad, shape (5, r).
-    """
+    """Compute the recorded resolvers minus motor angles at the rests [rad], shape (5, r)."""
     recording = turning_points.recording
     ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
     difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
@@ -145,7 +138,7 @@ def _solve_creep(
 
 
 def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
-    """Compute the share of its whole bending that a creeping link has at each time.
+    """Compute the share (k,) of its whole bending that a creeping link has; 0 without a load.
 
     The angle a follows creep_s a' = whole - a from 0 at time 0. The load, and with it the whole angle, is
     constant up to the first time and linear between times.
@@ -154,9 +147,6 @@ def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
         time_s: Times from the first cycle [s], ascending, shape (k,).
         angle_rad: Whole rotation by the bending at each time [rad], shape (3, k).
         creep_s: Time constant [s].
-
-    Returns:
-        Shares, without a unit, shape (k,); 0 where there is no load.
     """
     largest = angle_rad[:, int(np.argmax(np.sum(angle_rad**2, axis=0)))]
     whole = largest @ angle_rad

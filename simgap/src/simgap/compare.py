@@ -1,21 +1,19 @@
 """Comparison of two sets of logs of one robot: what both have in common, and then what differs."""
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Flags
 from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
-from simgap.effects.effect import Effect, JointEffect, Size
+from simgap.effects.effect import Effect, JointEffect
 from simgap.logs import Logs, Motion
-from simgap.residuals.residuals import ResidualModel, residuals_by_motion
+from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.result import Comparison, Limit
 from simgap.robot import Robot
@@ -27,103 +25,6 @@ from simgap.selection.verdict import size_intervals
 
 BEFORE, AFTER = "before:", "after:"
 """Beginnings of the names of motions, by which the two sets are told apart."""
-
-
-@dataclass(frozen=True)
-class Change(Effect):
-    """Change of the sizes of another effect from the first set of logs to the second."""
-
-    place: str
-    effect: Effect
-
-    def __post_init__(self) -> None:
-        """Take the form from the effect; its hooks are called by `ComparedResiduals`."""
-        for key in ("has_shape", "is_steady"):
-            object.__setattr__(self, key, getattr(self.effect, key))
-
-    @property
-    def name(self) -> str:
-        """Name of the effect that changes."""
-        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
-
-    @property
-    def family(self) -> StrEnum:
-        """Family of the effect that changes."""
-        return self.effect.family
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        """Return differences of sizes, which may have either sign."""
-        return tuple(
-            replace(one, low=one.low - one.high, high=one.high - one.low, prior_std=math.inf)
-            for one in self.effect.sizes
-        )
-
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """Changes at the joints, where the effect acts at each of them."""
-        return tuple(Change(one.place, one) for one in self.effect.parts)
-
-    def describe(self, size: Array) -> str:
-        """Return the changes with their signs."""
-        names = (one.name for one in self.effect.sizes)
-        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
-
-    def overrides(self, *hooks: str) -> bool:
-        """Return whether the effect that changes has its own version of any of these hooks."""
-        return self.effect.overrides(*hooks)
-
-
-class ComparedResiduals:
-    """Residuals of two sets of motions, about a model that they have in common; see `ResidualModel`."""
-
-    by_motion = True
-
-    def __init__(self, raw: ResidualModel, known: Mapping[Effect, Array]) -> None:
-        """Keep the residuals of both sets.
-
-        Args:
-            known: Effects of the common model and their sizes, from which all other sizes count.
-        """
-        self.raw, self.known = raw, dict(known)
-        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
-        self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
-        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
-        self.time_s = raw.time_s
-        self._is_after: Flags = np.array([name.startswith(AFTER) for name in raw.motions])
-
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates, (n_candidates, n); a change acts in the second set alone."""
-        if sizes.ndim == 2:
-            sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
-        inner = {one.key: one for one in self.known}
-        inner |= {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
-        places, n = {}, 0
-        for key, one in inner.items():
-            places[key] = slice(n, n + len(one.sizes))
-            n += len(one.sizes)
-        total = np.zeros((*sizes.shape[:2], n))
-        for one, size in self.known.items():
-            total[..., places[one.key]] += size
-        first = 0
-        for effect in effects:
-            own = sizes[..., first : first + len(effect.sizes)]
-            first += len(effect.sizes)
-            if isinstance(effect, Change):
-                total[..., places[effect.effect.key]] += own * self._is_after[:, None]
-            else:
-                total[..., places[effect.key]] += own
-        bounds = [(one.low, one.high) for effect in inner.values() for one in effect.sizes]
-        low, high = np.array(bounds).reshape(-1, 2).T
-        return residuals_by_motion(self.raw, [*inner.values()], np.clip(total, low, high))
-
-    def select(self, motions: Sequence[str]) -> "ComparedResiduals":
-        """Return the residuals of these motions alone."""
-        return ComparedResiduals(self.raw.select(motions), self.known)
-
-    def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion, (n,)."""
-        return self.raw.explain(name)
 
 
 def compare(
@@ -170,7 +71,8 @@ def compare(
     )
     sizes, columns = common.chosen.sizes, common.context.union.columns
     present = (*base, *common.chosen.effects)
-    model = ComparedResiduals(raw, {one: sizes[columns([one])] for one in present})
+    is_after: Flags = np.array([name.startswith(AFTER) for name in raw.motions])
+    model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
     changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
         model,

@@ -1,12 +1,13 @@
 """Diagnose a robot: from its model and its logs to where, which effect, how far."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from simgap.arrays import Array
 from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.commands import count_foreign_commands
@@ -15,9 +16,10 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion
 from simgap.residuals.encoder_residuals import why_refused
-from simgap.residuals.residuals import refer_to
+from simgap.residuals.known_effects import Change, KnownResiduals
+from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
-from simgap.result import Diagnosis, Rejected
+from simgap.result import Base, Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
 from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
 from simgap.selection.selection import select_effects
@@ -34,6 +36,7 @@ def diagnose(
     *,
     held_out: Sequence[Motion] = (),
     effects: Sequence[Effect] = (),
+    start: Mapping[Effect, Array] | None = None,
     base_only: bool = False,
     audit: Audit | None = None,
     seed: int = 1,
@@ -47,6 +50,8 @@ def diagnose(
         motions: Motions that are fitted.
         held_out: Motions that only judge.
         effects: Effects of one's own, which join the catalogue.
+        start: Effects of an earlier result with their sizes. They are part of the model; base parameters are
+            fitted from there, and changes of the others may be found.
         base_only: Fit the base parameters, and look for no effect; this takes a twentieth of the time.
         audit: Audit of all these motions; the samples that it refuses take no part.
         seed: Seed of the folds: the same seed gives the same bits.
@@ -72,17 +77,22 @@ def diagnose(
             "whole catalogue"
         )
     logs = Logs(tuple(motions))
+    given = dict(start or {})
     known = [] if base_only else [*catalogue(robot, logs), *effects]
     check_names(known)
+    known = replace_known(known, given, base_effects(robot, logs))
     parts = []
     steps = None
     if cache is not None and not base_only:
-        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, usable, effects, seed)}"
+        own = (*effects, *given, *changes_of(given))
+        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, usable, own, seed)}"
     with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))
-            fitted = kind.make(motions, False)
-            judge = kind.make(held_out, True) if held_out else fitted  # may refuse: before the long work
+            acting = {one: size for one, size in given.items() if kind.shows(one)}
+            fitted = know(kind.make(motions, False), acting)
+            # may refuse: before the long work
+            judge = know(kind.make(held_out, True), acting) if held_out else fitted
             shown, rejected = choose_shown(robot, kind, known)
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
             selection = select_effects(
@@ -92,7 +102,7 @@ def diagnose(
             fitted = refer_to(fitted, base, sizes)
             judge = refer_to(judge, base, sizes) if held_out else fitted
             selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
-            part = assemble(robot, fitted, selection, sets, judge)
+            part = add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
     return replace(
@@ -123,9 +133,73 @@ def choose_shown(
     return [effect for effect, reason in reasons if not reason], rejected
 
 
+def know(model: ResidualModel, known: Mapping[Effect, Array]) -> ResidualModel:
+    """Return residuals about known effects; the same if there are none."""
+    return KnownResiduals(model, known) if known else model
+
+
+def replace_known(
+    effects: Sequence[Effect], start: Mapping[Effect, Array], base: Sequence[Effect]
+) -> list[Effect]:
+    """Replace effects of an earlier result, but for base parameters, by their changes, which compete."""
+    fitted = {one.key for one in base}
+    changes = [one for one in changes_of(start) if one.effect.key not in fitted]
+    keys = {one.effect.key for one in changes}
+    return [*(one for one in effects if one.key not in keys), *(changes if effects else ())]
+
+
+def changes_of(start: Mapping[Effect, Array]) -> list[Change]:
+    """Return the changes that known effects may have."""
+    return [Change(one.place, one, tuple(size.tolist())) for one, size in start.items()]
+
+
+def add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
+    """Add the effects of an earlier result to one that counts from it."""
+    if not start:
+        return part
+    before = {one.key: size for one, size in start.items()}
+    total = {one.key: (one, size.copy()) for one, size in start.items()}
+    for effect, size in zip(part.effects, part.sizes, strict=True):
+        one = effect.effect if isinstance(effect, Change) else effect
+        known = before.get(one.key, np.zeros(len(size)))
+        bounds = np.array([(each.low, each.high) for each in one.sizes]).T
+        total[one.key] = one, np.clip(known + size, *bounds)
+    base = []
+    for each in part.base:
+        place = next((key for key, (one, _) in total.items() if is_base(one, each)), "")
+        by = float(before[place][0]) if place in before else 0.0
+        low, high = each.interval
+        base.append(
+            replace(each, nominal=each.nominal + by, value=each.value + by, interval=(low + by, high + by))
+        )
+    return replace(
+        part,
+        base=tuple(base),
+        effects=tuple(one for one, _ in total.values()),
+        sizes=tuple(tuple(size.tolist()) for _, size in total.values()),
+        start=tuple(tuple(before.get(key, 0.0 * size).tolist()) for key, (_, size) in total.items()),
+        effect_kinds=(part.kind,) * len(total),
+    )
+
+
+def is_base(effect: Effect, one: Base) -> bool:
+    """Return whether an effect has a base parameter."""
+    return effect.place == one.place and [size.name for size in effect.sizes] == [one.name]
+
+
 def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
     """Join the results of several kinds of residual."""
-    lists = ("findings", "base", "errors", "remaining", "rejected", "effects", "sizes", "effect_kinds")
+    lists = (
+        "findings",
+        "base",
+        "errors",
+        "remaining",
+        "rejected",
+        "effects",
+        "sizes",
+        "start",
+        "effect_kinds",
+    )
     joined: dict[str, Any] = {
         name: tuple(one for part in parts for one in getattr(part, name)) for name in lists
     }

@@ -147,17 +147,27 @@ class Diagnosis:
     """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
     is_base_only: bool = False
     """True if no effect was looked for."""
+    start: tuple[tuple[float, ...], ...] = ()
+    """Sizes with which the diagnosis started, from an earlier result; empty if it started from the model."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of residual that were used."""
         return tuple(self.kind.split(" and "))
 
-    def fitted_to(self, kind: str) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
-        """Return the effects that were fitted to a kind of residual, and their sizes."""
+    def fitted_to(
+        self, kind: str, is_reference: bool = False
+    ) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
+        """Return the effects that were fitted to a kind of residual, and their sizes, or those before."""
         kinds = self.effect_kinds or (self.kind,) * len(self.effects)
         own = [k for k, one in enumerate(kinds) if one == kind]
-        return tuple(self.effects[k] for k in own), tuple(self.sizes[k] for k in own)
+        sizes = self.reference if is_reference else self.sizes
+        return tuple(self.effects[k] for k in own), tuple(sizes[k] for k in own)
+
+    @property
+    def reference(self) -> tuple[tuple[float, ...], ...]:
+        """Sizes of the effects in the model that errors and findings count from; zeros without a start."""
+        return self.start or tuple(tuple(0.0 for _ in size) for size in self.sizes)
 
     def of_model(self) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
         """Return the effects that change the model, each once, and their sizes.

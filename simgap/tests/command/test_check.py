@@ -126,7 +126,10 @@ def test_the_page_draws_each_joint_and_asks_for_nothing(written):
     assert text.index("Remarks, the worst first") < text.index("<figure ") < text.index("Rates</h2>")
     (motions, _) = map(json.loads, re.findall(r'<script type="application/json">(.*?)</script>', text))
     assert len(motions) == 4
-    assert list(motions[0]["panels"][0]["series"]) == ["refused", "measured", "nominal", "command"]
+    position, error = motions[0]["panels"]
+    assert list(position["series"]) == ["refused", "measured", "nominal", "command"]
+    assert list(error["series"]) == ["nominal"]
+    assert error["unit"] == "mrad"
     assert "simgap check robot.toml log.parquet" in text
 
 

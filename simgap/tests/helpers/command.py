@@ -16,6 +16,7 @@ from unittest.mock import patch
 import typer
 
 from simgap.__main__ import start
+from simgap.common import progress
 from simgap.common.interruption import END_SIGNALS
 
 Ran = subprocess.CompletedProcess[str]
@@ -48,6 +49,7 @@ def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
         chdir(folder),
         patch.object(sys, "argv", ["-", *words]),
         patch.dict(os.environ),
+        patch.object(progress, "WAITS_S", (60.0,)),  # what a line says depends on the load of the machine
         patch.object(typer.main, "get_command", get_command),
         redirect_stdout(stdout),
         redirect_stderr(stderr),

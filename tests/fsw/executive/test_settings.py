@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.config import digest
 from fsw.dictionary.commands import MoveJoint, MoveJoints, SetParam, SetTilt
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
 from tests.fsw.executive.lab import refusal

@@ -119,7 +119,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 CASES = {
     # usage
     "nosuch": "No such command",
-    "place --nosuch": "No such option",
+    "place --foo": "No such option: --foo; `",
+    "place --targt 2 0 0": "No such option: --targt; did you mean --target?; `",
     "place --target 1 2": "requires 3 arguments",
     "place --seed much": "'--seed': takes 1 whole number",
     "log info": "Missing argument 'LOG'",

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from fsw.config import digest
+from fsw.dictionary.digest import digest
 from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import cluster

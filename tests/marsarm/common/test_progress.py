@@ -1,10 +1,14 @@
-"""Progress: the share of all work, the time left, and a line a minute where there is no terminal."""
+"""Progress: the share of all work, the time left, and lines where there is no terminal."""
 
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from fsw.kinematics.transforms import Array
 from simgap.common import progress as module
+from simgap.common.earlier_run import EarlierRun, keep_run, read_earlier_run
 from simgap.common.progress import ProgressState, format_duration, part_of, show_progress
 
 
@@ -58,15 +62,16 @@ def test_a_duration_is_short_text(duration_s: float, text: str) -> None:
     assert format_duration(duration_s) == text
 
 
-def test_a_line_comes_each_period_without_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_lines_come_without_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(module, "LINE_PERIOD_S", 0.02)
-    with show_progress() as progress:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(module, "WAITS_S", (0.02, 0.01))
+    with show_progress("job") as progress:
         progress(0, 2, "arms")
         progress(1, 2, "arms")
         lines: list[str] = []
-        while len(lines) < 2:  # one comes also while nothing is reported
+        while len(lines) < 3:  # one comes also while nothing is reported
             time.sleep(0.01)
             lines += capsys.readouterr().err.splitlines()
     assert all(line.startswith("arms: 50% after 0 s, ") and line.endswith(" left") for line in lines)
@@ -74,3 +79,55 @@ def test_a_line_comes_each_period_without_a_terminal(
     capsys.readouterr()
     time.sleep(0.05)
     assert capsys.readouterr().err == ""
+    assert not list(tmp_path.iterdir())  # so short a run needs no time left
+
+
+STAGES = ((0.1, 2.0), (0.5, 90.0), (0.6, 92.0), (1.0, 100.0))
+"""Shares that are far from the shares of the time, and seconds."""
+
+
+@pytest.mark.parametrize("size", [0.1, 0.5, 1.0, 3.0, 10.0])
+def test_the_time_left_of_a_run_of_another_size_is_right_within_a_factor_of_two(size: float) -> None:
+    state = ProgressState(0.0, EarlierRun.of_points(STAGES, 100.0))
+    fine = [(share / 100, time_s) for share, time_s in zip(range(101), _times_s(size), strict=True)]
+    for share, time_s in fine:
+        state.update(share, 1.0, "work", time_s)
+        left_s = state.left_s(time_s)
+        if 10.0 <= time_s < 100.0 * size:
+            assert left_s == pytest.approx(100.0 * size - time_s, rel=1.0)
+            assert left_s is not None
+            assert left_s >= 0.5 * (100.0 * size - time_s)
+
+
+def _times_s(size: float) -> Array:
+    """Return the time at each percent of a run with the stages of STAGES."""
+    shares, times_s = zip((0.0, 0.0), *STAGES, strict=True)
+    return size * np.interp(np.linspace(0.0, 1.0, 101), shares, times_s)
+
+
+def test_a_run_without_a_report_has_the_time_left_of_the_earlier_one() -> None:
+    state = ProgressState(0.0, EarlierRun.of_points([(0.0, 0.5), (0.4, 30.0)], 50.0))
+    assert state.left_s(10.0) == pytest.approx(40.0)
+    assert state.line(10.0) == "starting: 0% after 10 s, 40 s left"
+
+
+def test_what_an_earlier_command_has_done_counts_for_nothing() -> None:
+    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 80.0), (0.75, 90.0)], 100.0))
+    state.update(0.5, 1.0, "going on", 1.0)
+    state.update(0.75, 1.0, "work", 21.0)
+    assert state.left_s(21.0) == pytest.approx(10.0 * 21.0 / 11.0)
+
+
+def test_the_course_of_a_run_is_kept_for_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert read_earlier_run("job") is None
+    run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0)
+    assert run.shares == (0.0, 0.3, 1.0)
+    keep_run("job", run)
+    assert read_earlier_run("job") == run
+    keep_run("job", EarlierRun.of_points([], 1.0))
+    assert read_earlier_run("job") == run
+    (tmp_path / "simgap/progress/job.json").write_text("[[0, 1")
+    assert read_earlier_run("job") is None

@@ -9,8 +9,8 @@ from pyarrow import parquet
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import select_targets
-from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES
 from marsarm.ik.solve import BATCH_SIZE
+from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES
 from sim.frames import approach_from, random_targets
 from tests.marsarm.command import marsarm
 from tests.marsarm.ik.batch import expected, save, solved

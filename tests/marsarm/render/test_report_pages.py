@@ -16,32 +16,15 @@ from marsarm.calibration.report import calibration_page
 from marsarm.calibration.request import CalibrateRequest
 from simgap.common.report import save_report_page
 from tests.marsarm.calibration.lab import campaign
-from validation.browser import LOADED, MISSING, Browser, find_chromium
+from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED, MISSING, Browser, find_chromium
 
 PHONE = 400
 WIDTHS = (320, PHONE, 1400)
-LEAST_CONTRAST = 4.5
-"""Of text, by WCAG 2.1, level AA."""
 
 VERDICTS_SHOWN = (
     "(({scrollWidth, clientWidth}) => scrollWidth <= clientWidth)(document.querySelector('.scroll'))"
 )
 """True if the whole table of requirements is seen without scrolling."""
-CONTRAST = """
-(() => {
-  const canvas = document.createElement("canvas").getContext("2d");
-  const light = (colour) => {
-    canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
-    const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].slice(0, 3)
-      .map((v) => v / 255).map((v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
-  const style = getComputedStyle(document.documentElement);
-  const [paper, ...inks] = ["paper", "ink", "muted", "red", "green", "amber"]
-    .map((name) => light(style.getPropertyValue("--" + name)));
-  return Math.min(...inks.map((ink) => (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05)));
-})()
-"""
 
 
 def save_budget(path):

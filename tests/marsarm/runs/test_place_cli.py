@@ -40,10 +40,23 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
 
 @pytest.mark.slow
 def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
+    (tmp_path / "here.png").write_bytes(b"of another run")
     done = marsarm(tmp_path, "place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
     assert done.returncode == 0, done.stderr
-    for word in ("total mm", "axis deg", "in contact", "branch", "here.png"):
+    for word in ("total mm", "axis deg", "in contact", "branch", "here.png, in place of an older one"):
         assert word in done.stdout
+
+
+@pytest.mark.slow
+def test_without_a_display_a_placement_is_shown_by_the_path_of_its_page(tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    done = marsarm(tmp_path, "show", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "place.html: there is no display here; open it in any browser\n"
+    document = json.loads(done.stdout)
+    assert (document["page"], document["picture"]) == ("place.html", None)
+    assert [path.name for path in tmp_path.iterdir()] == ["place.html"]
 
 
 @pytest.fixture(scope="module")
@@ -93,4 +106,5 @@ def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
 @pytest.mark.parametrize("value", slow_but(["nonsense", "egl", "off", " OFF "], "nonsense"))
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
     done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
-    assert (done.returncode, done.stderr.split(":")[0]) == (2, "tool")
+    assert done.returncode == 2
+    assert "tool: 'spoon' cannot be placed" in done.stderr

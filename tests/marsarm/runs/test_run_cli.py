@@ -23,7 +23,8 @@ def folder(tmp_path):
 @pytest.mark.usefixtures("is_initialised")
 def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(folder):
     words = ("--arm", "calibrated:1", "--tilt", "3", "-4", "--log", "run.mcap", "--movie", "run.gif")
-    done = marsarm(folder, "run", "short.toml", "--json", "--picture", "run.png", *words)
+    files = ("--picture", "run.png", "--page", "run.html")
+    done = marsarm(folder, "run", "short.toml", "--json", *files, *words)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert (report["scenario"], report["outcome"], report["passed"]) == ("short", "done", True)
@@ -44,7 +45,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
     log = read_log(folder / "run.mcap")
     assert len(log["/joint"]) == len(log["/truth"]) == round(report["duration_s"] * 64)
     assert [entry.name for entry in log.evrs] == [evr["name"] for evr in report["evrs"]]
-    for name in ("run.gif", "run.png"):
+    for name in ("run.gif", "run.png", "run.html"):
         assert (folder / name).stat().st_size > 5_000
 
 

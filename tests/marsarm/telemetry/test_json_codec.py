@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.config import configure, digest
+from fsw.config import configure
 from fsw.dictionary.commands import Command, MoveJoint, SetParam
+from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault

@@ -9,12 +9,14 @@ import subprocess
 import sys
 import time
 import urllib.request
+import webbrowser
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from marsarm.view import server
+from marsarm.view.browser import OpenedPage
 from marsarm.view.scene import TRAIL_STEP_M
 from marsarm.view.server import LiveView
 from simgap.common.errors import BadRequest
@@ -38,6 +40,16 @@ def test_a_page_is_written_and_reported(log, tmp_path):
     assert document["address"] is None
     table = marsarm(tmp_path, "view", str(log), "--html", "run.html")
     assert "page      run.html" in table.stdout
+
+
+@pytest.mark.parametrize(("has_browser", "said"), [(True, "opened in the browser"), (False, "no display")])
+def test_a_page_is_opened_where_there_is_a_display(tmp_path, monkeypatch, capsys, has_browser, said):
+    asked = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", lambda address: asked.append(address) or has_browser)
+    OpenedPage(tmp_path / "run.html").play()
+    assert asked == [(tmp_path / "run.html").as_uri()]
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,14 @@ from simgap.common.report import to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
 from simgap.logs import Logs, Motion
-from simgap.report.page import draw_figures, figure_style, motion_document, series_figure, series_panel
+from simgap.report.page import (
+    draw_figures,
+    error_panel,
+    figure_style,
+    motion_document,
+    position_panel,
+    series_figure,
+)
 from simgap.report.traces import extreme_rows
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
@@ -316,24 +323,25 @@ def drawn_motions(report: CheckReport) -> list[int]:
 def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:
     """Draw command, position and nominal simulation of one joint, and what a diagnosis leaves out."""
     documents = []
-    what, unit, factor = (
-        ("distance", "mm", 1e3) if report.robot.joint(joint).is_slide else ("angle", "rad", 1.0)
-    )
+    of_joint = report.robot.joint(joint)
     for number in motions:
         motion = report.logs.motions[number]
         log = motion.joints[joint]
         left_out = ~report.audit.is_usable(motion.name, joint)
         series: dict[str, Array] = {
-            "refused": np.where(left_out, factor * log.position.value, np.nan),
-            "measured": factor * log.position.value,
-            "nominal": factor * report.nominal[number].position[joint],
+            "refused": np.where(left_out, log.position.value, np.nan),
+            "measured": log.position.value,
+            "nominal": report.nominal[number].position[joint],
         }
         if log.command is not None:
-            series["command"] = factor * hold(log.command, log.position.time_s)
-        rows = extreme_rows(series.values())
-        shown = {name: values[rows] for name, values in series.items()}
-        panel = series_panel(f"{what} [{unit}]", unit, shown, False)
-        documents.append((motion.name, motion_document(log.position.time_s[rows], [panel])))
+            series["command"] = hold(log.command, log.position.time_s)
+        error = {"nominal": series["measured"] - series["nominal"]}
+        rows = extreme_rows([*series.values(), *error.values()])
+        series, error = ({name: one[rows] for name, one in part.items()} for part in (series, error))
+        panels = [position_panel("distance" if of_joint.is_slide else "angle", of_joint.unit, series)]
+        if np.isfinite(error["nominal"]).any():
+            panels.append(error_panel("measured less simulated", of_joint.unit, error))
+        documents.append((motion.name, motion_document(log.position.time_s[rows], panels)))
     has_command = all(report.logs.motions[k].joints[joint].command is not None for k in motions)
     names = ("measured", "nominal", *(("command",) if has_command else ()), "refused")
     return series_figure(joint, names, documents)

@@ -29,10 +29,12 @@ from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.logs import Logs, Motion
+from simgap.patch.found import FOUND_FILE, read_found
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
-from simgap.report.sentences import detail_lines, verdict_lines
+from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
@@ -245,7 +247,11 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
-    digests = digest_files({"robot": [request.robot], "log": request.logs, "effects": request.effects})
+    start = {} if request.start is None else read_found(robot, request.start)
+    files = {"robot": [request.robot], "log": request.logs, "effects": request.effects}
+    if request.start is not None:
+        files["start"] = [request.start / FOUND_FILE]
+    digests = digest_files(files)
     progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
     progress(0.0, 0.0, "preparing the fit")
@@ -255,6 +261,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
             logs.fit,
             held_out=logs.judged,
             effects=effects,
+            start=start,
             base_only=request.terms == "none",
             audit=found,
             seed=request.seed,
@@ -273,7 +280,12 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
 def _diagnose_tracker(
     request: DiagnoseRequest, file: SerialFile, terms: tuple[str, ...], progress: Progress
 ) -> RobotDiagnosis:
-    given = {"split": request.split, "held-out": request.held_out, "effects": request.effects}
+    given = {
+        "split": request.split,
+        "held-out": request.held_out,
+        "effects": request.effects,
+        "start": request.start,
+    }
     _refuse_any(
         {name: bool(value) for name, value in given.items()},
         "is for logs; of poses, the earlier ones are fitted and the later ones judge",
@@ -373,6 +385,6 @@ def _check_folder(folder: Path | None) -> None:
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
         raise BadOutput(f"patch {folder}: no right to write there")
-    for name in (MODEL_FILE, RUNTIME_FILE, ARM_FILE, CALIBRATED_FILE):
+    for name in (MODEL_FILE, RUNTIME_FILE, FOUND_FILE, ARM_FILE, CALIBRATED_FILE):
         if (folder / name).is_dir():
             raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")

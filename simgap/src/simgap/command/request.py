@@ -66,6 +66,10 @@ class DiagnoseRequest:
         tuple[Path, ...],
         Option("Python file with effects of your own, which join the catalogue; repeatable.", "FILE.py"),
     ] = ()
+    start: Annotated[
+        Path | None,
+        Option("Start from an earlier result: the folder of its patch. What it found acts.", "FOLDER"),
+    ] = None
     seed: Annotated[int, Option("Seed of the parts into which motions are put.", within=(0, None))] = 1
     terms: Annotated[
         str,

@@ -2,27 +2,32 @@
 
 import ast
 import sys
-from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 
+@cache
 def list_names(package: str) -> dict[str, str]:
     """Return the module of each name that the `__init__.pyi` of a package lists."""
-    stub = ast.parse(files(package).joinpath("__init__.pyi").read_text(encoding="utf-8"))
-    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    path = Path(sys.modules[package].__path__[0], "__init__.pyi")
+    imports = [
+        node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
+    ]
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 
-def load_name(package: str, home: Mapping[str, str], name: str) -> Any:
-    """Import a name from its module, and keep it in the package.
+def load_name(package: str, name: str) -> Any:
+    """Import a name from its module, and keep it in the package; `__all__` is all of them.
 
     Raises:
         AttributeError: The package has no such name.
     """
-    if name not in home:
+    if name == "__all__":
+        return tuple(list_names(package))
+    if name.startswith("_") or name not in list_names(package):
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    value = getattr(import_module(home[name]), name)
+    value = getattr(import_module(list_names(package)[name]), name)
     setattr(sys.modules[package], name, value)
     return value

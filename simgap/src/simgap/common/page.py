@@ -39,7 +39,7 @@ class Origin:
 
 def save_page(
     title: str,
-    verdict: str,
+    verdict: str | Mapping[str, str],
     requirements: Sequence[Requirement],
     origin: Origin | None,
     parts: Sequence[str],
@@ -48,7 +48,8 @@ def save_page(
     """Write a page.
 
     Args:
-        verdict: Sentence about the result; empty for a count of the requirements that are met.
+        verdict: Sentence about the result, or sentences by what they say; empty for a count of the
+            requirements that are met.
         origin: Origin of the result; None for a page without it, the same at any time.
         parts: Further parts in HTML, as the other functions here make them.
 
@@ -64,7 +65,7 @@ def save_page(
         '<meta name="color-scheme" content="light dark">',
         f"<title>{html.escape(title)}</title><style>\n{style}</style></head><body><main>",
         f"<h1>{html.escape(title)}</h1>",
-        f'<p class="verdict {_kind(requirements)}">{html.escape(verdict or count_met(requirements))}</p>',
+        _verdict(verdict or count_met(requirements), _kind(requirements)),
         *([_requirement_table(requirements)] if requirements else []),
         *([_origin_list(origin)] if origin is not None else []),
         *parts,
@@ -86,9 +87,25 @@ def count_met(requirements: Sequence[Requirement]) -> str:
 
 
 def _kind(requirements: Sequence[Requirement]) -> str:
-    """Return the class in the style sheet of the worst verdict."""
+    """Return the class in the style sheet of the worst verdict; empty without requirements."""
     verdicts = [one.passed for one in requirements]
-    return "fail" if False in verdicts else "open" if None in verdicts or not verdicts else "pass"
+    worst = "fail" if False in verdicts else "open" if None in verdicts else "pass"
+    return worst if verdicts else ""
+
+
+def _verdict(verdict: str | Mapping[str, str], kind: str) -> str:
+    """Return the element of a verdict: a paragraph, or a list of sentences."""
+    if isinstance(verdict, str):
+        return f'<p class="verdict {kind}">{html.escape(verdict)}</p>'
+    return f'<dl class="verdict">{_items(verdict, "{}")}</dl>'
+
+
+def _items(items: Mapping[str, str], form: str) -> str:
+    """Return the items of a list of definitions, their texts in a form."""
+    return "".join(
+        f"<dt>{html.escape(name)}</dt><dd>{form.format(html.escape(text))}</dd>"
+        for name, text in items.items()
+    )
 
 
 def _requirement_table(requirements: Sequence[Requirement]) -> str:
@@ -106,11 +123,8 @@ def _origin_list(origin: Origin) -> str:
         "date": current_date().strftime("%Y-%m-%d %H:%M:%S UTC"),
         **{f"SHA-256, {name}": digest for name, digest in origin.digests.items()},
     }
-    rows = "".join(
-        f"<dt>{html.escape(name)}</dt><dd><code>{html.escape(text)}</code></dd>"
-        for name, text in items.items()
-    )
-    return f'<dl class="origin">{rows}</dl>'
+    listed = _items(items, "<code>{}</code>")
+    return f'<details><summary>Command, version and files</summary><dl class="origin">{listed}</dl></details>'
 
 
 def paragraph(text: str) -> str:

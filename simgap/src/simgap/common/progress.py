@@ -1,23 +1,30 @@
 """Progress of long work: its interface, and its output on standard error with the time left.
 
-On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line a minute.
+On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line after a second, then ever more rarely.
+The time left follows from an earlier run of the same command on this machine, or else from the share done.
 """
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import chain, repeat
 from threading import Event, Thread
 from typing import Final
 
+from simgap.common.earlier_run import EarlierRun, keep_run, read_earlier_run
 from simgap.common.interruption import block_signals
 
 Progress = Callable[[float, float, str], None]
 """Function of the amount done, the total amount, and the name of the current activity."""
 
-LINE_PERIOD_S: Final = 60.0
-"""Time between two lines where there is no terminal."""
+WAITS_S: Final = (1.2, 8.8, 20.0, 30.0, 60.0)
+"""Times before each line where there is no terminal; the last one is repeated.
+
+Most bad input is refused before the first line, which comes within 2 s of the start of Python.
+"""
 
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
@@ -36,9 +43,13 @@ class ProgressState:
 
     started_s: float
     """Time of the start, of a monotonic clock."""
+    earlier: EarlierRun | None = None
+    """Earlier run of the same command, which had the same stages; None if there was none."""
     what: str = "starting"
     share: float = 0.0
     """Share of the work that is done; it never falls."""
+    reached_s: float = float("-inf")
+    """Time at which this share was done."""
     first_share: float | None = None
     """Share at the first report: results of an earlier command, which took no time."""
     first_s: float = 0.0
@@ -47,6 +58,8 @@ class ProgressState:
     """Estimated time from the first report to the end; None before there is an estimate."""
     n_reports: int = 0
     """Reports, which show that the work goes on while no share of it is known to be done."""
+    points: list[tuple[float, float]] = field(default_factory=list)
+    """Share, and time since the start, of each report."""
 
     def update(self, done: float, total: float, what: str, now_s: float) -> None:
         """Take a report of progress at a time of the clock.
@@ -57,7 +70,9 @@ class ProgressState:
         self.n_reports += 1
         if total <= 0:
             return
-        self.share = max(self.share, min(done / total, 1.0))
+        if min(done / total, 1.0) > self.share:
+            self.share, self.reached_s = min(done / total, 1.0), now_s
+        self.points.append((self.share, now_s - self.started_s))
         if self.first_share is None:
             self.first_share, self.first_s = self.share, now_s
         elif self.share > self.first_share and now_s > self.first_s:
@@ -66,6 +81,10 @@ class ProgressState:
 
     def left_s(self, now_s: float) -> float | None:
         """Estimate the time left; None before there is an estimate."""
+        if self.earlier is not None:
+            begun_s = self.first_s if self.first_share else self.started_s
+            first, reached_s = self.first_share or 0.0, max(self.reached_s, begun_s)
+            return self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
         return None if self.total_s is None else max(self.first_s + self.total_s - now_s, 0.0)
 
     def left_text(self, now_s: float) -> str:
@@ -93,20 +112,23 @@ def no_progress(done: float, total: float, what: str) -> None:
 
 
 @contextmanager
-def show_progress() -> Iterator[Progress]:
-    """Show the progress and the time left of the work in a block; give the function that updates it."""
-    from rich.console import Console  # workers need no rich
+def show_progress(job: str) -> Iterator[Progress]:
+    """Show the progress and the time left of the work in a block; give the function that updates it.
 
-    console = Console(stderr=True)
-    state = ProgressState(time.monotonic())
-    show = _show_bar if console.is_terminal and not console.is_dumb_terminal else _print_lines
-    with show(state) as refresh:
+    Args:
+        job: Name of the work, under which its course is kept for the next time.
+    """
+    state = ProgressState(time.monotonic(), read_earlier_run(job))
+    has_bar = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    with (_show_bar if has_bar else _print_lines)(state) as refresh:
 
         def update(done: float, total: float, what: str) -> None:
             state.update(done, total, what, time.monotonic())
             refresh()
 
         yield update
+    if not state.first_share:  # what an earlier command has done took no time
+        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s))
 
 
 @contextmanager
@@ -133,11 +155,13 @@ def _show_bar(state: ProgressState) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _print_lines(state: ProgressState) -> Iterator[Callable[[], None]]:
-    """Print a line in each period, in a thread, so that one comes also while a step of the work lasts."""
+    """Print lines in a thread, so that one comes also while a step of the work lasts."""
     done = Event()
 
     def print_lines() -> None:
-        while not done.wait(LINE_PERIOD_S):
+        for wait_s in chain(WAITS_S, repeat(WAITS_S[-1])):
+            if done.wait(wait_s):
+                return
             print(state.line(time.monotonic()), file=sys.stderr, flush=True)
 
     with block_signals():  # the main thread receives them

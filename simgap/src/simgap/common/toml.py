@@ -1,4 +1,4 @@
-"""TOML files: the one reader, the one writer, and records whose errors name the key; strict JSON files."""
+"""TOML files: the one reader, the one writer, and errors that name the key; strict JSON files."""
 
 import sys
 import tomllib
@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import read_bytes
@@ -21,16 +21,8 @@ KeyPath = tuple[str | int, ...]
 """Keys and indices, from 0, that lead to a value."""
 
 
-class Record(BaseModel):
-    """Table of a TOML file: no unknown keys, no conversion of types, only finite numbers."""
-
-    model_config = ConfigDict(
-        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
 T = TypeVar("T")
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=BaseModel)
 
 
 def read_text(path: Path) -> str:

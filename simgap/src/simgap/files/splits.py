@@ -8,7 +8,8 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
-from simgap.common.toml import Record, parse_record, read_toml
+from simgap.common.record import Record
+from simgap.common.toml import parse_record, read_toml
 from simgap.files.columns import hint_at
 
 

@@ -16,6 +16,7 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
+from simgap.patch.found import FOUND_FILE, found_text
 from simgap.patch.text import (
     BODY_OF,
     Change,
@@ -60,6 +61,8 @@ class Patch:
     """A sentence for each changed element."""
     runtime: str
     """Text of the runtime file; empty if there is nothing left."""
+    found: str
+    """Text of the file with which a later diagnosis starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,7 @@ def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, 
 def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
     """Write the files of a patch to a folder, which is made if it is not there, and return them."""
     folder.mkdir(parents=True, exist_ok=True)
-    files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime}
+    files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime, FOUND_FILE: made.found}
     (folder / RUNTIME_FILE).unlink(missing_ok=True)  # that of an earlier patch
     written = [folder / name for name, text in files.items() if text]
     for path in written:
@@ -122,6 +125,7 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
         for one in effect.parts
         if any(size)
     ]
+    found = found_text(robot, effects, sizes)
     text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
     if varied:
         spec = mujoco.MjSpec.from_string(text)
@@ -145,7 +149,8 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
     said = [f"{one.tag} {one.name}: {one.reason}".replace(" :", ":") for one in changes]
-    return Patch(text, tuple(said), _runtime_text(robot, runtime, rotors) if runtime or rotors else "")
+    left = _runtime_text(robot, runtime, rotors) if runtime or rotors else ""
+    return Patch(text, tuple(said), left, found)
 
 
 def _on_text(robot: Robot, text: str) -> Robot:

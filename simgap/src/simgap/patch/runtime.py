@@ -4,7 +4,8 @@
     data = mujoco.MjData(model)
     runtime = RuntimeEffects.from_toml(model, "runtime.toml")
     for command in commands:
-        runtime.step(model, data, command)
+        runtime.act(model, data, command)
+        mujoco.mj_step(model, data, n_steps)  # of one control period
         print(runtime.shown(data))
 
 It calls the same hooks as the engine of the diagnosis, with one simulation.
@@ -18,7 +19,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from simgap.arrays import Array, Integers
+from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.common.toml import read_toml
 from simgap.effects.effect import HISTORY_S, Effect, State, Tick
@@ -84,7 +85,8 @@ class RuntimeEffects:
         """
         names = [joint.name for joint in joints]
         self._period_s = control_period_s
-        self._n_steps = round(control_period_s / model.opt.timestep)
+        self.n_steps = round(control_period_s / model.opt.timestep)
+        """Time steps of a control period."""
         self._joints = tuple(joints)
         self._qpos, self._dof = _places(model, [joint.in_model for joint in joints])
         turned = [joint.rotor or joint.in_model for joint in joints]
@@ -106,6 +108,7 @@ class RuntimeEffects:
             model.actuator_gear[motor, 0].copy(),
         )
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
+        self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
         self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
         self._path_s, self._path_rad = np.zeros(0), np.zeros((0, len(joints)))
         self._last_share = 0.5 * model.opt.timestep / control_period_s
@@ -142,23 +145,27 @@ class RuntimeEffects:
         except (KeyError, TypeError, ValueError) as error:
             raise RobotError(f"{path}: does not fit the model ({error}); use the patched model") from error
 
-    def step(
+    def act(
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
         command: Array,
         temperature_degC: Array | None = None,
+        gain: Array | float = 1.0,
+        is_on: Flags | bool = True,
     ) -> None:
-        """Simulate one control period.
+        """Set the inputs of one control period; call it before the first of its `n_steps` time steps.
 
         Args:
             model: Patched model; dry friction, torque limits and gains are set anew in each period.
             command: Commands, (n_joints,), in the unit of each control mode.
             temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
+            gain: Values of the gain columns of the robot file, (n_joints,).
+            is_on: Whether the motors have torque, (n_joints,).
         """
-        if self._path_s.size == 0:
+        if self._last_command is None:
             mujoco.mj_forward(model, data)
-            self._remember(data)
+        self._remember(data)
         arrived = self._arrived(np.asarray(command, dtype=float))
         tick = self._tick(model, data, arrived, temperature_degC)
         motor, nominal = self._motor, self._nominal
@@ -166,17 +173,18 @@ class RuntimeEffects:
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
         model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
-        model.actuator_gainprm[motor, 0] = nominal.gain * tick.gain[0]
-        model.actuator_biasprm[motor, :3] = nominal.bias * tick.gain[0][:, None]
+        ratio = tick.gain[0] * np.asarray(is_on, dtype=float)
+        of_position, of_speed = ratio * gain, ratio
+        model.actuator_gainprm[motor, 0] = nominal.gain * np.where(self._has_kp, of_position, of_speed)
+        model.actuator_biasprm[motor, :3] = nominal.bias * np.stack((ratio, of_position, of_speed), axis=1)
         limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(nominal.gear)
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
-        mujoco.mj_step(model, data, self._n_steps)
-        self._remember(data)
 
     def shown(self, data: mujoco.MjData) -> Array:
-        """Return what the encoders show, (n_joints,) [rad], at the time of the state after `step`."""
+        """Return what the encoders show at the end of a control period, (n_joints,) [rad]."""
+        self._remember(data)
         late_s = np.zeros(self._qpos.size)
         for one in self._with("sample_delay_s"):
             late_s[one.joint] += float(one.effect.sample_delay_s(one.size)[0])
@@ -197,11 +205,14 @@ class RuntimeEffects:
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
         data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
+        self._path_s, self._path_rad = self._path_s[:0], self._path_rad[:0]
 
     def _with(self, hook: str) -> list[_Acting]:
         return [one for one in self._acting if one.effect.overrides(hook)]
 
     def _remember(self, data: mujoco.MjData) -> None:
+        if self._path_s.size and data.time <= self._path_s[-1]:
+            return
         most = round(HISTORY_S / self._period_s)
         self._path_s = np.append(self._path_s, data.time)[-most:]
         self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from simgap.common.report import to_json
+from simgap.report.details import finding_lines
 from simgap.report.document import to_document
-from simgap.report.sentences import finding_lines, quantity, verdict_lines
+from simgap.report.sentences import quantity, verdict_lines
 from simgap.result import Comparison, Limit
 
 FORMAT = "comparison 1"

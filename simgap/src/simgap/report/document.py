@@ -5,7 +5,8 @@ from math import isfinite
 from typing import Any, Final
 
 from simgap.common.report import to_json
-from simgap.report.sentences import detail_lines, level, verdict_lines, verdict_word
+from simgap.report.details import detail_lines
+from simgap.report.sentences import level, verdict_lines, verdict_word
 from simgap.result import Base, Diagnosis, Finding
 
 FORMAT: Final = "diagnosis 1"

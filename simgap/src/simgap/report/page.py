@@ -14,19 +14,22 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.checks.records import COARSE_RAD
 from simgap.common.page import Origin, heading, paragraph, save_page, table
+from simgap.report.details import finding_lines
 from simgap.report.sentences import (
     SMALL_UNITS,
-    finding_lines,
     has_floor,
     level,
     percent,
     quantity,
+    rank_findings,
     verdict_lines,
     verdict_word,
 )
 from simgap.report.traces import Trace, choose_traces, thin
 from simgap.result import Diagnosis, JointError
+from simgap.robot import SLIDE_m_rad
 
 SERIES: Final = {
     "measured": "measured",
@@ -41,6 +44,10 @@ BARS: Final = {
     "base": "base parameters fitted",
     "explained": "with the findings",
 }
+LEAST_SPANS: Final = {"rad": COARSE_RAD, "m": SLIDE_m_rad * COARSE_RAD}
+"""Least ranges of positions that fill a figure, by unit: a joint that moves less looks idle, as it is."""
+STEPS: Final = 16
+"""Steps of usual encoders, of 12 bits, in LEAST_SPANS; no error smaller than a step fills a figure."""
 RESOLUTION: Final = 4e3
 """Steps into which the range of a trace is divided: more than a screen has pixels."""
 HINT: Final = "Drag to zoom, double click for all of it; point at the traces to read values."
@@ -54,9 +61,9 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     """
     return [
         figure_style(),
+        *_finding_part(diagnosis),
         *_error_part(diagnosis),
         *_trace_part(diagnosis, traces),
-        *_finding_part(diagnosis),
         *_base_part(diagnosis),
         *_remaining_part(diagnosis),
         *_refused_part(diagnosis),
@@ -173,40 +180,50 @@ def motion_document(time_s: Array, panels: Sequence[dict[str, Any]]) -> dict[str
 
     Args:
         time_s: Times, (n,).
-        panels: Panels of `series_panel`, whose series have n values each.
+        panels: Panels of `position_panel` and `error_panel`, whose series have n values each.
     """
     return {"time_s": [round(float(t), 5) for t in time_s], "panels": panels}
 
 
 def _motion(one: Trace) -> dict[str, Any]:
-    unit, factor = SMALL_UNITS.get(one.unit, (one.unit, 1.0))
-    residuals = {"nominal": factor * one.nominal, "explained": factor * one.explained}
-    panels = [series_panel(f"measured less predicted [{unit}]", unit, residuals, True)]
+    residuals = {"nominal": one.nominal, "explained": one.explained}
+    panels = [error_panel("measured less predicted", one.unit, residuals)]
     if one.measured is not None:
         series = {
             "measured": one.measured,
             "nominal": one.measured - one.nominal,
             "explained": one.measured - one.explained,
         }
-        if one.unit == "m":  # of a slide
-            series = {name: factor * values for name, values in series.items()}
-        shown = unit if one.unit == "m" else one.unit
-        panels.insert(0, series_panel(f"measured and predicted [{shown}]", shown, series, False))
+        panels.insert(0, position_panel("measured and predicted", one.unit, series))
     return motion_document(one.time_s, panels)
 
 
-def series_panel(title: str, unit: str, series: Mapping[str, Array], is_residual: bool) -> dict[str, Any]:
+def position_panel(title: str, unit: str, series: Mapping[str, Array]) -> dict[str, Any]:
+    """Return a panel of positions in rad, or of a slide in m."""
+    shown, factor = SMALL_UNITS[unit] if unit == "m" else (unit, 1.0)
+    return _panel(title, shown, factor, series, LEAST_SPANS.get(unit, 0.0))
+
+
+def error_panel(title: str, unit: str, series: Mapping[str, Array]) -> dict[str, Any]:
+    """Return a panel of errors, in the unit in which they are small numbers."""
+    shown, factor = SMALL_UNITS.get(unit, (unit, 1.0))
+    return _panel(title, shown, factor, series, LEAST_SPANS.get(unit, 0.0) / STEPS) | {"is_residual": True}
+
+
+def _panel(title: str, unit: str, factor: float, series: Mapping[str, Array], least: float) -> dict[str, Any]:
     """Return a panel of a figure, with numbers as exact as a screen shows them."""
-    every = np.concatenate(list(series.values()))
+    scaled = {name: factor * values for name, values in series.items()}
+    every = np.concatenate(list(scaled.values()))
     finite = every[np.isfinite(every)]
-    span = float(np.ptp(finite)) if finite.size else 0.0
+    span = max(float(np.ptp(finite)) if finite.size else 0.0, factor * least)
     digits = max(0, -floor(log10(span / RESOLUTION))) if span > 0.0 else 0
     return {
-        "title": title,
+        "title": f"{title} [{unit}]",
         "unit": unit,
-        "is_residual": is_residual,
+        "is_residual": False,
+        "least": factor * least,
         "digits": digits,
-        "series": {name: _numbers(values, digits) for name, values in series.items()},
+        "series": {name: _numbers(values, digits) for name, values in scaled.items()},
     }
 
 
@@ -226,7 +243,7 @@ def _finding_part(diagnosis: Diagnosis) -> list[str]:
             percent(one.share) if isfinite(one.share) else "not known",
             ", ".join(one.effects) or "none of these",
         )
-        for one in diagnosis.findings
+        for one in rank_findings(diagnosis)
         if level(one) == "effect"
     ]
     head = ("place", "effect", "size", "own share", "effects not excluded at 5 %")
@@ -315,5 +332,6 @@ def save_diagnosis_page(
     Raises:
         BadOutput: the file cannot be written.
     """
-    verdict = "\n".join(verdict_lines(diagnosis))
+    parted = (line.partition(": ") for line in verdict_lines(diagnosis))
+    verdict = {name: f"{text[0].upper()}{text[1:]}" for name, _, text in parted}
     save_page(page_title(diagnosis), verdict, (), origin, page_parts(diagnosis, traces), path)

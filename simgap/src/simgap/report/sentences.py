@@ -18,12 +18,6 @@ SMALL_UNITS: Final = {
     "m/s": ("mm/s", 1e3),
 }
 """Units in which errors of a robot are small numbers, and their factors."""
-GAINS: Final = {
-    "gain_ratio": "the gain",
-    "torque_constant_Nm_A": "the torque constant",
-    "torque_constant_N_A": "the force constant",
-}
-"""Base parameters to which others are known as ratios where gravity gives no scale, by their names."""
 NOT_LOCATED: Final = "something that is not located"
 MUCH: Final = 2.0
 """Error over noise from which the first line says what is left: half of it or more is no noise."""
@@ -47,54 +41,6 @@ def verdict_lines(diagnosis: Diagnosis) -> tuple[str, str, str, str]:
         f"How far: {_how_far(diagnosis)}",
         f"Next: {_next(diagnosis)}",
     )
-
-
-def detail_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
-    refused = [
-        f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
-        for one in diagnosis.refused
-    ]
-    return [
-        *finding_lines(diagnosis),
-        *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),
-        *_shorten(refused, "refusal"),
-    ]
-
-
-def finding_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return a sentence for each finding, for what remains, is not named, and cannot be known."""
-    found = [finding_sentence(finding) for finding in diagnosis.findings]
-    found += map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
-    unexplained = "base parameters do not explain" if diagnosis.is_base_only else "no effect explains"
-    rest = [remainder_sentence(one, unexplained) for one in diagnosis.remaining]
-    rejected = [
-        f"{one.effect[0].upper()}{one.effect[1:]} at {one.place} is not named: {one.reason}."
-        for one in diagnosis.rejected
-    ]
-    unnamed = _shorten(rejected, "effect that is not named", "effects that are not named")
-    base = _shorten(
-        [base_sentence(one) for one in _differing(diagnosis)],
-        "base parameter that differs",
-        "base parameters that differ",
-    )
-    return [
-        *found,
-        *rest,
-        *unnamed,
-        *base,
-        *bound_sentences(diagnosis.base),
-        *unknown_sentences(diagnosis.base),
-    ]
-
-
-def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
-    """Return the first sentences of a list, and a sentence that counts the others."""
-    rest = len(lines) - MAX_MEMBERS
-    if rest <= 0:
-        return list(lines)
-    counted = f"1 more {noun} is" if rest == 1 else f"{rest} more {nouns or noun + 's'} are"
-    return [*lines[:MAX_MEMBERS], f"{counted} in the JSON document."]
 
 
 def verdict_word(diagnosis: Diagnosis) -> str:
@@ -129,71 +75,6 @@ def finding_words(finding: Finding) -> str:
         kinds = join_words([FAMILY_WORDS[family] for family in finding.families], "or")
         return f"{kinds} at {place}"
     return f"something at {place}"
-
-
-def finding_sentence(finding: Finding) -> str:
-    """Return a finding with its certainty, its interval and its own share."""
-    words = finding_words(finding)
-    first = f"{words[0].upper()}{words[1:]}: {_certainty(finding)}."
-    if level(finding) != "effect":
-        return first
-    sizes = zip(finding.size_names, finding.interval, strict=True)
-    intervals = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in sizes)
-    own = f" With 90 % probability {intervals}." if intervals else ""
-    lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
-    return first + own + (lost if isfinite(finding.share) else "")
-
-
-def base_sentence(one: Base) -> str:
-    """Return a base parameter that differs from the model with its interval and its own share."""
-    low, high = one.interval
-    lost = f" With that of the model, {percent(one.share)} of the error of its joint comes back."
-    words = f"{_base_words(one)}; with 90 % probability from {low:.4g} to {high:.4g}."
-    return words + (lost if isfinite(one.share) else "")
-
-
-def error_sentence(one: JointError) -> str:
-    """Return the mean error of a joint, with the model as it is and with its base parameters fitted."""
-    nominal, base = (quantity(value, one.unit) for value in (one.nominal, one.base))
-    return f"Mean error of {one.joint}: {nominal} as it is, {base} with base parameters."
-
-
-def remainder_sentence(one: Remainder, unexplained: str = "no effect explains") -> str:
-    """Return what remains at a joint, and on which variable it depends."""
-    depends = (
-        f"it depends on {one.depends_on}, which explains {percent(one.depends_share)} of it"
-        if one.depends_on
-        else "it depends on no logged variable"
-    )
-    amount = quantity(one.mean_abs, one.unit)
-    return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that {unexplained}; {depends}."
-
-
-def bound_sentences(base: Sequence[Base]) -> list[str]:
-    """Return a sentence for each base parameter that ends at a bound which the motions contradict."""
-    return [
-        f"{one.name} of {one.place} ends at its bound, {one.value:.3g}, and the motions ask for a number "
-        "beyond it: another number of the model is wrong, such as a mass, or something acts that is not in "
-        f"the catalogue. No effect at {one.place} is sure."
-        for one in base
-        if one.is_pushed
-    ]
-
-
-def unknown_sentences(base: Sequence[Base]) -> list[str]:
-    """Return a sentence for each joint or link of which some numbers cannot be known."""
-    unknown = [one for one in base if not one.is_identifiable]
-    sentences = []
-    for place in dict.fromkeys(one.place for one in unknown):
-        names = [one.name for one in unknown if one.place == place]
-        rest = [name for name in names if name not in GAINS]
-        gain = next((words for name, words in GAINS.items() if name in names), "")
-        if gain and rest:
-            what = f"only ratios to {gain} can be known of: {join_words(rest, 'and', len(rest))}"
-        else:
-            what = f"the logs do not determine: {join_words(names, 'and', len(names))}"
-        sentences.append(f"At {place}, {what}.")
-    return sentences
 
 
 def has_floor(diagnosis: Diagnosis) -> bool:
@@ -240,12 +121,12 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 def _where(diagnosis: Diagnosis) -> str:
     if diagnosis.is_base_only:
         return "no effect was looked for."
-    located = [finding for finding in _ranked(diagnosis) if level(finding) != "none"]
+    located = [finding for finding in rank_findings(diagnosis) if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
         words.append(NOT_LOCATED)
     if not words:
-        words = list(dict.fromkeys(one.place for one in _differing(diagnosis)))
+        words = list(dict.fromkeys(one.place for one in list_differing(diagnosis)))
     elsewhere = [one.joint for one in (_much_remaining(diagnosis) if words else diagnosis.remaining)]
     if not words and not elsewhere:
         if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
@@ -278,7 +159,7 @@ def _much_left(errors: Sequence[JointError]) -> str:
     return f", {left} at {worst.joint}, which is {worst.explained / worst.noise_floor:.2g} times the noise"
 
 
-def _ranked(diagnosis: Diagnosis) -> list[Finding]:
+def rank_findings(diagnosis: Diagnosis) -> list[Finding]:
     """Return the findings, first that which explains the most of the largest error."""
     errors = {one.joint: one.base for one in diagnosis.errors}
     largest = max(errors.values(), default=0.0)
@@ -292,16 +173,16 @@ def _ranked(diagnosis: Diagnosis) -> list[Finding]:
 
 def _what(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
-        base = join_words([_base_words(one) for one in _differing(diagnosis)], "and")
+        base = join_words([base_words(one) for one in list_differing(diagnosis)], "and")
         if diagnosis.is_base_only:
             return f"{base or 'no base parameter accounts for half of the error of its joint'}."
         explains = " explains what remains" if diagnosis.remaining else ""
         return f"{f'{base}; ' if base else ''}none of the effects in the catalogue{explains}."
-    ranked = _ranked(diagnosis)
+    ranked = rank_findings(diagnosis)
     shown = ranked[:MAX_MEMBERS]
     groups: dict[str, dict[str, bool]] = {}
     for one in shown:
-        groups.setdefault(_certainty(one), {})[finding_words(one)] = bool(one.families)
+        groups.setdefault(certainty_words(one), {})[finding_words(one)] = bool(one.families)
     texts = [
         f"{'; '.join(words)}, {'each ' if len(words) > 1 and all(words.values()) else ''}{certainty}"
         for certainty, words in groups.items()
@@ -311,17 +192,18 @@ def _what(diagnosis: Diagnosis) -> str:
     return first + "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
 
 
-def _differing(diagnosis: Diagnosis) -> list[Base]:
+def list_differing(diagnosis: Diagnosis) -> list[Base]:
     """Return the base parameters that differ from the model, first that which accounts for most."""
     found = [one for one in diagnosis.base if one.differs]
     return sorted(found, key=lambda one: -one.share if isfinite(one.share) else 0.0)
 
 
-def _base_words(one: Base) -> str:
+def base_words(one: Base) -> str:
+    """Return a base parameter as fitted, beside the number of the model."""
     return f"{one.name} of {one.place} is {one.value:.3g}, in the model {one.nominal:.3g}"
 
 
-def _certainty(finding: Finding) -> str:
+def certainty_words(finding: Finding) -> str:
     """Return how sure a finding is, by the size of its sets."""
     found = level(finding)
     if found == "none":
@@ -361,7 +243,8 @@ def _how_far(diagnosis: Diagnosis) -> str:
     one = max(diagnosis.errors, key=lambda each: each.base / each.noise_floor if is_mixed else each.nominal)
     known = one.noise_floor > 0.0
     noise = f"noise: {quantity(one.noise_floor, one.unit)}" if known else "noise: not known without repeats"
-    steps = f"{quantity(one.nominal, one.unit)}; with base parameters {quantity(one.base, one.unit)}"
+    before = " with the earlier result" if diagnosis.start else ""
+    steps = f"{quantity(one.nominal, one.unit)}{before}; with base parameters {quantity(one.base, one.unit)}"
     found = bool(diagnosis.findings)
     steps += f"; with the findings {quantity(one.explained, one.unit)}" if found else ""
     far = f"on {motions} that took no part, the error of {one.joint} is {steps} ({noise})"

@@ -3,6 +3,8 @@
 (() => {
   const NS = "http://www.w3.org/2000/svg";
   const HEIGHTS = [220, 130], GAP = 26, LEFT = 58, RIGHT = 14, TOP = 22, BOTTOM = 34, TICKS = 5;
+  const BLOCK = 10; // pixels of a line within which it is looked at whether it oscillates
+  const OUTER = 0.005; // share of values at each end that may lie outside a panel
   const make = (tag, attributes, parent) => {
     const node = document.createElementNS(NS, tag);
     for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
@@ -17,15 +19,20 @@
     for (let k = Math.ceil(low / step); k * step <= high; k++) list.push(k * step);
     return [list, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
   };
-  const range = (lists, from, to) => {
-    let low = Infinity, high = -Infinity;
-    for (const list of lists) for (let k = from; k <= to; k++) {
-      if (list[k] === null) continue;
-      if (list[k] < low) low = list[k];
-      if (list[k] > high) high = list[k];
+  // Range of the values that are seen. A panel in which the outermost values would take two thirds of the height
+  // leaves them out; they get a mark at its edge. No panel is narrower than `least`.
+  const range = (lists, from, to, least) => {
+    const seen = lists.flatMap((list) => list.slice(from, to + 1)).filter((value) => value !== null).sort((a, b) => a - b);
+    if (!seen.length) return [0, 1];
+    const at = (share) => seen[Math.round(share * (seen.length - 1))];
+    let low = at(0), high = at(1);
+    const body = Math.max(at(1 - OUTER) - at(OUTER), least);
+    if (high - low > 3 * body && body > 0) {
+      low = Math.max(low, at(OUTER) - body / 2);
+      high = Math.min(high, at(1 - OUTER) + body / 2);
     }
-    const room = Math.max(high - low, 1e-9) * 0.05;
-    return low > high ? [0, 1] : [low - room, high + room];
+    const room = Math.max(0.05 * (high - low), (least - high + low) / 2, 5e-11);
+    return [low - room, high + room];
   };
   // Index of the first time that is not below t.
   const index = (time, t) => {
@@ -144,7 +151,7 @@
     }
     panel(panel, top, height, from, to) {
       const shown = Object.entries(panel.series).filter(([name]) => !this.hidden.has(name));
-      const [low, high] = range(shown.map(([, list]) => list), from, to);
+      const [low, high] = range(shown.map(([, list]) => list), from, to, panel.least);
       const y = (value) => top + (high - value) / (high - low) * height;
       const [marks, digits] = ticks(low, high);
       for (const mark of marks) {
@@ -152,17 +159,49 @@
         make("text", {x: LEFT - 6, y: y(mark) + 4, class: "tick", "text-anchor": "end"}, this.svg)
           .textContent = mark.toFixed(digits);
       }
-      make("text", {x: LEFT, y: top - 8, class: "title"}, this.svg).textContent = panel.title;
       const clip = make("svg", {x: LEFT, y: top, width: this.width - LEFT - RIGHT, height}, this.svg);
-      for (const [name, list] of shown) {
-        let path = "", pen = "M";
-        for (let k = from; k <= to; k++) {
-          if (list[k] === null) { pen = "M"; continue; }
-          path += `${pen}${(this.x(this.motion.time_s[k]) - LEFT).toFixed(1)} ${(y(list[k]) - top).toFixed(1)}`;
-          pen = "L";
+      const beyond = shown.reduce(
+        (sum, [name, list]) => sum + this.trace(list, name, from, to, (value) => y(value) - top, height, clip), 0);
+      const words = beyond ? `; ${beyond} beyond, marked at the edge` : "";
+      make("text", {x: LEFT, y: top - 8, class: "title"}, this.svg).textContent = panel.title + words;
+    }
+    // Draw a series: a line, and the area between its extremes where it oscillates faster than a screen can show.
+    // Returns how many values lie outside.
+    trace(list, name, from, to, y, height, clip) {
+      const x = (k) => this.x(this.motion.time_s[k]) - LEFT, text = (a, b) => `${a.toFixed(1)} ${b.toFixed(1)}`;
+      let line = "", pen = "M", area = "", marks = "", upper = [], lower = [], beyond = 0, marked = -9;
+      const close = () => {
+        if (upper.length) area += `M${[...upper, ...lower.reverse()].join("L")}Z`;
+        upper = [];
+        lower = [];
+      };
+      for (let k = from, next; k <= to; k = next) {
+        if (list[k] === null) { pen = "M"; close(); next = k + 1; continue; }
+        let low = Infinity, high = -Infinity, travel = 0;
+        for (next = k; next <= to && list[next] !== null && x(next) < x(k) + BLOCK; next++) {
+          const at = y(list[next]);
+          low = Math.min(low, at);
+          high = Math.max(high, at);
+          if (next > k) travel += Math.abs(at - y(list[next - 1]));
+          if (at >= 0 && at <= height) continue;
+          beyond++;
+          if (x(next) < marked + BLOCK) continue;
+          marked = x(next);
+          marks += at < 0 ? `M${text(marked - 4, 7)}l4-7l4 7Z` : `M${text(marked - 4, height - 7)}l4 7l4-7Z`;
         }
-        make("path", {d: path, class: `trace ${name}`}, clip);
+        if (travel > 3 * (high - low) && high - low > BLOCK / 2) {
+          for (const at of [k, next - 1]) { upper.push(text(x(at), low)); lower.push(text(x(at), high)); }
+          pen = "M";
+          continue;
+        }
+        close();
+        for (let n = k; n < next; n++, pen = "L") line += pen + text(x(n), y(list[n]));
       }
+      close();
+      make("path", {d: line, class: `trace ${name}`}, clip);
+      if (area) make("path", {d: area, class: `area ${name}`}, clip);
+      if (marks) make("path", {d: marks, class: `beyond ${name}`}, clip);
+      return beyond;
     }
     point(t) {
       const at = t === null ? -9 : this.x(t);

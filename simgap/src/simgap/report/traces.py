@@ -14,7 +14,9 @@ from simgap.result import Diagnosis
 from simgap.robot import Robot
 
 MAX_POINTS: Final = 2000
-"""Points of a trace on a page: about two for each pixel of a wide screen."""
+"""Points of a trace up to which a page shows all: about two for each pixel of a wide screen."""
+PARTS: Final = 500
+"""Parts of a longer trace, of each of which the extremes are shown: some three pixels of a wide screen."""
 SIMULATION: Final = SimulationResiduals.kind
 """Kind of residual whose traces also show what was measured; of others, the residuals alone are known."""
 
@@ -41,8 +43,9 @@ class Trace:
 def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]:
     """Predict the motions of a residual model without and with what a diagnosis has found."""
     effects, sizes = diagnosis.fitted_to(model.kind)
-    found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
-    nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
+    _, reference = diagnosis.fitted_to(model.kind, is_reference=True)
+    points = [np.concatenate([np.zeros(0), *map(np.asarray, part)]) for part in (reference, sizes)]
+    nominal, explained = model.residuals(effects, np.stack(points))
     measured = model.explain("position") if model.kind == SIMULATION else None
     return tuple(_cut(model, nominal, explained, measured))
 
@@ -104,10 +107,11 @@ def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace,
 
 
 def thin(one: Trace) -> Trace:
-    """Return a trace with at most MAX_POINTS points, evenly taken from all of them."""
-    if one.time_s.size <= MAX_POINTS:
-        return one
-    at = np.linspace(0, one.time_s.size - 1, MAX_POINTS).round().astype(int)
+    """Return a trace without points that a screen would not show; extremes stay."""
+    shown = (
+        [one.nominal, one.explained] if one.measured is None else [one.measured, one.nominal, one.explained]
+    )
+    at = extreme_rows(shown)
     measured = None if one.measured is None else one.measured[at]
     return replace(
         one, time_s=one.time_s[at], measured=measured, nominal=one.nominal[at], explained=one.explained[at]
@@ -118,13 +122,13 @@ def extreme_rows(series: Iterable[Array]) -> Integers:
     """Return the rows with the smallest and the largest value of each series, (n,), in many equal parts.
 
     Returns:
-        Indices in order, at most MAX_POINTS of each series; all where there are no more.
+        Indices in order, two for each series and part; all where there are no more than MAX_POINTS.
     """
     rows: list[Integers] = []
     for values in series:
         if values.size <= MAX_POINTS:
             return np.arange(values.size)
-        parts = np.array_split(np.nan_to_num(values), MAX_POINTS // 2)
+        parts = np.array_split(np.nan_to_num(values), PARTS)
         first = np.cumsum([0, *(part.size for part in parts[:-1])])
         rows += [first + [int(find(part)) for part in parts] for find in (np.argmin, np.argmax)]
         rows.append(np.array([0, values.size - 1]))

@@ -11,6 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
+from simgap.report.sentences import quantity
 from simgap.residuals.noise import count_independent, cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
@@ -142,8 +143,8 @@ def start_competitor(
 
     Beside it, the other sizes of its joint are those without the findings, or those of that refit.
     """
-    union, joint = context.union, context.joint_of(score.effect)
-    is_mine = (context.sharing.joint_of_column == joint) | (joint == ALL_JOINTS)
+    union = context.union
+    is_mine = context.sharing.list_fitted(context.joint_of(score.effect))
     own, gone = union.columns([score.effect]), union.columns(layer)
     starts = [without.sizes.copy(), np.where(is_mine & (score.start != 0.0), score.start, without.sizes)]
     for start in starts:
@@ -271,7 +272,7 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
         return ""
     return (
         f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
-        f'"{second.effect.name}" differ by {change:.2g} {model.units[joint]} (RMS)'
+        f'"{second.effect.name}" differ by {quantity(change, model.units[joint])} (RMS)'
     )
 
 

@@ -50,7 +50,7 @@ def test_a_session_that_a_header_cannot_mean_is_refused(text: str, said: str) ->
     ("pattern", "by", "said"),
     [
         (r",z_sigma_m", "", "has no column z_sigma_m"),
-        (r"(?s).*", "", "has no column rx_rad, "),
+        (r"(?s).*", "", "has no column tick, rx_rad, "),
         (r",[^,]*$", "", "something in it is no number"),
         (r"\n7,", "\nseven,", "something in it is no number"),
         (r"\n7,", "\n7.5,", "ticks must be whole numbers"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.common.requests import parse_effects
+from marsarm.common.effects import parse_effects
 from marsarm.diagnosis.arm.output_files import (
     NothingToWrite,
     effects_of_findings,
@@ -53,7 +53,7 @@ def test_flight_parameters_know_what_was_found(softer, tmp_path):
 
 def test_an_effect_without_flight_parameter_gives_no_file(results, tmp_path):
     effect = _hypothesis("coulomb-friction at elbow")
-    sizes = [p.typical for p in effect.amplitudes]
+    sizes = [p.typical for p in effect.parameters]
     (found,) = effects_of_findings(as_of(results["named"], effect, sizes))
     assert isinstance(found, CoulombFriction)
     with pytest.raises(NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):

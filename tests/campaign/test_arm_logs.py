@@ -17,7 +17,7 @@ from marsarm.telemetry.header import SESSION, flight_header, run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from sim.arm_model.load import default_arm
-from sim.arms import arm_named, draw_calibration_errors
+from sim.arms import arm_named
 from sim.diagnosis_campaign import run_session, start_session
 from sim.effects.effect import nominal_hardware
 from sim.effects.environment import Numerics
@@ -25,6 +25,7 @@ from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearFriction
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
+from sim.tolerances import draw_calibration_errors
 from validation.cases import arm
 from validation.cases.arm import ArmCases, choose_sessions, draw_truth
 from validation.cases.arm_truth import (

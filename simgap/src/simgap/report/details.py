@@ -1,0 +1,154 @@
+"""Sentences of a diagnosis below its verdict: findings, what remains, is not known, and took no part."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Final
+
+from simgap.report.sentences import (
+    MAX_MEMBERS,
+    base_words,
+    certainty_words,
+    count,
+    finding_words,
+    join_words,
+    level,
+    list_differing,
+    percent,
+    quantity,
+    rank_findings,
+    regime_words,
+)
+from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+
+GAINS: Final = {
+    "gain_ratio": "the gain",
+    "torque_constant_Nm_A": "the torque constant",
+    "torque_constant_N_A": "the force constant",
+}
+"""Base parameters to which others are known as ratios where gravity gives no scale, by their names."""
+
+
+def detail_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
+    refused = [
+        f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
+        for one in diagnosis.refused
+    ]
+    return [
+        *finding_lines(diagnosis),
+        *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),
+        *_shorten(refused, "refusal"),
+    ]
+
+
+def finding_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return sentences of each finding, of what remains, is not named, and cannot be known."""
+    errors = map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
+    rejected = [
+        f"{_capital(one.effect)} at {one.place} is not named: {one.reason}." for one in diagnosis.rejected
+    ]
+    base = [base_sentence(one) for one in list_differing(diagnosis)]
+    return [
+        *finding_sentences(rank_findings(diagnosis)),
+        *errors,
+        *remainder_sentences(diagnosis.remaining, diagnosis.is_base_only),
+        *_shorten(rejected, "effect that is not named", "effects that are not named"),
+        *_shorten(base, "base parameter that differs", "base parameters that differ"),
+        *bound_sentences(diagnosis.base),
+        *unknown_sentences(diagnosis.base),
+    ]
+
+
+def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
+    """Return the first sentences of a list, and a sentence that counts the others."""
+    rest = len(lines) - MAX_MEMBERS
+    if rest <= 0:
+        return list(lines)
+    counted = f"1 more {noun} is" if rest == 1 else f"{rest} more {nouns or noun + 's'} are"
+    return [*lines[:MAX_MEMBERS], f"{counted} in the JSON document."]
+
+
+def finding_sentences(findings: Sequence[Finding]) -> list[str]:
+    """Return a sentence for each finding, and before findings that are equally sure one that says so."""
+    groups: dict[str, list[Finding]] = {}
+    for one in findings:
+        groups.setdefault(certainty_words(one), []).append(one)
+    sentences = []
+    for certainty, alike in groups.items():
+        if len(alike) == 1:
+            sentences.append(f"{_capital(finding_words(alike[0]))}: {certainty}.{_evidence(alike[0])}")
+            continue
+        words = certainty.replace(": ", "; ")
+        sentences.append(f"For each of the next {len(alike)} findings: {words}.")
+        sentences += [f"{_capital(finding_words(one))}.{_evidence(one)}" for one in alike]
+    return sentences
+
+
+def _capital(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}"
+
+
+def _evidence(finding: Finding) -> str:
+    """Return the intervals and the own share of an effect that is told."""
+    if level(finding) != "effect":
+        return ""
+    sizes = zip(finding.size_names, finding.interval, strict=True)
+    intervals = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in sizes)
+    own = f" With 90 % probability {intervals}." if intervals else ""
+    lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
+    return own + (lost if isfinite(finding.share) else "")
+
+
+def base_sentence(one: Base) -> str:
+    """Return a base parameter that differs from the model with its interval and its own share."""
+    low, high = one.interval
+    lost = f" With that of the model, {percent(one.share)} of the error of its joint comes back."
+    words = f"{base_words(one)}; with 90 % probability from {low:.4g} to {high:.4g}."
+    return words + (lost if isfinite(one.share) else "")
+
+
+def error_sentence(one: JointError) -> str:
+    """Return the mean error of a joint, with the model as it is and with its base parameters fitted."""
+    nominal, base = (quantity(value, one.unit) for value in (one.nominal, one.base))
+    return f"Mean error of {one.joint}: {nominal} as it is, {base} with base parameters."
+
+
+def remainder_sentences(remaining: Sequence[Remainder], is_base_only: bool = False) -> list[str]:
+    """Return one sentence about what remains at all joints, and on which variables it depends."""
+    parts = [
+        f"{quantity(one.mean_abs, one.unit)} at {one.joint} {regime_words(one.regime)}"
+        + (f", {percent(one.depends_share)} of which {one.depends_on} explains" if one.depends_on else "")
+        for one in remaining
+    ]
+    cause = "Base parameters do not explain" if is_base_only else "No effect explains"
+    return [f"{cause} what remains: {'; '.join(parts)}."] if parts else []
+
+
+def bound_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence about the base parameters that end at bounds which the motions contradict."""
+    pushed = [one for one in base if one.is_pushed]
+    if not pushed:
+        return []
+    named = join_words([f"{one.name} of {one.place} ({one.value:.3g})" for one in pushed], "and", len(pushed))
+    ends = "ends at its bound" if len(pushed) == 1 else "end at their bounds"
+    return [
+        f"{named} {ends}, and the motions ask for more: another number of the model is wrong, such as a "
+        "mass, or something acts that is not in the catalogue. No effect at "
+        f"{join_words([one.place for one in pushed], 'or', len(pushed))} is sure."
+    ]
+
+
+def unknown_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence for the joints or links of which the same numbers cannot be known."""
+    unknown = [one for one in base if not one.is_identifiable]
+    places: dict[str, list[str]] = {}
+    for place in dict.fromkeys(one.place for one in unknown):
+        names = [one.name for one in unknown if one.place == place]
+        rest = [name for name in names if name not in GAINS]
+        gain = next((words for name, words in GAINS.items() if name in names), "")
+        if gain and rest:
+            what = f"only ratios to {gain} can be known of: {join_words(rest, 'and', len(rest))}"
+        else:
+            what = f"the logs do not determine: {join_words(names, 'and', len(names))}"
+        places.setdefault(what, []).append(place)
+    return [f"At {join_words(alike, 'and', len(alike))}, {what}." for what, alike in places.items()]

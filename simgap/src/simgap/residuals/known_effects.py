@@ -1,0 +1,136 @@
+"""Residuals about effects that are known, such as those of an earlier diagnosis, and changes of these."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from simgap.arrays import Array, Flags
+from simgap.effects.effect import Effect, Size
+from simgap.residuals.residuals import ResidualModel, refer_to, residuals_by_motion
+
+
+@dataclass(frozen=True)
+class Change(Effect):
+    """Change of the sizes of another effect from those that are known."""
+
+    place: str
+    effect: Effect
+    known: tuple[float, ...] = ()
+    """Known sizes, from which bounds follow; empty if they may move too."""
+
+    def __post_init__(self) -> None:
+        """Take the form from the effect; its hooks are called by `KnownResiduals`."""
+        for key in ("has_shape", "is_steady"):
+            object.__setattr__(self, key, getattr(self.effect, key))
+
+    @property
+    def name(self) -> str:
+        """Name of the effect that changes."""
+        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
+
+    @property
+    def family(self) -> StrEnum:
+        """Family of the effect that changes."""
+        return self.effect.family
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Return differences of sizes, which may have either sign."""
+        sizes = self.effect.sizes
+        spans = [(one.low - one.high, one.high - one.low) for one in sizes]
+        if self.known:
+            spans = [(one.low - at, one.high - at) for one, at in zip(sizes, self.known, strict=True)]
+        return tuple(
+            replace(one, low=low, high=high, prior_std=math.inf)
+            for one, (low, high) in zip(sizes, spans, strict=True)
+        )
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Changes at the joints, where the effect acts at each of them."""
+        return tuple(Change(one.place, one, self.known) for one in self.effect.parts)
+
+    def describe(self, size: Array) -> str:
+        """Return the changes with their signs, and what they start from if that is known."""
+        names = [one.name for one in self.effect.sizes]
+        starts = [f" from {at:.4g}" for at in self.known] or [""] * len(names)
+        return ", ".join(
+            f"{name} {value:+.4g}{start}" for name, value, start in zip(names, size, starts, strict=True)
+        )
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the effect that changes has its own version of any of these hooks."""
+        return self.effect.overrides(*hooks)
+
+
+class KnownResiduals:
+    """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
+
+    by_motion = True
+
+    def __init__(
+        self, raw: ResidualModel, known: Mapping[Effect, Array], is_changed: Flags | None = None
+    ) -> None:
+        """Keep the residuals.
+
+        Args:
+            known: Known effects and their sizes.
+            is_changed: Whether a `Change` acts in each motion, (n_motions,); None: in all of them.
+        """
+        self.raw, self.known, self.is_changed = raw, dict(known), is_changed
+        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
+        self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
+        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
+        self.time_s = raw.time_s
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n)."""
+        if sizes.ndim == 2 and self.is_changed is not None:
+            sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
+        inner, total = self._add_known(effects, sizes)
+        if total.ndim == 2:
+            return self.raw.residuals(inner, total)
+        return residuals_by_motion(self.raw, inner, total)
+
+    def _add_known(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
+        """Return all effects and their sizes, (n_candidates, [n_motions,] total sizes), within bounds."""
+        inner = {one.key: one for one in self.known}
+        inner |= {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
+        places, n = {}, 0
+        for key, one in inner.items():
+            places[key] = slice(n, n + len(one.sizes))
+            n += len(one.sizes)
+        total = np.zeros((*sizes.shape[:-1], n))
+        for one, size in self.known.items():
+            total[..., places[one.key]] += size
+        first = 0
+        for effect in effects:
+            own = sizes[..., first : first + len(effect.sizes)]
+            first += len(effect.sizes)
+            if isinstance(effect, Change):
+                acts = 1.0 if self.is_changed is None else self.is_changed[:, None]
+                total[..., places[effect.effect.key]] += own * acts
+            else:
+                total[..., places[effect.key]] += own
+        bounds = [(one.low, one.high) for effect in inner.values() for one in effect.sizes]
+        low, high = np.array(bounds).reshape(-1, 2).T
+        return [*inner.values()], np.clip(total, low, high)
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> "KnownResiduals":
+        """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
+        if self.is_changed is not None:
+            return self  # the two parts have two models
+        inner, total = self._add_known(effects, sizes)
+        return KnownResiduals(refer_to(self.raw, inner, total[0]), self.known)
+
+    def select(self, motions: Sequence[str]) -> "KnownResiduals":
+        """Return the residuals of these motions alone, in their old order."""
+        kept = None if self.is_changed is None else self.is_changed[np.isin(self.motions, motions)]
+        return KnownResiduals(self.raw.select(motions), self.known, kept)
+
+    def explain(self, name: str) -> Array:
+        """Return a variable at the measured motion, (n,)."""
+        return self.raw.explain(name)
