@@ -26,8 +26,8 @@ FIRST_SPEED: Final = 10
 GHOST_RGB: Final = (40, 115, 240)
 FORCE_RGB: Final = (230, 30, 25)
 TRAIL_RGB: Final = (255, 217, 25)
-CURVE_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#b0468c", "#3c3c3c")
-DARK_CURVE_COLOURS: Final = ("#56b4e9", "#e69f00", "#12b886", "#e08cc0", "#d8d8d8")
+CURVE_COLOURS: Final = ("#1d4fa0", "#cf5a00", "#0b9a74", "#c2559d", "#111111")
+DARK_CURVE_COLOURS: Final = ("#4a8fff", "#ff9d2e", "#2fc99a", "#f7a6d8", "#ffffff")
 """Colours of the curves on a dark page."""
 ARROW_M_PER_N: Final = 0.006
 SHORTEST_ARROW_M, LONGEST_ARROW_M = 0.1, 0.8
