@@ -6,35 +6,32 @@ which the compiler leaves out of the model.
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Final, Literal
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Direction, Position, Row6, Vector3, row6
+from fsw.dictionary.types import Row6, Vector3, row6
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
 from sim.arm_model.mjcf import HULL
 from sim.boulder import boulder
-from sim.frames import FLIP, P_NR_M, gravity_in_rover
+from sim.frames import FLIP, P_NR_M
 from sim.record import LINK_BODIES
+from sim.setting import Scene, World
 
-Scene = Literal["mars", "earth"]
 ARM_FILE: Final = "arm.xml"
 ROVER_FILE: Final = "rover.xml"
 NO_LOOKS: Final = b"<mujoco><worldbody><body name='rover' quat='0 1 0 0'/></worldbody></mujoco>"
 """Takes the place of the looks of Curiosity for an arm on another rover."""
 INCLUDED_ARM: Final = re.compile(r'(?<=<include file=")[^"]*/arm\.xml')
 """Arm that a scene includes, so that it opens by itself; another arm may take its place."""
-GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
-BELOW_ROCK_M: Final = 0.1
-MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 ROCK_RADIUS_M: Final = 0.1
 ROCK_HALF_DEPTH_M: Final = 0.04
@@ -57,39 +54,6 @@ CAMERA_SIDE: Final = np.array([0.9, -1.0, 0.2])
 
 class WrongMujoco(RuntimeError):
     """MuJoCo version other than the required one; only one version gives identical bits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """Plane rock face through a point in RNAV; the normal points out of the rock."""
-
-    p_N_m: Position
-    normal_N: Direction
-
-
-@dataclass(frozen=True, slots=True)
-class World:
-    """Surroundings of the arm."""
-
-    scene: Scene = "mars"
-    tilt_roll_rad: float = 0.0
-    tilt_pitch_rad: float = 0.0
-    surface: Surface | None = None
-
-    @property
-    def gravity_N_m_s2(self) -> Array:
-        """Return gravity in RNAV (and RMECH) axes, shape (3,)."""
-        return gravity_in_rover(self.tilt_roll_rad, self.tilt_pitch_rad, GRAVITY_M_S2[self.scene])
-
-    @property
-    def ground_N_m(self) -> float:
-        """Return the height of the ground in RNAV, z down; it is below a low surface."""
-        return 0.0 if self.surface is None else max(0.0, self.surface.p_N_m[2] + BELOW_ROCK_M)
-
-    @property
-    def tilt_rad(self) -> float:
-        """Return the angle between the down axis of the rover and gravity."""
-        return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
 
 
 def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False) -> mujoco.MjSpec:
@@ -276,8 +240,6 @@ def _add_boulder(spec: mujoco.MjSpec, face: Array, z: Array) -> None:
 
 
 TURRET: Final = "turret"
-WARM_C: Final = 20.0
-"""Temperature of an arm for which no effect sets another."""
 
 
 def attach_drawing(spec: mujoco.MjSpec, params: Params) -> None:

@@ -26,7 +26,7 @@ from fsw.kinematics.transforms import (
 from sim.arms import arm_named
 from sim.frames import gravity_in_rover
 from sim.params import nominal_params
-from sim.world import GRAVITY_M_S2
+from sim.setting import GRAVITY_M_S2
 
 MAX_TILT_RAD: Final = np.radians(30.0)
 CALIBRATED_SEEDS: Final = 50

@@ -40,8 +40,9 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
 from sim.plant import Plant
 from sim.sequence import run_sequence
+from sim.setting import World
 from sim.tolerances import SPRING_FRAMES
-from sim.world import World, build, lower_ground
+from sim.world import build, lower_ground
 from validation.campaigns import Context, Document
 
 WARMING_K = 50.0

@@ -27,9 +27,10 @@ def record(request: RecordRequest, progress: Progress) -> VerbResult:
     """
     from marsarm.diagnosis.arm.record import record_logs
 
-    paths = record_logs(request, progress)
-    document = {"logs": [str(path) for path in paths]}
-    return VerbResult(document, lambda: print(f"{len(paths)} logs in {request.out}"))
+    found = record_logs(request, progress)
+    document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
+    left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
+    return VerbResult(document, lambda: print(f"{len(found.logs)} logs in {request.out}{left_out}"))
 
 
 @gap_app.command()

@@ -17,7 +17,7 @@ from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
 from simgap.common.toml import NOT_UTF8
 

@@ -26,7 +26,8 @@ from sim.effects.effect import Effect
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun, preview_placement, unstow_duration_s
 from sim.sequence import Outcome
-from sim.world import Surface, World, inside_rover
+from sim.setting import Surface, World
+from sim.world import inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve
 from simgap.common.options import check_options

@@ -19,7 +19,8 @@ from marsarm.render.rays import VISIBLE_GROUPS, geom_rgb
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mjcf import HULL
 from sim.frames import FLIP, P_NR_M
-from sim.world import TURRET, World, build
+from sim.setting import World
+from sim.world import TURRET, build
 
 DIGITS: Final = 9
 """Decimal places of metres and radians."""

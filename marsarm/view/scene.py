@@ -19,7 +19,8 @@ from marsarm.render.rays import VISIBLE_GROUPS, Triangles, geom_rgb, join_triang
 from marsarm.render.rover_scene import tilt_rover
 from sim.arm_model.load import ArmModel
 from sim.plant import rotation_matrices
-from sim.world import TURRET, World, build
+from sim.setting import World
+from sim.world import TURRET, build
 
 SPEEDS: Final = (1, 2, 5, 10, 20, 50)
 FIRST_SPEED: Final = 10

@@ -24,7 +24,7 @@ from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect, params_with_effects
 from sim.effects.structure import StandInTurret
 from sim.scenario.effects import BadEffect, parse_effect_text
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 
 MOST_COMMANDS: Final = 3

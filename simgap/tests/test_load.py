@@ -23,7 +23,7 @@ def robot(tmp_path):
 def test_values_are_in_si_units_at_the_joint_in_every_format(tmp_path, robot, write):
     slow, fast = load(robot, write(tmp_path)).motions
     assert (slow.name, fast.name) == ("slow", "fast")
-    assert (slow.condition, fast.condition) == ("2", "3")
+    assert (slow.conditions, fast.conditions) == ({"gain": 2.0}, {"gain": 3.0})
     assert (slow.gain, fast.gain) == ({"shoulder": 2.0, "elbow": 1.0}, {"shoulder": 3.0, "elbow": 1.0})
     shoulder, elbow = slow.joints["shoulder"], slow.joints["elbow"]
     np.testing.assert_allclose(shoulder.position.time_s, [0.0, 0.01, 0.02])
@@ -56,7 +56,7 @@ def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):
 
 def test_an_array_may_have_times_of_its_own(tmp_path):
     change = ('{ column = "m2", unit', '{ column = "m2", time_column = "tm", unit')
-    no_motion = ('columns = ["motion"]\ncondition_column = "gain"', "")
+    no_motion = ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', "")
     robot = Robot.from_toml(
         write_robot(
             tmp_path, change, no_motion, ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n")
@@ -245,7 +245,7 @@ def test_motions_of_one_name_in_two_files_have_the_name_of_the_file(tmp_path, ro
 
 
 def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
-    robot = write_robot(tmp_path, ('columns = ["motion"]\ncondition_column', "condition_column"))
+    robot = write_robot(tmp_path, ('columns = ["motion"]\n', ""))
     paths = []
     for folder in ("run1", "run2"):
         (tmp_path / folder).mkdir()
@@ -291,7 +291,7 @@ def test_a_file_of_another_kind_and_no_file_at_all_are_refused(tmp_path, robot):
 SPLIT = """default = "first"
 [parts]
 a = ["slow"]
-b = ["3"]
+b = ["gain=3"]
 [splits.first]
 fit = ["a"]
 held_out = ["b"]
@@ -327,7 +327,7 @@ def test_another_split_may_be_named(tmp_path):
 
 def test_motions_may_be_held_out_by_motion_condition_or_file(tmp_path):
     assert names(logs(tmp_path, held_out=["slow"]).judged) == ["slow"]
-    assert names(logs(tmp_path, held_out=["3"]).judged) == ["fast"]
+    assert names(logs(tmp_path, held_out=["gain=3"]).judged) == ["fast"]
     with pytest.raises(RobotError, match="all motions are held out, so that nothing is fitted"):
         logs(tmp_path, held_out=["log"])
 
@@ -357,12 +357,20 @@ def test_a_split_without_a_split_file_is_an_error(tmp_path):
     [
         (("b = ", "c = "), {}, "splits.first: there is no part 'b'; there are a, c"),
         (('default = "first"', 'default = "frist"'), {}, "there is no split 'frist'; did you mean 'first'?"),
-        (('["3"]', '["4"]'), {}, "part b: '4' is no motion, condition or file of these logs"),
-        (('["3"]', '["3", "slow"]'), {}, "split 'first': motion 'slow' is both fitted and held out"),
+        (('["gain=3"]', '["gain=4"]'), {}, "part b: 'gain=4' is no motion, condition or file of these logs"),
+        (
+            ('["gain=3"]', '["gain=3", "slow"]'),
+            {},
+            "split 'first': motion 'slow' is both fitted and held out",
+        ),
         (('["a"]\nheld', '["a", "b"]\nheld'), {}, "motion 'fast' is both fitted and held out"),
-        (('["3"]', "[]"), {}, "parts.b: "),
-        (('["3"]', '["3"]'), {"split": "sceond"}, "has none of this name; did you mean 'second'?"),
-        (('["3"]', '["3"]'), {"held_out": ["flow"]}, "held out: 'flow' is no motion, condition or file of"),
+        (('["gain=3"]', "[]"), {}, "parts.b: "),
+        (('["gain=3"]', '["gain=3"]'), {"split": "sceond"}, "has none of this name; did you mean 'second'?"),
+        (
+            ('["gain=3"]', '["gain=3"]'),
+            {"held_out": ["flow"]},
+            "held out: 'flow' is no motion, condition or file of",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_split_is_one_sentence(tmp_path, change, options, said):
@@ -376,7 +384,9 @@ def test_an_hour_between_two_parts_is_told_with_the_windows_that_cut_it(tmp_path
     early = COLUMNS["t"][:3]
     columns = COLUMNS | {"t": [*early, *(3.6e6 + np.array(COLUMNS["t"][3:]))]}
     robot = write_robot(
-        tmp_path, ('columns = ["motion"]\ncondition_column = "gain"\n', ""), ('gain_column = "gain"\n', "")
+        tmp_path,
+        ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"\n', ""),
+        ('gain_column = "gain"\n', ""),
     )
     path = write_parquet(tmp_path, **columns)
     windows = "windows_s = { part1 = [0, 0.02], part2 = [3600, 3600.03] }"

@@ -24,7 +24,7 @@ MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
 """
-NO_MOTION = ('columns = ["motion"]\ncondition_column = "gain"', "")
+NO_MOTION = ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', "")
 FIELDS = (
     NO_MOTION,
     ('[time]\ncolumn = "t"\nunit = "ms"', ""),
@@ -157,8 +157,6 @@ def test_a_message_without_a_usable_number_is_refused(tmp_path, command, said):
 
 
 def test_a_log_in_mcap_is_one_motion(tmp_path):
-    robot = write_robot(
-        tmp_path, *FIELDS[1:], ('columns = ["motion"]\ncondition', 'columns = ["/command.name"]\ncondition')
-    )
+    robot = write_robot(tmp_path, *FIELDS[1:], (NO_MOTION[0], 'columns = ["/command.name"]'))
     with pytest.raises(RobotError, match="a log of messages has no rows; in "):
         load(robot, write_mcap(tmp_path / "run.mcap"))

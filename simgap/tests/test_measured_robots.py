@@ -127,7 +127,7 @@ def test_three_effects_predict_the_gain_that_was_held_out(real_data):
     robot, logs = load_real(real_data, "pendulum")
     result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
     (error,) = result.errors
-    assert {motion.condition for motion in logs.judged} == {"400"}
+    assert {motion.conditions["gain_kp"] for motion in logs.judged} == {400.0}
     assert error.explained < 0.040 < error.base
     assert len(result.findings) <= 3
     assert "load-dependent friction" in {one.effect for one in result.findings}

@@ -11,11 +11,13 @@ from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
 from simgap.common.record import Record
 from simgap.files.robot_file import (
+    ConditionTable,
     CsvTable,
     JointTable,
     MotionTable,
     RobotFile,
     SerialFile,
+    SettingTable,
     SignalColumn,
     TimeTable,
     read_robot_file,
@@ -250,6 +252,8 @@ TABLES = {
     "Robot": RobotFile,
     "`[time]`": TimeTable,
     "`[motion]`": MotionTable,
+    "`[conditions.NAME]`": ConditionTable,
+    "Numbers that a condition sets": SettingTable,
     "`[csv]`": CsvTable,
     "`[joints.NAME]`": JointTable,
     "Columns": SignalColumn,

@@ -16,7 +16,7 @@ from simgap.loading import load
 
 BY_LIST = (
     ('[time]\ncolumn = "t"\nunit = "ms"', ""),
-    ('[motion]\ncolumns = ["motion"]\ncondition_column = "gain"', ""),
+    ('[motion]\ncolumns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', ""),
     ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n"),
     (
         'column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5',

@@ -23,7 +23,8 @@ from sim.initialisation import prepare_homing, prepare_random_homing
 from sim.placement import preview_placement
 from sim.plant import Plant
 from sim.sequence import Outcome
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 
 NAME = "m2020"

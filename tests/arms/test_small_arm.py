@@ -19,7 +19,8 @@ from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
 from sim.frames import P_NR_M
-from sim.world import World, build, inside_rover
+from sim.setting import World
+from sim.world import build, inside_rover
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 

@@ -23,7 +23,7 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, placement_commands
 from sim.sequence import run_sequence
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats, levers_m
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest

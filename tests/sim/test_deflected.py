@@ -18,7 +18,7 @@ from helpers.marks import slow_but
 from sim.frames import FLIP
 from sim.params import nominal_params
 from sim.plant import Plant
-from sim.world import MAX_TILT_RAD, World
+from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 

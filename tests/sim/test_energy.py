@@ -7,7 +7,7 @@ import pytest
 from helpers.marks import slow_but
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant, PlantDiverged
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 ELEVATION = 1

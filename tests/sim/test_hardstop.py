@@ -15,7 +15,7 @@ from sim.arms import arm_named
 from sim.effects.environment import Ambient, PowerLoss
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.sequence import Outcome
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 RATED_NM = np.array([joint.hardstop_rated_Nm for joint in arm_named("nominal").params.joints.in_order()])

@@ -22,7 +22,7 @@ from sim.arm_check import (
 from sim.arms import arm_named
 from sim.bare_arm import without_turret
 from sim.clearance import ClearanceModel
-from sim.world import World
+from sim.setting import World
 
 MARS, EARTH = World(), World("earth")
 

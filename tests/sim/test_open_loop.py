@@ -15,7 +15,7 @@ from sim.effects.gears import CoulombFriction, ViscousFriction
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, OpenLoopArm, RecordedStart, Setup, SimulationOptions
-from sim.world import World
+from sim.setting import World
 
 ARM = arm_named("nominal")
 REFERENCE = true_reference(ARM)

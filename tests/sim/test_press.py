@@ -20,7 +20,7 @@ from sim.frames import FLIP, p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params
 from sim.sequence import run_sequence
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim.lab import load, plant, run, run_to_rest, settle_fast, tilted_world, true_reference
 from tests.tools import tool_index
 

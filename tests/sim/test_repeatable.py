@@ -15,7 +15,7 @@ from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import run_sequence
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 ROOT = Path(__file__).resolve().parents[2]

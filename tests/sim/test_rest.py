@@ -9,7 +9,7 @@ from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.sequence import run_sequence
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 CONVERGED_MM = 0.005

@@ -13,11 +13,12 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
 from marsarm.diagnosis.arm.audit import audit_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     CaseSimulator,
     NuisanceFit,
@@ -34,7 +35,6 @@ from marsarm.diagnosis.selection import FeatureResiduals
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 from simgap import Diagnosis, JointError, Trace
 from simgap.common.progress import Progress, part_of
@@ -63,6 +63,7 @@ def load_campaign_model(
     run: Runner,
     progress: Progress,
     kinds: Sequence[str] | None = None,
+    arm: str = NOMINAL,
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
@@ -70,21 +71,24 @@ def load_campaign_model(
         logs: Logs of the fitted motions.
         held_out: Logs of the held-out motions.
         kinds: Names of the effects of the catalogue; None for all.
+        arm: Name of an arm of the drawing.
 
     Raises:
         BadRequest: A cached file cannot be read.
         BadOutput: A file cannot be written.
     """
     share = len(logs) / (len(logs) + len(held_out))
-    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds)
+    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
     made = build_model(fitted, list_families(fitted.hypotheses), list_locations(fitted.hypotheses))
     if not held_out:
         return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
-    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs))
+    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, logs, arm))
 
 
-def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array) -> JointError | None:
+def compute_tool_error(
+    keys: Sequence[str], rows: Sequence[Array], sigma: Array, drawing: Params
+) -> JointError | None:
     """Compute the root mean square tool error over rests and the tools; None without whole poses.
 
     A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
@@ -98,7 +102,7 @@ def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array)
     at = _screw_rows(keys)
     if not at.size:
         return None
-    tools = configure(nominal_params()).arm.X_FT
+    tools = configure(drawing).arm.X_FT
     J = np.stack(
         [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
     )  # (tools, 3, 6)
@@ -169,7 +173,7 @@ def diagnose_case(
     )
     diagnosis = replace(
         found.diagnosis,
-        robot=arm.feature_set.robot,
+        robot=arm.feature_set.arm.name,
         fitted_motions=tuple(dict.fromkeys(arm.feature_set.list_sessions())),
         remarks=tuple(f"{one}." for one in remarks),
     )
@@ -254,7 +258,7 @@ def _judge_held_out(
     base = residual - N @ found.nuisance
     rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error(held.layout.keys, rows, sigma)
+    tool = compute_tool_error(held.layout.keys, rows, sigma, arm.feature_set.arm.params)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 

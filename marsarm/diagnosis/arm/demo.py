@@ -21,7 +21,7 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_background,
     sample_effect,
 )
-from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, simulator_digest
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, check_cache_folder, simulator_digest
 from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
@@ -114,7 +114,7 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", Path(record.__file__))[:16]
+    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", NOMINAL, Path(record.__file__))[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, SENSITIVITIES_BEGIN))

@@ -85,56 +85,31 @@ def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
     return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
 
 
-def find_equal_columns(
+def find_borrowed_slopes(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn]
 ) -> dict[int, tuple[int, float]]:
-    """Find the nuisances that equal a hypothesis or another nuisance.
+    """Find the columns that have the slope of another: of each, the other and the factor.
 
-    A hypothesis that is a factor is excluded, as its step is many sigmas of the nuisance. There the response
-    is not linear, and backlash changes sides.
-
-    Returns:
-        For each such nuisance its column, the equal column, and the typical size of that.
+    A nuisance has that of an equal hypothesis, or of an equal nuisance, and is not simulated. A hypothesis
+    that is a factor has that of its nuisance: its own step is many sigmas of it, where the response is not
+    linear and backlash changes sides. The nuisance could not explain the difference of the slopes.
     """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
+    own: dict[str, int] = {}
     for k, column in enumerate(columns):
         if column.hypothesis is not None:
             hypothesis = simulator.hypotheses[column.hypothesis]
             parameter = hypothesis.parameters[column.index]
             if parameter.unit != LOG_UNIT:
-                known.setdefault(hypothesis.name, (k, parameter.typical))
+                known.setdefault(hypothesis.name, (k, 1.0 / parameter.typical))
         elif (name := simulator.nuisance_effects[column.index].same_as) in known:
             found[k] = known[name]
         else:
-            known[name] = k, 1.0
-    return found
-
-
-def find_shared_slopes(
-    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
-) -> dict[int, tuple[int, float]]:
-    """Find the hypotheses that take their slope from a nuisance.
-
-    Small departures of both are the same effect. Slopes from different steps would differ, and the nuisance
-    could not explain the difference.
-
-    Returns:
-        For each such hypothesis its column, the nuisance's column, and its typical size in the nuisance's
-        unit.
-    """
-    same = find_equal_columns(simulator, columns)
-    own = {
-        simulator.nuisance_effects[column.index].same_as: k
-        for k, column in enumerate(columns)
-        if column.hypothesis is None and k not in same
-    }
-    found: dict[int, tuple[int, float]] = {}
+            known[name], own[name] = (k, 1.0), k
     for k, column in enumerate(columns):
-        if column.hypothesis is None:
-            continue
-        hypothesis = simulator.hypotheses[column.hypothesis]
-        if hypothesis.name in own:
+        hypothesis = simulator.hypotheses[column.hypothesis or 0]
+        if column.hypothesis is not None and hypothesis.name in own:
             found[k] = own[hypothesis.name], hypothesis.parameters[column.index].typical
     return found
 

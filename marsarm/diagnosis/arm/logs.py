@@ -24,8 +24,9 @@ from marsarm.replaying.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
+from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.toml import decode_text, describe_first_problem
 
@@ -155,6 +156,11 @@ class Recording:
     """Notes on lost messages of the log."""
 
     @property
+    def arm(self) -> ArmModel:
+        """Drawing of the arm."""
+        return self.start.arm
+
+    @property
     def ticks(self) -> int:
         """Number of ticks."""
         return len(self.drive[COUNTS])
@@ -171,8 +177,8 @@ class Recording:
         return np.asarray(counts.T * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
 
 
-def load_recording(path: Path) -> Recording:
-    """Load a log of this project, or an imported one.
+def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
+    """Load a log of this project, or an imported one, of an arm of a drawing; None for the default one.
 
     Raises:
         NotForDiagnosis: The log lacks data that a comparison needs.
@@ -202,6 +208,7 @@ def load_recording(path: Path) -> Recording:
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
         reference.zero_rad,
         np.array([j.hardstop_rad for j in joints]),
+        arm or default_arm(),
     )
     warm_C = float(np.mean(sensors["winding_C"][0]))
     name = session.name or path.stem

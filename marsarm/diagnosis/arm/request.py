@@ -23,6 +23,7 @@ class DiagnoseRequest:
             "LOG",
         ),
     ] = ()
+    arm: ArmOption = "nominal"
     params: ParamsOption = None
     mismatch: MismatchOption = False
     catalogue: Annotated[

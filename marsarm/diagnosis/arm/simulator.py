@@ -124,9 +124,14 @@ def build_simulator(
         kinds: Classes of the candidate effects by name; None for the catalogue.
         patch: Effects that are always on.
     """
-    entries = {to_hypothesis(one): one for one in list_candidates(kinds)}
+    entries = {to_hypothesis(one): one for one in list_candidates(kinds, feature_set.arm.params.tool_names)}
     return ArmSimulator(
-        feature_set, build_layout(feature_set, sigma), entries, tuple(list_nuisance_effects()), options, patch
+        feature_set,
+        build_layout(feature_set, sigma),
+        entries,
+        tuple(list_nuisance_effects(feature_set.arm)),
+        options,
+        patch,
     )
 
 
@@ -138,13 +143,17 @@ def moves(effect: Effect, one: MotionFeatures) -> bool:
     return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
-def list_candidates(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:
-    """Yield the candidate causes of the catalogue: no per-move disturbance, and nothing that logs record.
+def list_candidates(
+    kinds: Mapping[str, type[Effect]] | None, tools: Sequence[str] | None = None
+) -> Iterator[catalogue.EffectHypothesis]:
+    """Yield the candidate causes at an arm with these tools; None for those of the default arm.
+
+    They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
 
     An offset of the sensor of the structure looks like warming of the arm.
     """
     recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
-    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, recorded))
+    return (one for one in catalogue.hypotheses(kinds, tools) if not issubclass(one.kind, recorded))
 
 
 def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:
@@ -184,7 +193,8 @@ def catalogue_effect(key: str, values: Array) -> Effect:
     Args:
         values: Values of its parameters in the units of the diagnosis, shape (n,).
     """
-    made = next(one for one in list_candidates(None) if to_hypothesis(one).key == key)
+    words = key.split(":")[0].split(".")  # a tool is a word of its place, whatever the arm
+    made = next(one for one in list_candidates(None, words) if to_hypothesis(one).key == key)
     return make_effect(made, values)
 
 

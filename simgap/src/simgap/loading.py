@@ -47,10 +47,13 @@ def load(
     motions, members = _name_motions(files, converted)
     if not motions:
         raise RobotError("logs: none is given; name at least one log file")
+    motions = _add_conditions(robot.file, motions, members)
+    said = [[f"{name}={value:.9g}" for name, value in one.conditions.items()] for one in motions]
+    members = [replace(one, others=(*one.others, *own)) for one, own in zip(members, said, strict=True)]
     for group in robot.file.motion.repeats:
         alike = find_members(group, members, "repeats")
         motions = [replace(one, repeat_of=group[0]) if one.name in alike else one for one in motions]
-    splits = read_split(robot.folder / robot.file.split) if robot.file.split else None
+    splits = read_split(robot.path.parent / robot.file.split) if robot.file.split else None
     fitted, judged = choose_motions(splits, members, split, held_out)
     losses = [f"{path}: {one}" for path, (_, lost) in zip(files, loaded, strict=True) for one in lost]
     idle = [one.name for one in motions if one.name not in fitted | judged]
@@ -83,8 +86,32 @@ def _name_motions(
             with_file = label if one.name == path.stem else f"{label}:{one.name}"
             name = one.name if count[one.name] == 1 else with_file
             named.append(replace(one, name=name))
-            members.append(Member(name, (one.name, one.condition, label, path.stem)))
+            members.append(Member(name, (one.name, label, path.stem)))
     return named, members
+
+
+def _add_conditions(file: RobotFile, motions: list[Motion], members: Sequence[Member]) -> list[Motion]:
+    """Return motions with the conditions whose values the robot file gives by motion or log file.
+
+    Raises:
+        RobotError: a name is unknown, or a motion has no value or two.
+    """
+    for name, table in file.conditions.items():
+        if not table.values:
+            continue
+        where = f"conditions.{name}.values"
+        found: dict[str, float] = {}
+        for key, value in table.values.items():
+            for motion in find_members([key], members, where):
+                if found.setdefault(motion, value) != value:
+                    raise RobotError(
+                        f"{where}: motion {motion!r} has {found[motion]:g} and {value:g}; give it one"
+                    )
+        without = next((one.name for one in motions if one.name not in found), None)
+        if without is not None:
+            raise RobotError(f"{where}: motion {without!r} has no value; add it, or its log file")
+        motions = [replace(one, conditions={**one.conditions, name: found[one.name]}) for one in motions]
+    return motions
 
 
 def _label_files(paths: Sequence[Path]) -> list[str]:
@@ -127,9 +154,9 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
     }
     wanted = [name for one, _ in signals.values() for name in (one.column, one.time_column)]
     gains = {joint: table.gain_column for joint, table in file.joints.items() if table.gain_column}
-    numbers = dict.fromkeys(filter(None, (file.time.column, *wanted, *gains.values())))
-    labels = file.motion.repeat_column, file.motion.condition_column
-    texts = dict.fromkeys(filter(None, (*file.motion.columns, *labels)))
+    conditions = {name: table.column for name, table in file.conditions.items() if table.column}
+    numbers = dict.fromkeys(filter(None, (file.time.column, *wanted, *gains.values(), *conditions.values())))
+    texts = dict.fromkeys(filter(None, (*file.motion.columns, file.motion.repeat_column)))
     log = open_log(path, list(numbers), list(texts), file.csv)
     rows = MotionRows(log, file)
     absent: dict[str, dict[str, str]] = {}
@@ -150,7 +177,8 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
         for joint, table in file.joints.items()
     }
     gain = {joint: rows.gains(column) for joint, column in gains.items()}
-    repeats, conditions = (rows.labels(column) for column in labels)
+    repeats = rows.labels(file.motion.repeat_column)
+    valued = {name: rows.values(column) for name, column in conditions.items()}
     motions = []
     for k, name in enumerate(rows.names):
         logs = {joint: {key: own[k] for key, own in one.items()} for joint, (one, _) in unwrapped.items()}
@@ -158,7 +186,8 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
         gained = {joint: gain[joint][k] if joint in gain else 1.0 for joint in file.joints}
         start_s, joint_logs = _joint_logs(logs)
         since_s = start_s - rows.start_s
-        motions.append(Motion(name, joint_logs, gained, repeats[k], conditions[k], wraps, since_s))
+        settings = {condition: values[k] for condition, values in valued.items()}
+        motions.append(Motion(name, joint_logs, gained, repeats[k], settings, wraps, since_s))
     return motions, rows.losses
 
 

@@ -53,8 +53,8 @@ class Motion:
     """Joint name -> value of its gain column; 1 where there is none."""
     repeat_of: str = ""
     """Motions with the same text repeat one another; empty: never repeated."""
-    condition: str = ""
-    """Setting, such as a gain, that a split may hold out."""
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    """Condition of the robot file -> its value."""
     unwrapped: Mapping[str, int] = field(default_factory=dict)
     """Joint -> how often its counter began anew, so that turns were added when it was read."""
     start_s: float = 0.0

@@ -1,6 +1,6 @@
 """MJCF models: their text with all that it includes, and joints that are taken out of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -11,6 +11,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.files.robot_file import ConditionTable, SettingTable
 
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
@@ -47,6 +48,49 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
                 _, included = _read_xml(path)
                 _insert_includes(included, folder, (*within, path))
                 parent[k : k + 1] = [*included]
+
+
+def set_conditions(
+    xml: str, tables: Mapping[str, ConditionTable], values: Mapping[str, float], path: Path
+) -> str:
+    """Return the text of a model with the numbers that conditions set; those without a value are checked.
+
+    Args:
+        path: Robot file, for errors.
+
+    Raises:
+        RobotError: the model has no such element, or no such place in an attribute.
+    """
+    root = ElementTree.fromstring(xml)
+    is_changed = False
+    for name, table in tables.items():
+        for one in table.sets:
+            element, numbers = _find_place(root, one, f"{path}: conditions.{name}.sets")
+            if name in values:
+                numbers[one.index or 0] = repr(one.offset + one.factor * values[name])
+                element.set(one.attribute.split("/")[-1], " ".join(numbers))
+                is_changed = True
+    return ElementTree.tostring(root, encoding="unicode") if is_changed else xml
+
+
+def _find_place(
+    root: ElementTree.Element, one: SettingTable, where: str
+) -> tuple[ElementTree.Element, list[str]]:
+    """Return the element with a number, and all numbers of its attribute."""
+    *inner, attribute = one.attribute.split("/")
+    named = [each for each in root.iter(one.element) if each.get("name", "") == one.name]
+    found = [part for each in named for part in (each.findall("/".join(inner)) if inner else [each])]
+    if len(found) != 1:
+        words = f"<{one.element}>" + (f" named {one.name!r}" if one.name else " without a name")
+        inside = f" with <{'/'.join(inner)}>" if inner else ""
+        raise RobotError(f"{where}: the model has {len(found)} {words}{inside}; name what it has once")
+    numbers = [""] if one.index is None else found[0].get(attribute, "").split()
+    if (one.index or 0) >= len(numbers):
+        raise RobotError(
+            f"{where}: {attribute} of {one.name or one.element!r} has {len(numbers)} numbers in the model; "
+            "write all of them there, or take an index below"
+        )
+    return found[0], numbers
 
 
 def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
@@ -152,3 +196,25 @@ def take_out_joints(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
     parts += [one for one in spec.joints if (one.name or one.parent.name) in names]
     for one in parts:
         spec.delete(one)
+
+
+N_POSES: Final = 256
+"""Number of random poses for the gravity torques; the extremes over six joints are good to some percent."""
+
+
+def gravity_amplitudes(model: mujoco.MjModel) -> Array:
+    """Return half the range of the gravity torque of each degree of freedom, (nv,) [N m], at random poses."""
+    data = mujoco.MjData(model)
+    # a fixed sample: the robot of a file is always the same
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    draws = [(model.jnt_type == kind, np.random.default_rng(k)) for k, kind in enumerate(kinds)]
+    low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
+    high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
+    torque_Nm = np.empty((N_POSES, model.nv))
+    for k in range(N_POSES):
+        for own, random in draws:
+            data.qpos[model.jnt_qposadr[own]] = random.uniform(low[own], high[own])
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_rne(model, data, 0, torque_Nm[k])
+    return np.asarray(np.ptp(torque_Nm, axis=0) / 2)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from simgap.effects.effect import READING_HOOKS, Effect
+from simgap.effects.variation import Variation
 from simgap.logs import Motion
 from simgap.residuals.residuals import SECOND_ENCODER
 from simgap.robot import Robot
@@ -172,12 +173,14 @@ class Diagnosis:
     def of_model(self) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
         """Return the effects that change the model, each once, and their sizes.
 
-        What a second encoder reads wrongly is no part of the model: it has one encoder a joint.
+        What a second encoder reads wrongly is no part of the model: it has one encoder a joint. Nor is what
+        follows a condition: the model is that of the robot file, where such an effect is absent.
         """
         chosen: dict[str, tuple[Effect, tuple[float, ...]]] = {}
         for kind in self.kinds:
             for effect, size in zip(*self.fitted_to(kind), strict=True):
-                if not (kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)):
+                is_reading = kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)
+                if not (is_reading or isinstance(effect, Variation)):
                     chosen.setdefault(effect.key, (effect, size))
         return tuple(one for one, _ in chosen.values()), tuple(size for _, size in chosen.values())
 
@@ -204,8 +207,10 @@ class Diagnosis:
         """Write the page, with interactive traces of these motions; see `simgap.report`."""
         from simgap.report.page import save_diagnosis_page
         from simgap.report.traces import trace_motions
+        from simgap.report.user_units import convert_trace
 
-        save_diagnosis_page(self, trace_motions(robot, motions, self), Path(path))
+        traces = [convert_trace(robot, one) for one in trace_motions(robot, motions, self)]
+        save_diagnosis_page(self, traces, Path(path))
 
 
 @dataclass(frozen=True, slots=True)

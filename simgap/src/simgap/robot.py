@@ -1,9 +1,11 @@
 """A robot: its compiled model, how its joints are driven and logged, and how it is made from its file."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import mujoco
@@ -13,7 +15,14 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.drives import Drive, describe_unknown, read_drive, read_torque_limit
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
-from simgap.mjcf import joint_name, read_model_text, take_out_joints, tied_joints
+from simgap.mjcf import (
+    gravity_amplitudes,
+    joint_name,
+    read_model_text,
+    set_conditions,
+    take_out_joints,
+    tied_joints,
+)
 from simgap.units import find_unit
 
 # MuJoCo would write its warnings to a file in the current directory; simulations look for bad states
@@ -141,8 +150,8 @@ class Robot:
     """Site that may touch a plane; empty if none."""
     file: RobotFile | None = None
     """Content of the robot file, by which logs are read; None for a robot that was made in memory."""
-    folder: Path = Path()
-    """Folder of the robot file."""
+    path: Path = Path()
+    """Robot file."""
     left_out: tuple[str, ...] = ()
     """Joints of the text that are not in the model, as `mjcf.joint_name` has them."""
 
@@ -164,6 +173,16 @@ class Robot:
         """
         return _build_robot(file, path)
 
+    def under(self, conditions: Mapping[str, float]) -> "Robot":
+        """Return the robot with the numbers of its model that these conditions set.
+
+        Raises:
+            RobotError: the model cannot have such a number.
+        """
+        if self.file is None or not any(one.sets for one in self.file.conditions.values()):
+            return self
+        return _build_robot(self.file, self.path, conditions)
+
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
         return next(joint for joint in self.joints if joint.name == name)
@@ -175,15 +194,15 @@ class Robot:
         return float(low), float(high)
 
 
-N_POSES: Final = 256
-"""Number of random poses for the gravity torques; the extremes over six joints are good to some percent."""
 ROUNDING: Final = 1e-3
 """Share of the largest gravity torque of the robot below which one is rounding of frames and of masses."""
 
 
-def _build_robot(file: RobotFile, path: Path) -> Robot:
+def _build_robot(
+    file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})
+) -> Robot:
     model_path = path.parent / file.model
-    xml = read_model_text(model_path)
+    xml = set_conditions(read_model_text(model_path), file.conditions, conditions, path)
     left_out = tuple(file.left_out)
     try:
         model = mujoco.MjModel.from_xml_string(xml)
@@ -193,7 +212,9 @@ def _build_robot(file: RobotFile, path: Path) -> Robot:
             take_out_joints(spec, left_out)
             model = spec.compile()
     except ValueError as error:
-        raise RobotError(f"{model_path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+        under = "".join(f" with {name} = {value:g}" for name, value in conditions.items())
+        why = " ".join(str(error).split())
+        raise RobotError(f"{model_path}: MuJoCo cannot compile it{under}: {why}") from error
     model.opt.timestep = file.time_step_s
     _check_base(model, path)
     numbers = {name: _find_joint(name, table, model, path) for name, table in file.joints.items()}
@@ -213,31 +234,13 @@ def _build_robot(file: RobotFile, path: Path) -> Robot:
         names = [model.site(k).name for k in range(model.nsite)]
         raise RobotError(f"{path}: tool_site: {describe_unknown('site', file.tool_site, names)}")
     period_s = round(1.0 / (file.control_rate_Hz * file.time_step_s)) * file.time_step_s
-    return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path.parent, left_out)
+    return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path, left_out)
 
 
 def has_torque(table: JointTable, drive: Drive) -> bool:
     """Return whether the torque of a joint is logged, or needs not be, because it has no command."""
     has_constant = table.torque_constant_Nm_A is not None or drive.torque_constant_Nm_A is not None
     return table.command is None or table.torque is not None or (table.current is not None and has_constant)
-
-
-def gravity_amplitudes(model: mujoco.MjModel) -> Array:
-    """Return half the range of the gravity torque of each degree of freedom, (nv,) [N m], at random poses."""
-    data = mujoco.MjData(model)
-    # a fixed sample: the robot of a file is always the same
-    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    draws = [(model.jnt_type == kind, np.random.default_rng(k)) for k, kind in enumerate(kinds)]
-    low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
-    high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
-    torque_Nm = np.empty((N_POSES, model.nv))
-    for k in range(N_POSES):
-        for own, random in draws:
-            data.qpos[model.jnt_qposadr[own]] = random.uniform(low[own], high[own])
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_rne(model, data, 0, torque_Nm[k])
-    return np.asarray(np.ptp(torque_Nm, axis=0) / 2)
 
 
 def _find_joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path) -> int:

@@ -37,7 +37,9 @@ unit = "ms"
 
 [motion]
 columns = ["motion"]
-condition_column = "gain"
+
+[conditions.gain]
+column = "gain"
 
 [joints.shoulder]
 mode = "position"

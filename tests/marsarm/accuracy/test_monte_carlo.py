@@ -15,7 +15,7 @@ from marsarm.accuracy.monte_carlo_report import (
 )
 from marsarm.accuracy.request import MonteCarloRequest
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm

@@ -17,7 +17,7 @@ from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,11 @@ from marsarm.render.picture import PictureResult
 from marsarm.render.rays import Rays
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs import execution
-from marsarm.runs.execution import DrawnPoses, save_artifacts
+from marsarm.runs.execution import DrawnPoses, save_pictures
 from marsarm.runs.request import RunFiles
 from sim.arm_model.load import default_arm
-from sim.world import Scene, Surface, World, build
+from sim.setting import Scene, Surface, World
+from sim.world import build
 from simgap.common.progress import no_progress
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
@@ -112,6 +113,6 @@ def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(execution, "save_picture", save)
     world = tilted(10.0, -5.0)
     drawn = DrawnPoses(best=np.zeros(build(world).compile().nq))
-    save_artifacts(RunFiles(picture=tmp_path / "x.png"), world, default_arm(), drawn, (), no_progress)
+    save_pictures(RunFiles(picture=tmp_path / "x.png"), world, default_arm(), drawn, no_progress)
     (model,) = pictures
     np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)

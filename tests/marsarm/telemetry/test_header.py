@@ -13,7 +13,7 @@ from sim.arms import arm_named
 from sim.effects.gears import CoulombFriction
 from sim.effects.geometry import Warming
 from sim.loop import ClosedLoop, Setup
-from sim.world import World
+from sim.setting import World
 
 KEYS = {
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request", "effects"),

@@ -18,7 +18,8 @@ from sim.arm_model.load import arm_names
 from sim.arms import arm_named
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
-from sim.world import Surface, World, build, params_in_world
+from sim.setting import Surface, World
+from sim.world import build, params_in_world
 
 JOINTS = ("azimuth", "elevation", "elbow", "wrist", "turret")
 FACE = Surface((2.05, 0.1, 0.15), (-0.5, 0.1, -0.85))

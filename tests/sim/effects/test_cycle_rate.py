@@ -24,7 +24,7 @@ from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 from tests.sim.effects import bench
 

@@ -13,7 +13,7 @@ from sim.effects.faults import SensorFault
 from sim.effects.geometry import FrameError, FramePlay, LinkWarming, ToolOffset
 from sim.loop import ClosedLoop, Setup
 from sim.scenario.file import BadScenario, parse_scenario
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from tests.tools import SWITCHES, TOOLS
 

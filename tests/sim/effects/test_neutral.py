@@ -12,7 +12,8 @@ from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import Ambient
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.world import Surface, World, build
+from sim.setting import Surface, World
+from sim.world import build
 
 NEUTRAL = tuple(hypothesis.effect() for hypothesis in hypotheses())
 WORLD = World(surface=Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)))

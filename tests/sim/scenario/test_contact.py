@@ -10,7 +10,8 @@ from sim.arms import arm_named
 from sim.clearance import tool_forces
 from sim.frames import FLIP, p_R_from_N
 from sim.plant import Plant
-from sim.world import Surface, World, build
+from sim.setting import Surface, World
+from sim.world import build
 from tests.sim import lab
 from tests.tools import TOOL_SWITCHES, tool_index
 

@@ -32,7 +32,7 @@ from sim.scenario.tables import (
     FAULT_CLASSES,
     read_command,
 )
-from sim.world import Surface
+from sim.setting import Surface
 from tests.sim.scenario.bad import GOOD
 from tests.tools import TOOLS
 

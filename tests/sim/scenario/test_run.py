@@ -15,7 +15,7 @@ from sim.loop import ClosedLoop
 from sim.scenario.data import Done, Faulted, Injection, Recovered, Scenario
 from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.sequence import Outcome
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 NOMINAL = arm_named("nominal")

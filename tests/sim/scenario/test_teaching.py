@@ -12,7 +12,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.scenario.data import TaughtPoint
 from sim.scenario.run import NotTaught, teach
 from sim.sequence import run_sequence
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 from tests.tools import tool_index
 

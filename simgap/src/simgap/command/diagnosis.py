@@ -36,6 +36,7 @@ from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, trace_motions
+from simgap.report.user_units import convert_trace
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors
@@ -244,7 +245,9 @@ def _refuse_any(given: dict[str, bool], why: str) -> None:
 def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
-        check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
+        check_distinct_files(
+            {"model": robot.path.parent / robot.file.model, "patch": request.patch / MODEL_FILE}
+        )
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
     start = {} if request.start is None else read_found(robot, request.start)
@@ -273,7 +276,10 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         raise
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
     patch = None if request.patch is None else make_patch(robot, *result.of_model())
-    traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
+    traces: tuple[Trace, ...] = ()
+    if request.report is not None:
+        made = trace_motions(robot, _shown(logs), result, found.usable)
+        traces = tuple(convert_trace(robot, one) for one in made)
     return RobotDiagnosis(request, result, traces, patch, digests)
 
 

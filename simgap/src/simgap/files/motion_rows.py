@@ -171,11 +171,11 @@ class MotionRows:
             for name, part in zip(self.names, self._parts, strict=True)
         ]
 
-    def gains(self, column: str) -> list[float]:
-        """Return the number of a gain column for each motion.
+    def values(self, column: str) -> list[float]:
+        """Return the number of a column for each motion.
 
         Raises:
-            RobotError: it changes within a motion, or is not positive.
+            RobotError: it changes within a motion, or is not finite.
         """
         values = self._log.numbers(column).value
         self._check_length(values, column)
@@ -183,6 +183,20 @@ class MotionRows:
             float(self._constant(values[part], column, name))
             for name, part in zip(self.names, self._parts, strict=True)
         ]
+        for name, value in zip(self.names, found, strict=True):
+            if not math.isfinite(value):
+                raise RobotError(
+                    f"{self._log.path}: column {column!r}, motion {name!r}: has no number; write one"
+                )
+        return found
+
+    def gains(self, column: str) -> list[float]:
+        """Return the number of a gain column for each motion.
+
+        Raises:
+            RobotError: it changes within a motion, or is not positive.
+        """
+        found = self.values(column)
         for name, gain in zip(self.names, found, strict=True):
             if not 0.0 < gain < np.inf:
                 raise RobotError(

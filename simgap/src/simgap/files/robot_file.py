@@ -212,8 +212,6 @@ class MotionTable(Record):
     """Column whose value is the same in motions that repeat one another."""
     repeats: list[Annotated[list[Text], Field(min_length=2)]] = Field(default_factory=list)
     """Names of motions that repeat one another, in place of a column: `[["2", "7"]]`."""
-    condition_column: str = ""
-    """Column whose value, such as a gain, a split may hold out."""
 
     @model_validator(mode="after")
     def _check(self) -> "MotionTable":
@@ -233,6 +231,47 @@ class MotionTable(Record):
                     f"windows_s.{name}: ends at {end_s:g} s and starts at {start_s:g} s; write a start "
                     "from 0 on and a later end"
                 )
+        return self
+
+
+class SettingTable(Record):
+    """Number of the model that has the value of a condition."""
+
+    element: Text
+    """Element of the MJCF file, such as `geom`, `body` or `position`."""
+    name: str = ""
+    """Its name; empty: the only element of this kind, such as `option`."""
+    attribute: Text
+    """Attribute, such as `mass` or `size`; of an element inside it `inertial/mass`."""
+    index: Annotated[int, Field(ge=0)] | None = None
+    """Place in an attribute of several numbers, from 0, which the model must give; absent: it has one."""
+    factor: float = 1.0
+    """Number of the model for 1 in the log: 0.001 for grams."""
+    offset: float = 0.0
+    """Number of the model for 0 in the log."""
+
+
+class ConditionTable(Record):
+    """Number that differs from motion to motion: a mass, length, gain, temperature or supply.
+
+    Motions of all its values form one diagnosis; a split may hold out a value, as `NAME=VALUE`.
+    """
+
+    column: str = ""
+    """Column with the value, one number in a motion."""
+    values: dict[Text, float] = Field(default_factory=dict)
+    """Motion or log file -> its value, in place of a column: `{ unloaded = 0.0, loaded = 1.0 }`."""
+    sets: list[SettingTable] = Field(default_factory=list)
+    """Numbers of the model that have the value."""
+    effects: list[Text] = Field(default_factory=list)
+    """Effects that may act in proportion to the value less `neutral`, such as `payload`."""
+    neutral: float = 0.0
+    """Value at which these effects are absent."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "ConditionTable":
+        if bool(self.column) == bool(self.values):
+            raise ValueError("column and values: give one of the two")
         return self
 
 
@@ -273,6 +312,8 @@ class RobotFile(Record):
     """Times of the rows."""
     motion: MotionTable = MotionTable()
     """Columns that say which rows belong together."""
+    conditions: dict[Text, ConditionTable] = Field(default_factory=dict)
+    """Numbers that differ from motion to motion, each a table by its name."""
     csv: CsvTable = CsvTable()
     """Format of CSV files."""
     joints: Annotated[dict[Text, JointTable], Field(min_length=1)]

@@ -49,7 +49,7 @@ class Member:
 
     motion: str
     others: tuple[str, ...]
-    """Its name in its file, its condition, and its file; names that are empty count for nothing."""
+    """Its name in its file, its file, and its conditions, as `mass_kg=0.5`."""
 
 
 def read_split(path: Path) -> SplitFile:

@@ -17,6 +17,7 @@ White noise of standard deviation s in positions with the period T has, below th
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import mujoco
@@ -62,8 +63,13 @@ class LowPass:
 
     def __call__(self, values: Array, axis: int = 0) -> Array:
         """Return filtered values."""
-        sections = butter(2, self.cut_off_Hz, fs=1 / self.period_s, output="sos")
-        return np.asarray(sosfiltfilt(sections, values, axis=axis))
+        return np.asarray(sosfiltfilt(_sections(self.cut_off_Hz, self.period_s), values, axis=axis))
+
+
+@lru_cache
+def _sections(cut_off_Hz: float, period_s: float) -> Array:
+    """Design the filter once: this takes as long as to filter a motion."""
+    return np.asarray(butter(2, cut_off_Hz, fs=1 / period_s, output="sos"))
 
 
 @dataclass(frozen=True, slots=True)

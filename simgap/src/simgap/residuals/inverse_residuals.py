@@ -14,7 +14,7 @@ joint until it has moved by `MEMORY_rad`: until then its dry friction remembers 
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import mujoco.batch
@@ -68,7 +68,7 @@ class InverseResiduals:
     """Predict measured minus needed torques; see `ResidualModel`."""
 
     kind = "inverse dynamics"
-    by_motion = False
+    by_motion = True
     step_s = 0.0
     noise_std = 0.0
 
@@ -99,7 +99,9 @@ class InverseResiduals:
 
     def _fill(self, logs: Sequence[Motion], filtered: Sequence[FilteredMotion]) -> None:
         self._logs, self._filtered = tuple(logs), tuple(filtered)
-        self._nominal: dict[int, tuple[Array, Array]] = {}
+        self._kept_of = [_thin(one, self._kept) for one in filtered]
+        self._nominal: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self._signs: dict[int, Array] = {}
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.units = tuple(joint.effort_unit for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in logs)
@@ -141,18 +143,28 @@ class InverseResiduals:
         return np.flatnonzero(np.isfinite(one.torque_Nm[0]))
 
     def _rows(self, one: FilteredMotion, values: Array) -> Array:
-        """Order values, (..., n_times, n_joints), as residuals, (..., n)."""
-        thinned = np.moveaxis(values[..., self._kept, :][..., self._logged(one)], -1, -2)
-        return thinned.reshape(*thinned.shape[:-2], -1)[..., self._usable[one.name]]
+        """Order values, (..., n_kept, n_joints), as residuals, (..., n)."""
+        logged = np.moveaxis(values[..., self._logged(one)], -1, -2)
+        return logged.reshape(*logged.shape[:-2], -1)[..., self._usable[one.name]]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return measured minus needed torques, (n_candidates, n) [N m].
 
         Effects that `shows` refuses change nothing.
         """
-        acting = self._acting(effects, np.asarray(sizes, float))
-        candidates = _Candidates(self._robot, acting, len(sizes))
-        return np.concatenate([self._of_motion(m, candidates) for m in range(len(self._filtered))], axis=1)
+        sizes = np.asarray(sizes, float)
+        if sizes.ndim == 2:
+            sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
+        every = sizes.reshape(sizes.shape[0] * sizes.shape[1], sizes.shape[2])
+        distinct, which = np.unique(every, axis=0, return_inverse=True)
+        candidates = _Candidates(self._robot, self._acting(effects, distinct), len(distinct))
+        found = np.empty((len(sizes), self.motion_of.size))
+        of_motion = [np.flatnonzero(self.motion_of == m) for m in range(len(self.motions))]
+        for c in range(len(distinct)):  # all motions of a candidate in turn, for which its model is made once
+            wanted = which.reshape(sizes.shape[:2]) == c
+            for m in np.flatnonzero(wanted.any(axis=0)).tolist():
+                found[np.ix_(wanted[:, m], of_motion[m])] = self._of_candidate(m, candidates, c)
+        return found
 
     def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_ActingTorque]:
         found, first = [], 0
@@ -164,29 +176,26 @@ class InverseResiduals:
                 found.append(_ActingTorque(effect, size, joint))
         return found
 
-    def _of_motion(self, m: int, candidates: "_Candidates") -> Array:
-        one = self._filtered[m]
-        found = np.empty((candidates.n, self._rows(one, one.q_rad).size))
-        for group in candidates.groups():
-            c = group[0]
-            motion = self._decoded(one, candidates, c)
-            model = candidates.model(c)
-            if model is None and motion is one:
-                if m not in self._nominal:
-                    self._nominal[m] = self._needed(None, one)
-                needed = self._nominal[m]
-            else:
-                needed = self._needed(model, motion)
-            for c in group:
-                found[c] = self._rows(one, one.torque_Nm - self._torque(motion, needed, candidates, c))
+    def _of_candidate(self, m: int, candidates: "_Candidates", c: int) -> Array:
+        one = self._decoded(m, candidates, c)
+        kept = self._kept_of[m] if one is self._filtered[m] else _thin(one, self._kept)
+        torque_Nm = self._needed_Nm(m, candidates, c, kept) + self._dry_Nm(m, candidates, c, one)
+        return self._rows(kept, kept.torque_Nm - torque_Nm / candidates.fields.torque_scale[c])
+
+    def _dynamics(self, m: int, model: mujoco.MjModel | None, one: FilteredMotion) -> tuple[Array, Array]:
+        """Return torque and load of a motion, or of its kept samples; those of the nominal model once."""
+        is_measured = one is self._filtered[m] or one is self._kept_of[m]
+        if model is None and is_measured and (m, one.time_s.size) in self._nominal:
+            return self._nominal[m, one.time_s.size]
+        chosen = copy(self._robot.model) if model is None else model
+        found = inverse_dynamics(chosen, self._robot, one.q_rad, one.v_rad_s, one.a_rad_s2)
+        if model is None and is_measured:
+            self._nominal[m, one.time_s.size] = found
         return found
 
-    def _needed(self, model: mujoco.MjModel | None, one: FilteredMotion) -> tuple[Array, Array]:
-        chosen = copy(self._robot.model) if model is None else model
-        return inverse_dynamics(chosen, self._robot, one.q_rad, one.v_rad_s, one.a_rad_s2)
-
-    def _decoded(self, one: FilteredMotion, candidates: "_Candidates", c: int) -> FilteredMotion:
+    def _decoded(self, m: int, candidates: "_Candidates", c: int) -> FilteredMotion:
         """Return the motion that the encoders of a candidate have shown as the measured one."""
+        one = self._filtered[m]
         decoders = [e for e in candidates.with_hook("decode") if e.size[c].any()]
         if not decoders:
             return one
@@ -196,24 +205,40 @@ class InverseResiduals:
         q, v, a = differentiate(raw, self.low_pass)
         return FilteredMotion(one.name, one.time_s, raw, q, v, a, one.torque_Nm, one.temperature_degC)
 
-    def _torque(
-        self, one: FilteredMotion, needed: tuple[Array, Array], candidates: "_Candidates", c: int
-    ) -> Array:
-        """Return the torque that a candidate needs, as the log would show it, (n_times, n_joints)."""
-        torque, load = needed
+    def _needed_Nm(self, m: int, candidates: "_Candidates", c: int, kept: FilteredMotion) -> Array:
+        """Return the torque that a candidate needs beside dry friction, (n_kept, n_joints)."""
+        torque, load = self._dynamics(m, candidates.model(c), kept)
         fields = candidates.fields
-        state = State(one.time_s, one.q_rad, one.v_rad_s, load, one.temperature_degC)
-        dry = np.tile(fields.frictionloss_Nm[c], (one.time_s.size, 1))
-        total = torque + fields.armature_kgm2[c] * one.a_rad_s2 + fields.damping_Nms_rad[c] * one.v_rad_s
-        for e in candidates.with_hook("friction_Nm"):
-            if e.size[c].any():
-                dry[:, e.joint] += e.effect.friction_Nm(_each(e.size[c], one), state)
+        total = torque + fields.armature_kgm2[c] * kept.a_rad_s2 + fields.damping_Nms_rad[c] * kept.v_rad_s
         for e in candidates.with_hook("torque_Nm"):
             if e.size[c].any():
-                total[:, e.joint] -= e.effect.torque_Nm(_each(e.size[c], one), state)
-        sign = np.tanh(one.v_rad_s / self.low_pass.friction_speed_rad_s)
-        needed_Nm = total + self.low_pass(np.maximum(dry, 0.0) * sign)
-        return np.asarray(needed_Nm / fields.torque_scale[c])
+                total[:, e.joint] -= e.effect.torque_Nm(_each(e.size[c], kept), _state(kept, load))
+        return np.asarray(total)
+
+    def _dry_Nm(self, m: int, candidates: "_Candidates", c: int, one: FilteredMotion) -> Array:
+        """Return the dry friction of a candidate as the filter shows it, (n_kept, n_joints).
+
+        Where the friction is constant, the filter has seen the sign of the speed once for all candidates.
+        """
+        constant_Nm = candidates.fields.frictionloss_Nm[c]
+        if one is self._filtered[m]:
+            if m not in self._signs:
+                self._signs[m] = self.low_pass(self._sign(one))[self._kept]
+            filtered = self._signs[m]
+        else:
+            filtered = self.low_pass(self._sign(one))[self._kept]
+        found = np.maximum(constant_Nm, 0.0) * filtered
+        varying = [e for e in candidates.with_hook("friction_Nm") if e.size[c].any()]
+        if varying:
+            state = _state(one, self._dynamics(m, candidates.model(c), one)[1])
+        for j in dict.fromkeys(e.joint for e in varying):
+            own = [e.effect.friction_Nm(_each(e.size[c], one), state) for e in varying if e.joint == j]
+            dry_Nm = np.maximum(constant_Nm[j] + np.sum(own, axis=0), 0.0)
+            found[:, j] = self.low_pass(dry_Nm * self._sign(one)[:, j])[self._kept]
+        return np.asarray(found)
+
+    def _sign(self, one: FilteredMotion) -> Array:
+        return np.asarray(np.tanh(one.v_rad_s / self.low_pass.friction_speed_rad_s))
 
     def select(self, motions: Sequence[str]) -> "InverseResiduals":
         """Return the residuals of these motions alone, in their old order, with the same filter."""
@@ -229,12 +254,20 @@ class InverseResiduals:
                 self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s
             )
         values = []
-        for m, one in enumerate(self._filtered):
-            if name == "load" and m not in self._nominal:
-                self._nominal[m] = self._needed(None, one)
+        for m, one in enumerate(self._kept_of):
             variable = {"position": one.q_rad, "velocity": one.v_rad_s}.get(name)
-            values.append(self._rows(one, self._nominal[m][1] if variable is None else variable))
+            values.append(self._rows(one, self._dynamics(m, None, one)[1] if variable is None else variable))
         return np.concatenate(values)
+
+
+def _thin(one: FilteredMotion, kept: slice) -> FilteredMotion:
+    """Return the samples at which there are residuals."""
+    arrays = (getattr(one, part.name)[kept] for part in fields(one) if part.name != "name")
+    return FilteredMotion(one.name, *arrays)
+
+
+def _state(one: FilteredMotion, load_Nm: Array) -> State:
+    return State(one.time_s, one.q_rad, one.v_rad_s, load_Nm, one.temperature_degC)
 
 
 def _each(size: Array, one: FilteredMotion) -> Array:
@@ -246,10 +279,11 @@ class _Candidates:
     """Numbers of the model for each candidate."""
 
     def __init__(self, robot: Robot, acting: Sequence[_ActingTorque], n: int) -> None:
-        self.n = n
-        self._robot = robot
-        self._acting = acting
         self._batch = mujoco.batch.Batch(robot.model, nsim=n, nthread=1)
+        self._with_hook = {
+            hook: [one for one in acting if one.effect.overrides(hook)] for hook in TORQUE_HOOKS
+        }
+        self._models: dict[int, mujoco.MjModel] = {}
         self.fields = nominal_fields(robot, n, self._batch)
         for one in self.with_hook("set_model"):
             one.effect.set_model(one.size, self.fields, robot)
@@ -266,20 +300,13 @@ class _Candidates:
 
     def with_hook(self, hook: str) -> list[_ActingTorque]:
         """Return the effects that override a hook."""
-        return [one for one in self._acting if one.effect.overrides(hook)]
-
-    def groups(self) -> list[list[int]]:
-        """Return candidates with the same inverse dynamics together."""
-        decode = self.with_hook("decode")
-        own = self._changed.copy()
-        for one in decode:
-            own |= one.size.any(axis=1)
-        common = np.flatnonzero(~own).tolist()
-        return ([common] if common else []) + [[c] for c in np.flatnonzero(own).tolist()]
+        return self._with_hook[hook]
 
     def model(self, c: int) -> mujoco.MjModel | None:
         """Return the model of a candidate; None if its fields are nominal."""
-        return self._batch.get_model(c) if self._changed[c] else None
+        if self._changed[c] and c not in self._models:
+            self._models = {c: self._batch.get_model(c)}
+        return self._models[c] if self._changed[c] else None
 
 
 def _option(model: mujoco.MjModel, name: str) -> Array:

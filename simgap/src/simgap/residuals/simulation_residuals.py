@@ -17,6 +17,7 @@ from simgap.effects.effect import SIMULATION_HOOKS, Effect
 from simgap.effects.transmission import PeriodicError, SmoothPeriodicError
 from simgap.logs import Motion, Usable
 from simgap.residuals import encoder_residuals, inverse_residuals
+from simgap.residuals.conditioned import join_conditions
 from simgap.residuals.encoder_residuals import EncoderResiduals
 from simgap.residuals.inverse_residuals import InverseResiduals
 from simgap.residuals.residuals import ResidualModel, measured_variable
@@ -300,7 +301,9 @@ def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -
         found.append(
             ResidualKind(
                 InverseResiduals.kind,
-                lambda part, _: InverseResiduals(robot, part, usable),
+                lambda part, _: join_conditions(
+                    robot, part, lambda one, own, _: InverseResiduals(one, own, usable)
+                ),
                 shows_torque,
                 True,
             )
@@ -309,17 +312,22 @@ def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -
         _check_gains(robot, commanded - measured)
 
         def simulate(part: Sequence[Motion], is_judge: bool) -> ResidualModel:
-            most_steps = math.inf if is_judge else MOST_STEPS
-            return SimulationResiduals(
-                robot, part, keep=usable, most_steps=most_steps, fit_starts=not is_judge
-            )
+            def make(one: Robot, own: Sequence[Motion], share: float) -> ResidualModel:
+                most_steps = math.inf if is_judge else share * MOST_STEPS
+                return SimulationResiduals(
+                    one, own, keep=usable, most_steps=most_steps, fit_starts=not is_judge
+                )
+
+            return join_conditions(robot, part, make)
 
         found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
     if any(log.secondary is not None for _, log in named):
         found.append(
             ResidualKind(
                 EncoderResiduals.kind,
-                lambda part, _: EncoderResiduals(robot, part, usable),
+                lambda part, _: join_conditions(
+                    robot, part, lambda one, own, _: EncoderResiduals(one, own, usable)
+                ),
                 encoder_residuals.shows,
                 False,
             )

@@ -268,8 +268,10 @@ def _inputs(
     mujoco.mj_saveModel(robot.model, None, compiled)
     yield compiled.tobytes()
     yield repr((robot.model_xml, robot.joints, robot.control_period_s, robot.tool_site, seed)).encode()
+    yield repr(robot.file and robot.file.conditions).encode()
     for motion in motions:
-        yield repr((motion.name, sorted(motion.gain.items()), motion.repeat_of, motion.condition)).encode()
+        settings = sorted(motion.gain.items()), sorted(motion.conditions.items())
+        yield repr((motion.name, *settings, motion.repeat_of)).encode()
         for name, log in motion.joints.items():
             for one in fields(log):
                 signal = getattr(log, one.name)

@@ -13,7 +13,8 @@ from simgap.common.toml import parse_record
 from simgap.drives import read_drive
 from simgap.files.robot_file import RobotFile
 from simgap.logs import Logs
-from simgap.robot import ControlMode, Robot, gravity_amplitudes, has_torque
+from simgap.mjcf import gravity_amplitudes
+from simgap.robot import ControlMode, Robot, has_torque
 from simgap.setup.draft import Draft
 
 BANDWIDTH_Hz: Final = 5.0

@@ -31,8 +31,7 @@ from marsarm.diagnosis.arm.features import (
     evaluate_features,
 )
 from marsarm.diagnosis.arm.finite_differences import (
-    find_equal_columns,
-    find_shared_slopes,
+    find_borrowed_slopes,
     group_columns,
     list_columns,
     perturb_both_sides,
@@ -244,10 +243,11 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(motions: Featu
     begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    same = find_equal_columns(simulator, columns)
-    assert not set(own) & set(same)
-    assert [same[k] for k in session] == [(k, 1.0) for k in own]
-    assert [k for k, _ in find_shared_slopes(simulator, columns).values()] == own
+    borrowed = find_borrowed_slopes(simulator, columns)
+    assert not set(own) & set(borrowed)
+    assert [borrowed[k] for k in session] == [(k, 1.0) for k in own]
+    hypotheses = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    assert [borrowed[k][0] for k in hypotheses] == own
     assert group_columns(simulator, columns, own) == [tuple(own)]
     sizes = [perturb_both_sides(simulator, columns[k], 1.0)[0].size for k in own]
     assert sizes == [simulator.nuisances[k - begin].sigma for k in own]

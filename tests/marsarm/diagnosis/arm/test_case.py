@@ -37,10 +37,10 @@ Logs = tuple[list[Path], list[Path]]
 CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
 
 
-def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
-    arm = arm_named("nominal").with_effects(effects)
+def recorded(folder: Path, effects: tuple[Effect, ...], seed: int, name: str = "nominal") -> Logs:
+    arm = arm_named(name).with_effects(effects)
     chosen = [one for one in campaign_sessions(arm.params) if one.name in FITTED + APART]
-    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, no_progress)
+    paths = record_campaign(folder, chosen, arm, true_reference(arm_named(name)), seed, no_progress)
     return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
 
 
@@ -133,6 +133,17 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(
     monkeypatch.setattr(case_simulator, "resimulate", noted)
     diagnose_case(fitted, [], against, 0)
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
+
+
+def test_an_effect_of_another_arm_is_named(tmp_path: Path) -> None:
+    """One of its tools has a name that the default arm has not, and nuisances of its own."""
+    campaign = recorded(tmp_path / "campaign", (), 1, "m2020")
+    run, arm = local_runner(1), arm_named("m2020").model
+    model = load_campaign_model(*campaign, tmp_path / "kept", run, no_progress, KINDS, "m2020")
+    logs = recorded(tmp_path / "case", (LONG_LINK,), 9, "m2020")
+    fitted, apart = ([load_recording(path, arm) for path in paths] for paths in logs)
+    assert is_named(diagnose_case(fitted, apart, model, 0).diagnosis, "link-length", 5e-3)
+    assert any("frame pixl." in one.name for one in model.model.sensitivities.nuisances)
 
 
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:

@@ -44,7 +44,7 @@ def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):
 
 
 def test_flight_parameters_know_what_was_found(softer, tmp_path):
-    save_new_params(softer, nominal_params(), tmp_path / "new.toml")
+    save_new_params(softer, nominal_params(), nominal_params(), tmp_path / "new.toml")
     read = params_over_nominal(tmp_path / "new.toml")
     assert read == new_params(nominal_params(), effects_of_findings(softer))
     softened = nominal_params().joints.elbow.gear_stiffness_Nm_rad * 0.8

@@ -1,0 +1,73 @@
+"""Variation: sizes of an effect that follow a number of the motions."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect, JointEffect, Size
+
+
+@dataclass(frozen=True)
+class Variation(Effect):
+    """Sizes of another effect that are added in proportion to a number of the motions."""
+
+    place: str
+    effect: Effect
+    number: str
+    """Name of the number: a condition, or that of a comparison."""
+    largest: float = 1.0
+    """Largest magnitude of the number over all motions."""
+    is_change: bool = False
+    """True if the sizes are changes with a sign, because a part of the effect is there without them."""
+
+    def __post_init__(self) -> None:
+        """Take the form from the effect; its hooks are called by `ConditionedResiduals`."""
+        for key in ("has_shape", "is_steady"):
+            object.__setattr__(self, key, getattr(self.effect, key))
+
+    @property
+    def name(self) -> str:
+        """Name of the effect, and what varies it."""
+        of = self.effect.key.removeprefix(f"{self.place}: ")
+        return f"change of {of}" if self.is_change else f"{of} by {self.number}"
+
+    @property
+    def family(self) -> StrEnum:
+        """Family of the effect that varies."""
+        return self.effect.family
+
+    @property
+    def n_scaled(self) -> int:
+        """Number of the first sizes that are in proportion; the others give a form, and stay."""
+        return 1 if self.effect.has_shape and not self.is_change else len(self.effect.sizes)
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Return sizes for a number of 1; differences may have either sign."""
+        found = []
+        for k, one in enumerate(self.effect.sizes):
+            span = one.high - one.low if self.is_change or one.low == 0.0 else None
+            low, high = (one.low, one.high) if span is None else (-span, span)
+            unit = self.largest if k < self.n_scaled else 1.0
+            found.append(Size(one.name, low / unit, high / unit, one.typical / unit))
+        return tuple(found)
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Variations at the joints, where the effect acts at each of them."""
+        return tuple(replace(self, place=one.place, effect=one) for one in self.effect.parts)
+
+    def describe(self, size: Array) -> str:
+        """Return the sizes with their signs."""
+        names = (one.name for one in self.effect.sizes)
+        text = ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
+        return text if self.is_change else f"{text} for 1 of {self.number}"
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the effect that varies has its own version of any of these hooks."""
+        return self.effect.overrides(*hooks)
+
+
+def unbound(effect: Effect) -> Effect:
+    """Return a base effect without its prior."""
+    return replace(effect, is_base=False) if isinstance(effect, JointEffect) else effect

@@ -1,0 +1,151 @@
+"""Residuals of motions under several conditions: a model for each, and sizes that follow their numbers."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from simgap.arrays import Array, Integers
+from simgap.effects.effect import Effect
+from simgap.effects.variation import Variation
+from simgap.logs import Motion
+from simgap.residuals.residuals import ResidualModel, refer_to, residuals_by_motion
+from simgap.robot import Robot
+
+MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
+"""Makes the residuals of motions that have one robot, which are a share of all motions."""
+
+
+def join_conditions(robot: Robot, motions: Sequence[Motion], make: MakePart) -> ResidualModel:
+    """Make the residuals of motions, each by the robot under its conditions.
+
+    Raises:
+        RobotError: a model cannot have a number that a condition sets.
+    """
+    tables = {} if robot.file is None else robot.file.conditions
+    setting = [name for name, table in tables.items() if table.sets]
+    groups: dict[tuple[float, ...], list[Motion]] = {}
+    for motion in motions:
+        groups.setdefault(tuple(motion.conditions[name] for name in setting), []).append(motion)
+    parts = [
+        make(robot.under(dict(zip(setting, values, strict=True))), part, len(part) / len(motions))
+        for values, part in groups.items()
+    ]
+    model = parts[0] if len(parts) == 1 else JoinedResiduals(parts, [motion.name for motion in motions])
+    numbers = {
+        name: np.array([motion.conditions[name] - table.neutral for motion in motions])
+        for name, table in tables.items()
+        if table.effects
+    }
+    return ConditionedResiduals(model, numbers) if numbers else model
+
+
+class JoinedResiduals:
+    """Residuals of several models, one after the other; see `ResidualModel`."""
+
+    by_motion = True
+
+    def __init__(self, parts: Sequence[ResidualModel], motions: Sequence[str]) -> None:
+        """Join models of different motions.
+
+        Args:
+            motions: Names of all motions, in the order that they get.
+        """
+        first = parts[0]
+        self.parts, self.kind, self.units, self.joints = tuple(parts), first.kind, first.units, first.joints
+        self.step_s, self.method, self.noise_std = first.step_s, first.method, first.noise_std
+        self.motions = tuple(motions)
+        repeats = dict(pair for one in parts for pair in zip(one.motions, one.repeat_of, strict=True))
+        self.repeat_of = tuple(repeats[name] for name in motions)
+        self._own = [np.array([self.motions.index(name) for name in one.motions]) for one in parts]
+        self.joint_of: Integers = np.concatenate([one.joint_of for one in parts])
+        self.motion_of: Integers = np.concatenate(
+            [own[one.motion_of] for own, one in zip(self._own, parts, strict=True)]
+        )
+        self.time_s: Array = np.concatenate([one.time_s for one in parts])
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n)."""
+        found = [
+            residuals_by_motion(one, effects, sizes[:, own])
+            if sizes.ndim == 3
+            else one.residuals(effects, sizes)
+            for own, one in zip(self._own, self.parts, strict=True)
+        ]
+        return np.concatenate(found, axis=1)
+
+    def select(self, motions: Sequence[str]) -> ResidualModel:
+        """Return the residuals of these motions alone."""
+        names = set(motions)
+        parts = [
+            one.select([name for name in one.motions if name in names])
+            for one in self.parts
+            if names & {*one.motions}
+        ]
+        return JoinedResiduals(parts, [name for name in self.motions if name in names])
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
+        """Return the residuals with another reference."""
+        return JoinedResiduals([refer_to(one, effects, sizes[0]) for one in self.parts], self.motions)
+
+    def explain(self, name: str) -> Array:
+        """Return a variable at the measured motion, (n,)."""
+        return np.concatenate([one.explain(name) for one in self.parts])
+
+
+class ConditionedResiduals:
+    """Residuals in which sizes follow numbers of the motions; see `ResidualModel`."""
+
+    by_motion = True
+
+    def __init__(self, raw: ResidualModel, numbers: Mapping[str, Array]) -> None:
+        """Keep the residuals and the numbers.
+
+        Args:
+            numbers: Name of a number -> its value for each motion, (n_motions,).
+        """
+        self.raw, self.numbers = raw, dict(numbers)
+        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
+        self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
+        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
+        self.time_s = raw.time_s
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n); a sum of sizes ends at its bounds."""
+        if sizes.ndim == 2 and not any(isinstance(one, Variation) for one in effects):
+            return self.raw.residuals(effects, sizes)
+        if sizes.ndim == 2:
+            sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
+        inner = {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
+        ends = np.cumsum([0, *(len(one.sizes) for one in inner.values())]).tolist()
+        places = dict(zip(inner, map(slice, ends, ends[1:]), strict=False))
+        total = np.zeros((*sizes.shape[:2], ends[-1]))
+        first = 0
+        for effect in effects:
+            own = sizes[..., first : first + len(effect.sizes)]
+            first += len(effect.sizes)
+            if isinstance(effect, Variation):
+                factor = np.ones((len(self.motions), len(effect.sizes)))
+                factor[:, : effect.n_scaled] = self.numbers[effect.number][:, None]
+                total[..., places[effect.effect.key]] += own * factor
+            else:
+                total[..., places[effect.key]] += own
+        bounds = [(one.low, one.high) for effect in inner.values() for one in effect.sizes]
+        low, high = np.array(bounds).reshape(-1, 2).T
+        return residuals_by_motion(self.raw, [*inner.values()], np.clip(total, low, high))
+
+    def select(self, motions: Sequence[str]) -> "ConditionedResiduals":
+        """Return the residuals of these motions alone."""
+        kept = np.isin(self.motions, [*motions])
+        numbers = {name: value[kept] for name, value in self.numbers.items()}
+        return ConditionedResiduals(self.raw.select(motions), numbers)
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
+        """Return the residuals with another reference; effects that follow a number are left out of it."""
+        steady = [not isinstance(one, Variation) for one in effects]
+        kept = np.repeat(steady, [len(one.sizes) for one in effects])
+        own = [one for one, is_steady in zip(effects, steady, strict=True) if is_steady]
+        return ConditionedResiduals(refer_to(self.raw, own, sizes[0, kept]), self.numbers)
+
+    def explain(self, name: str) -> Array:
+        """Return a variable at the measured motion, (n,)."""
+        return self.raw.explain(name)
