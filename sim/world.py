@@ -24,7 +24,7 @@ from sim.arm_model.mjcf import HULL
 from sim.boulder import boulder
 from sim.frames import FLIP, P_NR_M
 from sim.record import LINK_BODIES
-from sim.setting import Scene, World
+from sim.setting import BELOW_ROCK_M, Scene, World
 
 ARM_FILE: Final = "arm.xml"
 ROVER_FILE: Final = "rover.xml"
