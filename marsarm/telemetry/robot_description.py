@@ -204,10 +204,13 @@ def _pose(p_m: Array, R: Array) -> Pose:
 
 
 def visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
-    """Yield the shapes that draw a geom; other shapes than these are drawn as the box around them."""
+    """Yield the shapes that draw a geom; other shapes than these are drawn as the box around them.
+
+    A mesh is drawn as a box inside: that of a boulder leaves the face free that the arm touches.
+    """
     a, b, c = model.geom_size[geom].tolist()
     rgba = tuple(round(x, 3) for x in (*geom_rgb(model, geom).tolist(), _opacity(model, geom)))
-    match mujoco.mjtGeom(model.geom_type[geom]):
+    match kind := mujoco.mjtGeom(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_PLANE:
             below = Pose(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND_DEPTH_M]))
             side = 2 * GROUND_HALF_M
@@ -224,7 +227,9 @@ def visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
             yield Visual("box", (2 * a, 2 * b, 2 * c), X, rgba)
         case _:
             centre, half = model.geom_aabb[geom].reshape(2, 3)
-            yield Visual("box", tuple((2 * half).tolist()), X @ Pose(IDENTITY.R, centre.copy()), rgba)
+            inside = 1 / np.sqrt(3.0) if kind == mujoco.mjtGeom.mjGEOM_MESH else 1.0
+            size_m = tuple((2 * inside * half).tolist())
+            yield Visual("box", size_m, X @ Pose(IDENTITY.R, centre.copy()), rgba)
 
 
 def _opacity(model: mujoco.MjModel, geom: int) -> float:

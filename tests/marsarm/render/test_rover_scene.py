@@ -78,14 +78,22 @@ def test_rover_arm_and_rock_stay_together_on_the_slope(
         return np.array([data.body(name).xpos - data.body("rover").xpos for name in named])
 
     np.testing.assert_allclose(of_rover(data), of_rover(before) @ turn.T, atol=1e-9)
-    top = data.geom("slope").xpos + axes_of_slope(data)[:, 2] * model.geom("slope").size[1]
-    under = (data.body("rover").xpos - top) @ axes_of_slope(data)[:, 2]
-    assert under == pytest.approx(-level.geom("ground").pos[2], abs=1e-9)
-    np.testing.assert_allclose(axes_of_slope(data), turn, atol=1e-9)
+    around = np.array([[0.0, 0.0], [2.0, 0.5], [-1.2, 1.1], [0.5, -2.2]])
+    under_level = np.column_stack([around, np.full(4, level.geom("ground").pos[2])])
+    on_slope = data.body("rover").xpos + (under_level - before.body("rover").xpos) @ turn.T
+    up, slope = np.array([0.0, 0.0, 1.0]), model.geom("slope").id
+    below_sky_m = [mujoco.mj_rayMesh(model, data, slope, point + 50.0 * up, -up, None) for point in on_slope]
+    np.testing.assert_allclose(below_sky_m, 50.0, atol=1e-5)
 
 
-def axes_of_slope(data: mujoco.MjData) -> np.ndarray:
-    return data.geom("slope").xmat.reshape(3, 3)
+def test_a_hill_has_no_edge_where_its_slope_ends_or_where_it_meets_the_plain() -> None:
+    model, data = drawn(tilted(0.0, 30.0))
+    down = np.array([0.0, 0.0, -1.0])
+    x_m = np.linspace(-9.0, 9.0, 181)
+    sky = np.column_stack([x_m, np.full_like(x_m, 3.5), np.full_like(x_m, 50.0)])
+    geom = np.zeros(1, np.int32)
+    from_sky_m = [mujoco.mj_ray(model, data, eye, down, None, True, -1, geom, None) for eye in sky]
+    assert np.abs(np.diff(from_sky_m)).max() < 0.1 * np.tan(np.radians(50.0))
 
 
 def test_a_level_rover_is_drawn_as_ever() -> None:

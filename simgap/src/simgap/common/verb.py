@@ -149,10 +149,10 @@ def _carry_out(
         if is_dataclass(parameter.annotation):
             values[parameter.name] = _build_request(parameter.annotation, values)
     current_date()  # a wrong one is refused before the work; numpy would raise an exception
-    if all(parameter.name != "progress" for parameter in parameters):
-        return work(**values)
     with show_progress(f"{work.__module__}.{work.__name__}") as progress:
-        return work(progress=progress, **values)
+        if any(parameter.name == "progress" for parameter in parameters):
+            values["progress"] = progress
+        return work(**values)
 
 
 def _verb_options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
