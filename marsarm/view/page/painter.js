@@ -50,6 +50,7 @@ class Painter {
     this.still = this.mesh(arrays, run.parts.filter((part) => part.carrier < 0 && !part.is_ground));
     this.arrow = this.meshOf(...arrowTriangles(run.looks.arrow));
     this.line = gl.createVertexArray();
+    gl.vertexAttrib4f(2, 0, 0, 0, 0); // points of the line, which have no colour and no body, belong to the first one
     this.lineBuffer = gl.createBuffer();
     this.stillShadow = this.shadow("still", "sunStill", 0, STILL);
     this.movingShadow = this.shadow("moving", "sunMoving", 1, MOVING);

@@ -146,6 +146,8 @@ def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
         angle_deg = np.degrees(run.frames.between(run.frames.samples.believed_rad[0], 1.5))
         assert shown[:2] == [[1, 3], [False, False, True, False, False]]
         assert float(shown[2]) == pytest.approx(angle_deg, abs=0.1)
+        body_of_line = "player.painter.gl.getVertexAttrib(2, player.painter.gl.CURRENT_VERTEX_ATTRIB)[3]"
+        assert browser.evaluate(body_of_line) == 0, "the trail does not ride on a link"
         last = len(run.events) - 1
         seen = browser.evaluate(f"""(() => {{ player.seek(player.end); player.draw();
           const list = byId("events").getBoundingClientRect();
