@@ -1,8 +1,8 @@
 # setup   make .venv, also for tests                  bench     measure speeds, as JSON
 # demo    place the APXS on a rock; write a picture   campaign  run the campaign NAME, or list all
-#         and a page that plays it                    lint      style, types, imports, docstrings, files
+#         and a page that plays it                    lint      style, types, imports, docstrings, links
 # show    the same page, opened in the browser        clean     remove what the others made
-# test    run the short tests
+# test    run the short tests                         site      documents and Python reference, in build/site
 # test-all  run all tests
 #
 # Each target sets up what it needs. Only python3 (3.11 or later), pip, make and git are taken for granted.
@@ -24,7 +24,7 @@ unexport PYTHONDONTWRITEBYTECODE
 NOT_INSTALLED = the packages were not installed; pip says why above. It needs a package index or a proxy that it can reach.
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: setup demo show test test-all bench campaign lint clean
+.PHONY: setup demo show test test-all bench campaign lint site clean
 
 setup: $(VENV)/tests
 
@@ -53,14 +53,21 @@ bench: $(VENV)/tests
 campaign: $(VENV)/tests
 	@$(BIN)/python -m validation $(NAME) --workers $(WORKERS) $(ARGS)
 
-# All six speak before any of them stops the target.
+site: $(VENV)/tests
+	@$(BIN)/python -c "import furo, myst_nb" 2>/dev/null || { $(call say,installing Sphinx and its theme); \
+	  $(PIP) --disable-pip-version-check --quiet install --no-build-isolation -e simgap -e '.[site]'; }
+	@$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
+	@$(call say,the first page is build/site/index.html)
+
+# All seven speak before any of them stops the target.
 lint: $(VENV)/tests
-	@$(call say,ruff; mypy; import-linter; docstrings and sizes; files made from arm.toml; requirements)
+	@$(call say,ruff; mypy; import-linter; docstrings and sizes; links; files made from arm.toml; requirements)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
+	$(BIN)/python .ci/links.py || failed=1; \
 	$(BIN)/marsarm arm --check >/dev/null || failed=1; \
 	$(BIN)/python -m validation requirements --brief || failed=1; \
 	exit $$failed

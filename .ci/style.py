@@ -111,10 +111,7 @@ def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[
     text = ast.get_docstring(node) or ""
     first = re.split(r"[\s,;:]", text.strip("`"), maxsplit=1)[0].strip("`")
     if first.capitalize() in OPENINGS:
-        yield (
-            getattr(node, "lineno", 1),
-            f"the docstring opens with {first!r}; begin with a verb or a noun",
-        )
+        yield (getattr(node, "lineno", 1), f"the docstring opens with {first!r}; begin with a verb or a noun")
 
 
 def check_arguments(node: Function) -> Iterator[tuple[int, str]]:

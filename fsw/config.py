@@ -89,12 +89,7 @@ def configure_at(config: Config, structure_C: float) -> Config:
     """
     heat = config.params.heat
     arm = heat_arm(config.calibrated_arm, heat.compensated_share * (structure_C - heat.calibration_C))
-    return replace(
-        config,
-        structure_C=structure_C,
-        arm=arm,
-        protection=replace(config.protection, arm=arm),
-    )
+    return replace(config, structure_C=structure_C, arm=arm, protection=replace(config.protection, arm=arm))
 
 
 def ticks(duration_s: float) -> int:

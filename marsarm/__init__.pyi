@@ -69,5 +69,5 @@ from sim.scenario.effects import parse_effect_text as parse_effect_text
 from sim.sequence import Outcome as Outcome
 from sim.sequence import SequenceResult as SequenceResult
 from sim.sequence import run_commands as run_commands
-from sim.world import Surface as Surface
-from sim.world import World as World
+from sim.setting import Surface as Surface
+from sim.setting import World as World

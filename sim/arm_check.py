@@ -29,7 +29,8 @@ from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel
 from sim.clearance import Clearance, ClearanceModel, Gap
 from sim.frames import approach_from, p_R_from_N, random_targets
-from sim.world import World, check_plant
+from sim.setting import World
+from sim.world import check_plant
 
 SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015

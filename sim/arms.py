@@ -3,13 +3,15 @@
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from fsw.dictionary.params import Params
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
-from sim.effects.effect import Effect, check_effects, params_with_effects
 from sim.params_table import BadParams
+
+if TYPE_CHECKING:  # a nominal arm has no effects, which take 0.1 s to load
+    from sim.effects.effect import Effect
 
 MAX_SEED_DIGITS: Final = 9
 ARM_PATTERN: Final = re.compile(r"nominal|(?:as-built|calibrated):[0-9]+")
@@ -25,17 +27,19 @@ class BuiltArm:
 
     name: str
     """Name that leads back to it; see `own_name`."""
-    effects: tuple[Effect, ...]
+    effects: "tuple[Effect, ...]"
     params: Params
     model: ArmModel = field(default_factory=default_arm)
     """Drawing that the arm is built from."""
 
-    def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
+    def with_effects(self, effects: "Iterable[Effect]") -> "BuiltArm":
         """Return the arm with those of these effects that it has before a run begins.
 
         Raises:
             EffectMisfit: one of them is at a tool or a contact switch that the arm does not have.
         """
+        from sim.effects.effect import check_effects
+
         effects = tuple(effects)
         check_effects(effects, self.params)
         return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
@@ -58,7 +62,8 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     named = known.own_name if known.folder is None else name  # a folder is found by its name only
     if known.kind == "nominal":
         return BuiltArm(named, (), flight_params, model)
-    from sim.tolerances import draw_calibration_errors, draw_tolerances, is_calibrated  # take 0.1 s to load
+    from sim.effects.effect import params_with_effects
+    from sim.tolerances import draw_calibration_errors, draw_tolerances, is_calibrated
 
     effects = draw_tolerances(model, known.seed)
     if known.kind == "calibrated":
@@ -122,6 +127,6 @@ def _parse_name(name: str) -> _ArmName:
     return _ArmName(drawing, None if is_ours else model, kind, int(seed or 0))
 
 
-def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+def effects_of_run(effects: "Iterable[Effect]") -> "tuple[Effect, ...]":
     """Return the effects that begin with a run, not with the making of the arm."""
     return tuple(effect for effect in effects if not effect.built_in)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from sim.arm_check import POSE_NAMES, compute_hardstop_loads, equalise_loads, with_poses
 from sim.arms import BuiltArm
 from sim.effects.structure import StandInTurret
-from sim.world import World
+from sim.setting import World
 
 
 def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:

@@ -14,7 +14,8 @@ from sim.arm_model.load import ArmModel
 from sim.arm_model.mjcf import HULL
 from sim.frames import FLIP
 from sim.plant import Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 
 PLANE: Final = int(mujoco.mjtGeom.mjGEOM_PLANE)
 """As a number, which NumPy compares ten times faster."""

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Command, GuardedMove, MoveJoint, MoveJoints, Preload, SetParam
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import joints5, vector3
+from fsw.dictionary.types import Joints5, joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
@@ -26,7 +27,7 @@ from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence
-from sim.world import WARM_C, Surface, World
+from sim.setting import WARM_C, Surface, World
 
 Degrees5 = tuple[int, int, int, int, int]
 ROLL_RAD: Final = float(np.radians(20.0))
@@ -36,6 +37,7 @@ SLOW_FRACTION: Final = 0.2
 """Fraction of the nominal speed of a joint."""
 OUTSTRETCHED: Final[Degrees5] = (0, -40, 60, 60, 60)
 HELD_OUT_POSE: Final[Degrees5] = (-20, -60, 80, 90, 120)
+COORDINATED_TURN: Final[Degrees5] = (5, -5, 5, -10, 10)
 POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((-44, -90, 102, -154, 227), (-39, -95, 97, -161, 233)),
     ((32, -86, 68, 53, 65), (26, -91, 61, 60, 61)),
@@ -66,7 +68,7 @@ SESSION_SETTLE_S: Final = 8.0
 """Time on the brakes before a session; longer changes every reading by less than its noise."""
 SESSION_REST_S: Final = 1.0
 """Rest before and after a motion."""
-TOUCHING_DEG: Final = (0.0, -50.0, 100.0, 130.0, 90.0)
+TOUCHING_DEG: Final[Degrees5] = (0, -50, 100, 130, 90)
 """Pose from which a rock is touched."""
 HELD_OUT_SESSIONS: Final = (
     "poses-level-5",
@@ -110,14 +112,20 @@ class SessionFailed(RuntimeError):
 
 def campaign_sessions(params: Params) -> tuple[DiagnosisSession, ...]:
     """List all sessions of the campaign, in order, for an arm with these flight parameters."""
-    return (*pose_sessions(), *sweep_sessions(params), *coordinated_sessions(), *placement_sessions(params))
+    return (
+        *pose_sessions(params),
+        *sweep_sessions(params),
+        *coordinated_sessions(params),
+        *placement_sessions(params),
+    )
 
 
-def pose_sessions() -> list[DiagnosisSession]:
+def pose_sessions(params: Params) -> list[DiagnosisSession]:
     """List sessions with two poses on every branch, level and rolled; the first of each is repeated."""
     sessions = []
     for attitude, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
-        for number, (start, end) in enumerate(pairs, 1):
+        for number, pair in enumerate(pairs, 1):
+            start, end = _within_limits(params, *pair)
             for suffix in ("", "-again") if number == 1 else ("",):
                 block = f"poses-{attitude}-{number}"
                 sessions.append(
@@ -126,8 +134,8 @@ def pose_sessions() -> list[DiagnosisSession]:
                         block,
                         World("mars", roll_rad),
                         WARM_C,
-                        _radians(start),
-                        (MoveJoints(joints5(np.radians(end)), "off"),),
+                        start,
+                        (MoveJoints(end, "off"),),
                         tracked=True,
                     )
                 )
@@ -150,7 +158,7 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
                     f"sweep-{name}",
                     World("mars", roll_rad),
                     WARM_C,
-                    _radians(OUTSTRETCHED),
+                    _within_limits(params, OUTSTRETCHED)[0],
                     _sweep(params, joint),
                     tracked=False,
                 )
@@ -158,20 +166,21 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
     return sessions
 
 
-def coordinated_sessions() -> list[DiagnosisSession]:
+def coordinated_sessions(params: Params) -> list[DiagnosisSession]:
     """List sessions that move all joints at once, in the cold and warm, from two poses."""
-    return [
-        DiagnosisSession(
-            name, block, World("mars"), temperature_C, _radians(pose), _there_and_back(pose), False
-        )
-        for name, block, temperature_C, pose in (
-            ("cold", "cold", SESSION_COLD_C, OUTSTRETCHED),
-            ("cold-again", "cold", SESSION_COLD_C, OUTSTRETCHED),
-            ("warm", "warm", WARM_C, OUTSTRETCHED),
-            ("elsewhere-cold", "elsewhere-cold", SESSION_COLD_C, HELD_OUT_POSE),
-            ("elsewhere-warm", "elsewhere-warm", WARM_C, HELD_OUT_POSE),
-        )
-    ]
+    sessions = []
+    for name, block, temperature_C, degrees in (
+        ("cold", "cold", SESSION_COLD_C, OUTSTRETCHED),
+        ("cold-again", "cold", SESSION_COLD_C, OUTSTRETCHED),
+        ("warm", "warm", WARM_C, OUTSTRETCHED),
+        ("elsewhere-cold", "elsewhere-cold", SESSION_COLD_C, HELD_OUT_POSE),
+        ("elsewhere-warm", "elsewhere-warm", WARM_C, HELD_OUT_POSE),
+    ):
+        here, _ = _within_limits(params, degrees, np.add(degrees, COORDINATED_TURN))
+        there = joints5(np.array(here) + np.radians(COORDINATED_TURN))
+        commands = MoveJoints(there, "off"), MoveJoints(here, "off")
+        sessions.append(DiagnosisSession(name, block, World("mars"), temperature_C, here, commands, False))
+    return sessions
 
 
 def placement_sessions(params: Params) -> list[DiagnosisSession]:
@@ -179,7 +188,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
     config, sessions = configure(params), []
     touching = [tool for tool, switches in params.tool_switches.items() if switches]
     for tool in dict.fromkeys((touching[0], touching[-1])):
-        start = np.radians(TOUCHING_DEG)
+        start = np.array(_within_limits(params, TOUCHING_DEG)[0])
         gravity = World("mars").gravity_N_m_s2
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
@@ -208,14 +217,8 @@ def placement_session(
     return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, False)
 
 
-def _there_and_back(pose: Degrees5) -> tuple[Command, ...]:
-    start = np.array(_radians(pose))
-    there = start + np.radians([5.0, -5.0, 5.0, -10.0, 10.0])
-    return MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off")
-
-
 def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
-    here = _radians(OUTSTRETCHED)[joint]
+    here = _within_limits(params, OUTSTRETCHED)[0][joint]
     out_rad, slow_rad, turn_rad = here - FAST_RAD, here - SLOW_RAD, here - TURN_RAD
     return (
         MoveJoint(joint, out_rad, "off"),
@@ -234,8 +237,20 @@ def _at_speed(params: Params, joint: Joint, fraction: float) -> SetParam:
     return SetParam(f"joints.{joint.name.lower()}.speed_rad_s", fraction * speed_rad_s)
 
 
-def _radians(pose: Degrees5) -> tuple[float, ...]:
-    return joints5(np.radians(pose))
+def _within_limits(params: Params, *poses: ArrayLike) -> list[Joints5]:
+    """Return near poses in radians within the soft limits of an arm, each joint by whole turns if it can.
+
+    A joint that no whole turn brings there is shifted by the least angle, the same in all poses.
+    """
+    joints = params.joints.in_order()
+    least = np.array([joint.soft_min_rad for joint in joints])
+    most = np.array([joint.soft_max_rad for joint in joints])
+    rad = np.radians(np.array(poses))
+    low, high = rad.min(axis=0), rad.max(axis=0)
+    turn = 2.0 * np.pi * np.where(low < least, 1.0, np.where(high > most, -1.0, 0.0))
+    fits = (low + turn >= least) & (high + turn <= most)
+    by = np.where(fits, turn, np.maximum(least - low, 0.0) - np.maximum(high - most, 0.0))
+    return [joints5(pose) for pose in rad + by]
 
 
 def start_session(

@@ -27,7 +27,8 @@ from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
 from sim.scenario.effects import parse_effect_text
 from sim.sequence import Outcome, observe_cycles, run_sequence
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 
 START_DISTANCE_RAD: Final = 0.05
 """Distance from the hardstop at the start of a homing that is only measured, to save time."""

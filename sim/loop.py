@@ -6,7 +6,7 @@ With the same commands a difference stays in the joint and in the motion where i
 
 from collections.abc import Iterable, Iterator
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,13 +20,16 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest
+from sim.arm_model.description import ArmDescription
+from sim.arm_model.load import ArmModel, default_arm
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, Hardware, apply_effects, check_effects, nominal_hardware
 from sim.effects.faults import InjectedFault
 from sim.plant import Plant
 from sim.record import CycleRecord, Truth
-from sim.world import World, build, params_in_world
+from sim.setting import World
+from sim.world import build, params_in_world
 
 SETTLE_S = 16.0
 
@@ -174,6 +177,8 @@ class RecordedStart:
     """Motor angles at which counters read 0, from homing."""
     hardstop_rad: Array
     """Hardstop angles that homing assumed."""
+    arm: ArmModel = field(default_factory=default_arm)
+    """Drawing of the arm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +193,9 @@ class SimulationOptions:
 NOISE_FREE = SimulationOptions()
 
 
-def scale_shift_rad(hardware: Hardware, counted_rad: Array, hardstop_rad: Array) -> Array:
+def scale_shift_rad(
+    hardware: Hardware, counted_rad: Array, hardstop_rad: Array, arm: ArmDescription
+) -> Array:
     """Compute by how much motors are beyond the angles that their counts mean to flight software.
 
     Homing finds the zero of an encoder at its hardstop, so that an error of its scale is 0 there.
@@ -201,7 +208,7 @@ def scale_shift_rad(hardware: Hardware, counted_rad: Array, hardstop_rad: Array)
     Returns:
         Shifts [rad], in the shape of `counted_rad`.
     """
-    error = hardware.rad_per_count / nominal_hardware().rad_per_count - 1.0
+    error = hardware.rad_per_count / nominal_hardware(arm).rad_per_count - 1.0
     shift_rad: Array = (error * (counted_rad.T - hardstop_rad)).T
     return shift_rad
 
@@ -212,9 +219,9 @@ class OpenLoopArm:
     def __init__(
         self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
     ):
-        spec = build(start.world)
+        spec, drawing = build(start.world, start.arm), start.arm.description
         effects = tuple(effects)
-        built = apply_effects((one for one in effects if one.built_in), spec, nominal_hardware())
+        built = apply_effects((one for one in effects if one.built_in), spec, nominal_hardware(drawing))
         # the recorded zeros are those after homing, wherever the counters started
         homed = replace(built, counter_zero_rad=start.zero_rad)
         hardware = apply_effects((one for one in effects if not one.built_in), spec, homed)
@@ -222,7 +229,7 @@ class OpenLoopArm:
         # an error of the assumed hardstop, or of the scale up to it, shifted the zero that homing found
         hardstop_error_rad = start.hardstop_rad - self.plant.stop_rad()
         zero_rad = hardware.counter_zero_rad - hardstop_error_rad
-        by_scale_rad = scale_shift_rad(hardware, start.zero_rad, start.hardstop_rad)
+        by_scale_rad = scale_shift_rad(hardware, start.zero_rad, start.hardstop_rad, drawing)
         hardware = replace(hardware, counter_zero_rad=zero_rad + by_scale_rad)
         hardware = hardware if options.seed is not None else _without_noise(hardware)
         self.avionics = Avionics(self.plant, hardware, hardware_rng(options.seed or 0))
@@ -230,17 +237,13 @@ class OpenLoopArm:
         self.plant.place(
             start.motor_rad
             + (zero_rad - start.zero_rad)
-            + scale_shift_rad(hardware, start.motor_rad, start.hardstop_rad),
+            + scale_shift_rad(hardware, start.motor_rad, start.hardstop_rad, drawing),
             options.settle_s,
             self.avionics.act if hardware.each_cycle else None,
         )
 
     def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:
-        """Step the arm through actuator commands.
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
-        """
+        """Step the arm through actuator commands; PlantDiverged if MuJoCo counted a warning."""
         for drive in drives:
             yield self.avionics.sense()
             self.avionics.apply(drive)

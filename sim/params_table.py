@@ -66,11 +66,7 @@ def check_params(params: Params, name: str) -> None:
 
 
 def read_params_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file of parameters as a table.
-
-    Raises:
-        BadParams: the file cannot be read.
-    """
+    """Read a TOML file of parameters as a table; BadParams if the file cannot be read."""
     try:
         return read_toml(path)
     except RobotError as error:

@@ -27,7 +27,8 @@ from sim.frames import p_R_from_N, random_surface
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
-from sim.world import Surface, World, params_in_world
+from sim.setting import Surface, World
+from sim.world import params_in_world
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from sim.effects.environment import NothingToTouch
 from sim.frames import PRIMARY, Workspace, approach_from, p_R_from_N, random_targets
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.world import World
+from sim.setting import World
 
 WAKE_S: Final = 1.0
 """Time before the first move, in which flight software measures gravity."""

@@ -6,34 +6,32 @@ which the compiler leaves out of the model.
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Final, Literal
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Direction, Position, Row6, Vector3, row6
+from fsw.dictionary.types import Row6, Vector3, row6
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
 from sim.arm_model.mjcf import HULL
-from sim.frames import FLIP, P_NR_M, gravity_in_rover
+from sim.boulder import boulder
+from sim.frames import FLIP, P_NR_M
 from sim.record import LINK_BODIES
+from sim.setting import BELOW_ROCK_M, Scene, World
 
-Scene = Literal["mars", "earth"]
 ARM_FILE: Final = "arm.xml"
 ROVER_FILE: Final = "rover.xml"
 NO_LOOKS: Final = b"<mujoco><worldbody><body name='rover' quat='0 1 0 0'/></worldbody></mujoco>"
 """Takes the place of the looks of Curiosity for an arm on another rover."""
 INCLUDED_ARM: Final = re.compile(r'(?<=<include file=")[^"]*/arm\.xml')
 """Arm that a scene includes, so that it opens by itself; another arm may take its place."""
-GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
-BELOW_ROCK_M: Final = 0.1
-MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 ROCK_RADIUS_M: Final = 0.1
 ROCK_HALF_DEPTH_M: Final = 0.04
@@ -41,45 +39,21 @@ ROCK_HEIGHT_M: Final = 0.45
 ELBOW_ABOVE_M: Final = 0.9
 """Height above the shoulder that a picture keeps for the elbow."""
 FIELD_OF_VIEW_DEG: Final = 38.0
+PICTURE_ASPECT: Final = 16 / 9
+PICTURE_SHARE: Final = 0.94
+"""Share of the picture, from its centre, in which the camera `target` keeps what it shows."""
+MAST_TOP_N_M: Final = np.array([0.78, 0.56, -2.16])
+"""Top of the mast in models/mjcf/rover.xml."""
+BOULDER_HALF_M: Final = (0.28, 0.24)
+"""Half axes of the boulder; the arm needs 0.1 m around the point that it touches."""
+BEHIND_FACE_M: Final = 0.002
+"""Distance of the boulder's face behind the disc that is touched, so that the disc is seen."""
 CAMERA_SIDE: Final = np.array([0.9, -1.0, 0.2])
 """Direction from the arm to the camera `target`, world axes."""
 
 
 class WrongMujoco(RuntimeError):
     """MuJoCo version other than the required one; only one version gives identical bits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """Plane rock face through a point in RNAV; the normal points out of the rock."""
-
-    p_N_m: Position
-    normal_N: Direction
-
-
-@dataclass(frozen=True, slots=True)
-class World:
-    """Surroundings of the arm."""
-
-    scene: Scene = "mars"
-    tilt_roll_rad: float = 0.0
-    tilt_pitch_rad: float = 0.0
-    surface: Surface | None = None
-
-    @property
-    def gravity_N_m_s2(self) -> Array:
-        """Return gravity in RNAV (and RMECH) axes, shape (3,)."""
-        return gravity_in_rover(self.tilt_roll_rad, self.tilt_pitch_rad, GRAVITY_M_S2[self.scene])
-
-    @property
-    def ground_N_m(self) -> float:
-        """Return the height of the ground in RNAV, z down; it is below a low surface."""
-        return 0.0 if self.surface is None else max(0.0, self.surface.p_N_m[2] + BELOW_ROCK_M)
-
-    @property
-    def tilt_rad(self) -> float:
-        """Return the angle between the down axis of the rover and gravity."""
-        return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
 
 
 def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False) -> mujoco.MjSpec:
@@ -98,7 +72,7 @@ def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False)
     attach_drawing(spec, arm.params)
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
-        add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
+        add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N), for_pictures)
         lower_ground(spec, -world.ground_N_m)
         if not for_pictures:
             _remove_visuals(spec)
@@ -169,8 +143,8 @@ def inside_rover(p_N_m: Vector3, arm: ArmModel | None = None) -> bool:
     return any(mujoco.mj_geomDistance(model, data, geom, probe_id, 1.0, None) < 0 for geom in geoms)
 
 
-def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
-    """Add a flat disc of rock with contact, an outcrop without contact, and a camera on it."""
+def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array, for_pictures: bool = False) -> None:
+    """Add a flat disc of rock with contact, for pictures a boulder around it, and a camera on it."""
     z = FLIP * normal_N
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 1.0, 0.0], z)
@@ -188,8 +162,11 @@ def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
         conaffinity=1,
         rgba=(0.66, 0.52, 0.42, 1),
     )
-    _add_outcrop(spec, rock, face, z)
     _add_camera(spec, face)
+    if for_pictures:
+        _add_boulder(spec, face, z)
+        if spec.body("rover").geoms:
+            _show_mast(spec, face)
 
 
 def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
@@ -204,6 +181,22 @@ def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.column_stack([right, np.cross(back, right), back]).ravel())
     spec.worldbody.add_camera(name="target", pos=eye, quat=quat, fovy=FIELD_OF_VIEW_DEG)
+
+
+def _show_mast(spec: mujoco.MjSpec, face: Array) -> None:
+    """Move the camera `target` until it sees the whole arm, the rock and the top of the mast, and no more."""
+    camera = spec.camera("target")
+    shoulder = spec.body("rmech").pos + FLIP * spec.body("arm1").pos
+    elbow = shoulder + np.array([0.0, 0.0, ELBOW_ABOVE_M])
+    seen = (face - (0.0, 0.0, ROCK_HEIGHT_M), face, elbow, FLIP * MAST_TOP_N_M)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, camera.quat)
+    x, y, z = axes.reshape(3, 3).T @ np.array(seen).T
+    # a point is in the picture if |x - centre| <= slope (distance - z), and the same for y
+    up = PICTURE_SHARE * np.tan(0.5 * np.radians(FIELD_OF_VIEW_DEG))
+    edges = [((v + s * z).max(), (v - s * z).min(), s) for v, s in ((x, PICTURE_ASPECT * up), (y, up))]
+    distance = max((high - low) / (2 * slope) for high, low, slope in edges)
+    camera.pos = axes.reshape(3, 3) @ (*(0.5 * (high + low) for high, low, _ in edges), distance)
 
 
 def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
@@ -226,32 +219,27 @@ def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
     )
 
 
-def _add_outcrop(spec: mujoco.MjSpec, rock: mujoco.MjsBody, face: Array, z: Array) -> None:
-    """Add angular blocks around and below the face, none above it."""
-    no_contact = {
-        "type": mujoco.mjtGeom.mjGEOM_BOX,
-        "contype": 0,
-        "conaffinity": 0,
-        "group": 2,
-        "material": "mars_rock" if spec.material("mars_rock") else "",
-        "rgba": (0.66, 0.58, 0.54, 1),
-    }
-    for pos, half, euler in (
-        ((0.0, 0.0, -0.065), (0.13, 0.105, 0.06), (0.04, -0.05, 0.5)),
-        ((0.08, 0.05, -0.13), (0.12, 0.11, 0.08), (-0.3, 0.2, 1.1)),
-        ((-0.09, -0.04, -0.14), (0.12, 0.1, 0.09), (0.25, 0.3, -0.6)),
-    ):
-        rock.add_geom(pos=pos, size=half, euler=euler, **no_contact)
-    foot = face - 0.16 * z
-    if foot[2] > 0:
-        half_m = 0.5 * foot[2] + 0.05
-        foot[2] -= half_m
-        spec.worldbody.add_geom(pos=foot, size=(0.14, 0.12, half_m), euler=(0.15, -0.1, 0.9), **no_contact)
+def _add_boulder(spec: mujoco.MjSpec, face: Array, z: Array) -> None:
+    """Add a boulder from the face to below the ground; it has no contact, and nothing above the face."""
+    ground_m = min(0.0, float(face[2]) - BELOW_ROCK_M)
+    half_m = np.array([*BOULDER_HALF_M, 0.6 * (face[2] - ground_m) + 0.12])
+    centre = face - 0.15 * z
+    centre[2] = face[2] - 0.6 * half_m[2]
+    vertices, faces = boulder(half_m, face - BEHIND_FACE_M * z - centre, z)
+    spec.add_mesh(name="boulder", uservert=vertices.ravel(), userface=faces.ravel(), smoothnormal=False)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="boulder",
+        pos=centre,
+        contype=0,
+        conaffinity=0,
+        group=2,
+        material="mars_rock" if spec.material("mars_rock") else "",
+        rgba=(0.80, 0.74, 0.70, 1),
+    )
 
 
 TURRET: Final = "turret"
-WARM_C: Final = 20.0
-"""Temperature of an arm for which no effect sets another."""
 
 
 def attach_drawing(spec: mujoco.MjSpec, params: Params) -> None:

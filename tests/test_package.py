@@ -200,7 +200,7 @@ def test_the_installed_command_places_an_instrument(installed, placed):
 
 
 def test_the_installed_command_runs_a_scenario(installed):
-    document = installed.run_json("run", "sampling")
+    document = installed.run_json("run", "processing")
     assert document["checks"]
     assert document["passed"] is True
 

@@ -18,9 +18,9 @@ from marsarm.accuracy.request import BudgetRequest
 from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
+from sim.frames import approach_from, p_R_from_N, random_targets
 from validation.campaigns import Context, Document
-from validation.kinematics_samples import workspace_targets
-from validation.kinematics_trials import Trial, arm_of
+from validation.kinematics import Trial, arm_of
 from validation.speed import closed_loop, log_reading, recording
 
 FROM_CYCLE: Final = 2_000
@@ -108,7 +108,8 @@ def _rng() -> np.random.Generator:
 def _draw_targets(kind: str) -> tuple[Array, Array]:
     """Draw positions [m] and unit approach vectors in the rover frame, (3, n) each."""
     if kind == "workspace":
-        return workspace_targets(_rng(), IK_TARGETS)
+        p_N_m, angles_rad = random_targets(_rng(), IK_TARGETS)
+        return p_R_from_N(p_N_m.T).T, approach_from(angles_rad)
     arm = arm_of("nominal")
     q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
     X_RT = Trial("nominal", arm, IK_TOOL, None).tool_pose(q)

@@ -1,50 +1,40 @@
-"""Campaigns of broken logs: damaged ones, and those of killed runs.
+"""Campaign of broken logs: flipped bits, files cut short as by a killed run, and records that do not fit.
 
-Damage: single bits are flipped, and the file is truncated. Each damage must be harmless, with every value as
-it was written, or be detected. Recovery must save every message of the undamaged chunks, must not change a
-value, and must report when what it lost was recorded.
-
-Kills: SIGKILL to the whole process group at random times, and a check of the log. Each run is a fork of this
-process, in its own process group. It counts in shared memory the cycles that it has recorded. The loss is the
-Mars time of those that the log lacks. The same run without a kill gives the duration, and the expected
-contents of a log. Only kills of open logs count. Each log is read by the reader of the library too,
-recovered, and replayed.
+Each flip and cut must be harmless, with every value as it was written, or be detected. Recovery must save
+every message of the undamaged chunks, must not change a value, and must report when the lost was recorded.
+The reader of the library must find all that is before a cut, too. A record that was changed with its CRC is
+read or refused, in the time and memory of a few logs.
 """
 
-import mmap
-import os
-import signal
+import resource
 import struct
 import time
-import warnings
+import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
+import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
-from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.errors import LogDamaged, LogError, LogNotReadable, LostMessages
-from marsarm.telemetry.header import run_header
+from marsarm.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_records
+from marsarm.telemetry.inspection import select_channels
+from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
 from marsarm.telemetry.mcap_columns import read_records, unpack_chunk
 from marsarm.telemetry.read import Log, parse_log, read_log
-from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.recover import recover
-from sim.loop import ClosedLoop
-from sim.placement import PlacementRun
-from simgap.common.errors import BadOutput
+from marsarm.telemetry.tables import channels_document, info_document
 from validation.campaigns import Context, Document
-from validation.speed import TARGET, placement_loop, record_log
+from validation.speed import record_log
 
 CUT_EVERY: Final = 4096
 HERE: Final = Path("damaged.mcap")
@@ -195,6 +185,20 @@ def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, 
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
+def is_in_stock(path: Path, log: Log) -> bool:
+    """Check that the reader of the library finds as many messages of each topic before the cut."""
+    counts = Counter[str]()
+    with path.open("rb") as file:
+        try:
+            for _, channel, _ in NonSeekingReader(file, validate_crcs=True).iter_messages(
+                log_time_order=False
+            ):
+                counts[channel.topic] += 1
+        except (McapError, ValueError, struct.error):  # the cut
+            pass
+    return count_messages(log).items() <= counts.items()
+
+
 def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
     """Truncate the file at multiples of `every` bytes, and count the judgements."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
@@ -204,6 +208,8 @@ def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
         whole = [one.last_ns for one in made.chunks if one.end <= size]
         read = judge_read(made, damaged, max(whole, default=-1))
         save = judge_recovery(made, damaged, is_hit, folder)
+        if read == "cut" and not is_in_stock(folder / "bad.mcap", parse_log(HERE, damaged)):
+            read = "WRONG: the reader of the library does not find all of it"
         reads[read] += 1
         saves[save] += 1
         if "WRONG" in read + save:
@@ -211,7 +217,92 @@ def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
-def damage(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycles: int = 1) -> Document:
+Random = np.random.Generator
+NUMBERS: Final = (0, 1, 0x80, 1 << 40, *((1 << bits) - 1 for bits in (7, 8, 16, 31, 32, 63, 64)))
+"""Values that lengths and offsets are likely to mishandle."""
+MOST_BYTES: Final = 1 << 30
+"""Largest growth in memory of the process for one log."""
+MOST_S: Final = 10.0
+"""Longest processor time of one log."""
+
+
+def change_bytes(random: Random, data: bytes) -> bytes:
+    """Flip, overwrite, cut or repeat one to three parts of some bytes."""
+    out = bytearray(data)
+    for _ in range(int(random.integers(1, 4))):
+        at, to = (int(one) for one in random.integers(len(out) + 1, size=2))
+        match int(random.integers(5)):
+            case 0 if at < len(out):
+                out[at] ^= 1 << int(random.integers(8))
+            case 1:
+                size = int(random.choice((1, 2, 4, 8)))
+                value = int(NUMBERS[int(random.integers(len(NUMBERS)))]) & ((1 << 8 * size) - 1)
+                out[at : at + size] = value.to_bytes(size, "little")
+            case 2:
+                del out[at : at + int(random.integers(1, 256)) if random.random() < 0.7 else None]
+            case 3:
+                out[to:to] = out[at : at + int(random.integers(1, 4096))]
+            case _:
+                out[at : at + 16] = random.bytes(int(random.integers(1, 32)))
+    return bytes(out)
+
+
+def change_record(random: Random, made: Original) -> bytes:
+    """Change the messages of a chunk, or a text of the header, together with their CRC."""
+    if random.random() < 0.2:
+        return change_header(random, made.data)
+    chunks = read_records(made.data).chunks
+    at, chunk = chunks[int(random.integers(len(chunks)))]
+    plain = change_bytes(random, unpack_chunk(chunk))
+    changed = replace(
+        chunk,
+        data=zstandard.compress(plain),
+        uncompressed_size=len(plain),
+        uncompressed_crc=zlib.crc32(plain),
+    )
+    end = made.data.index(chunk.data, at) + len(chunk.data)
+    return made.data[:at] + encode_records(changed) + made.data[end:]
+
+
+def change_header(random: Random, data: bytes) -> bytes:
+    """Change a text of the header, together with its CRC."""
+    header = read_records(data).metadata[HEADER_RECORD]
+    name = sorted(header)[int(random.integers(len(header)))]
+    text = change_bytes(random, header[name].encode()).decode("latin-1")
+    begin = data.index(FORMAT_RECORD.encode()) - RECORD_HEAD.size - 4
+    end = data.index(HEADER_RECORD.encode(), begin) - 4
+    end += RECORD_HEAD.unpack_from(data, end - RECORD_HEAD.size)[1]
+    return data[:begin] + encode_records(*header_records({**header, name: text})) + data[end:]
+
+
+def change_records(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
+    """Recover, read and inspect logs with changed records; any error but that of a log is a bug."""
+    random, reads, wrong = np.random.default_rng(seed), Counter[str](), []
+    path = folder / "changed.mcap"
+    for number in range(tries):
+        path.write_bytes(change_record(random, made))
+        began_s, bytes_before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+        read = "read"
+        try:
+            with suppress(LogError):
+                recover(path, folder / "good.mcap", lambda *_: None)
+            log = read_log(path)
+            info_document(log)
+            channels_document(log, select_channels(log))
+        except LogError:
+            read = "refused"
+        except Exception as error:
+            read = f"WRONG: {type(error).__name__}: {error}"
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - bytes_before
+        if time.process_time() - began_s > MOST_S or grown > MOST_BYTES:
+            read = f"WRONG: took {time.process_time() - began_s:.1f} s and {grown} bytes"
+        reads[read.partition(":")[0]] += 1
+        if "WRONG" in read:
+            wrong.append({"try": number, "read": read})
+    return {"read": dict(reads), "wrong": wrong}
+
+
+def campaign(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycles: int = 1) -> Document:
     """Damage a complete log and a truncated one in every way."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -223,150 +314,7 @@ def damage(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycles:
             "bits_closed": flip_bits(whole, tries, context.seed, folder),
             "bits_cut_short": flip_bits(cut, tries, context.seed + 1, folder),
             "truncated": truncate_file(whole, CUT_EVERY, folder),
+            "records": change_records(cut, tries, context.seed + 2, folder),
         }
     sizes = {"cycles": cycles, "bytes": len(data), "chunks": len(whole.chunks)}
     return {**sizes, **parts, "in_bounds": not any(part["wrong"] for part in parts.values())}
-
-
-CYCLES = 4000
-BOUND_S = 1.2
-"""Largest Mars time that a killed run may lose."""
-MOST_RUNS = 3
-"""Largest number of runs for each kill that counts; a kill may be before the log is open, or too late."""
-
-
-@dataclass(frozen=True, slots=True)
-class Kill:
-    """Run that was killed, and its log."""
-
-    outcome: str
-    """ "cut short", which counts; "not begun" or "closed" if no messages were open; or "wrong: ..."."""
-    lost_s: float = 0.0
-    """Mars time of the recorded cycles that the log lacks."""
-
-
-def record_run(loop: ClosedLoop, header: Mapping[str, str], path: Path, recorded: Any) -> None:
-    """Record the beginning of a placement; `recorded`, shape (1,), counts the cycles."""
-    with Recorder(path, header, loop.config) as recorder:
-        for number, record in enumerate(islice(PlacementRun(loop, TARGET), CYCLES), 1):
-            recorder.write(record)
-            recorded[0] = number
-
-
-def fork_run(loop: ClosedLoop, header: Mapping[str, str], path: Path, recorded: Any) -> int:
-    """Fork a run in its own process group, and return its process number."""
-    child = os.fork()
-    if child:
-        return child
-    os.setsid()
-    record_run(loop, header, path, recorded)
-    os._exit(0)
-
-
-def stock_counts(path: Path) -> dict[str, int]:
-    """Return the number of messages by topic that the reader of the library finds before the cut."""
-    counts: dict[str, int] = {}
-    with path.open("rb") as file:
-        try:
-            for _, channel, _ in NonSeekingReader(file, validate_crcs=True).iter_messages(
-                log_time_order=False
-            ):
-                counts[channel.topic] = counts.get(channel.topic, 0) + 1
-        except (McapError, ValueError, struct.error):  # the cut
-            pass
-    return counts
-
-
-def find_fault(path: Path, log: Log, whole: Log) -> str:
-    """Return what is wrong with a truncated log, or with its copy; empty if nothing is."""
-    counts = count_messages(log)
-    if not is_start_of(log, whole):
-        return "not what the run was"
-    if not counts.items() <= stock_counts(path).items():
-        return "the reader of the library finds other messages"
-    good = path.with_name("good.mcap")
-    try:
-        recover(path, good, lambda *_: None)
-        copy = read_log(good)
-    except (LogError, BadOutput) as error:
-        return f"not recovered: {error}"
-    if copy.truncated or count_messages(copy) != counts:
-        return "not all of it was recovered"
-    if not is_start_of(copy, whole):
-        return "recovered as something else"
-    if not replay(ReplayRequest(good)).differences.identical:
-        return "its replay differs"
-    return ""
-
-
-def kill_at(child: int, at_s: float) -> None:
-    """Kill the process group of a child at a time of the monotonic clock."""
-    time.sleep(max(0.0, at_s - time.monotonic()))
-    try:
-        os.killpg(child, signal.SIGKILL)
-    except ProcessLookupError:  # the child has not made its group yet
-        os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-
-
-def judge_kill(path: Path, recorded: int, whole: Log) -> Kill:
-    """Check the log of a killed run by the number of recorded cycles and the log of the complete run."""
-    if not path.exists():
-        return Kill("not begun")
-    try:
-        log = read_log(path)
-    except LogError as error:
-        return Kill(f"wrong: {error}")
-    if not log.truncated:
-        return Kill("closed" if len(log["/joint"]) == CYCLES else "wrong: closed before the end of the run")
-    lost_s = (recorded - len(log.packets.get("/joint", ()))) / CYCLE_HZ
-    if not log.time_ns:
-        return Kill("not begun" if lost_s <= BOUND_S else "wrong: no chunk was closed")
-    fault = find_fault(path, log, whole)
-    return Kill(f"wrong: {fault}" if fault else "cut short", lost_s)
-
-
-def kill_runs(number: int, seed: int) -> Iterator[Kill]:
-    """Kill runs until `number` kills have hit an open log or failed a check, or too many runs have not."""
-    random = np.random.default_rng(seed)
-    recorded = np.frombuffer(mmap.mmap(-1, 8), np.int64)
-    loop = placement_loop(with_truth=True)
-    header = run_header(loop, "nominal", 0, {}, ())
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "run.mcap"
-        forked_s = time.monotonic()
-        os.waitpid(fork_run(loop, header, path, recorded), 0)
-        lengths_s = [time.monotonic() - forked_s]
-        whole = read_log(path)
-        counted = 0
-        for part in random.uniform(0.0, 1.0, MOST_RUNS * number):
-            recorded[0] = 0
-            path.unlink(missing_ok=True)
-            forked_s = time.monotonic()
-            kill_at(fork_run(loop, header, path, recorded), forked_s + part * median(lengths_s))
-            kill = judge_kill(path, int(recorded[0]), whole)
-            yield kill
-            counted += kill.outcome not in ("closed", "not begun")
-            if counted == number:
-                return
-
-
-def killed(context: Context, kills: int = 200) -> Document:
-    """Kill runs until so many logs were open; in bounds if none is wrong or lost too much."""
-    with warnings.catch_warnings():  # Python warns of a fork with idle library threads
-        warnings.simplefilter("ignore", DeprecationWarning)
-        found = list(kill_runs(kills, context.seed))
-    outcomes = [kill.outcome for kill in found]
-    lost_s = [kill.lost_s for kill in found if kill.outcome == "cut short"]
-    wrong = [outcome for outcome in outcomes if outcome.startswith("wrong")]
-    counts = {name: outcomes.count(name) for name in ("cut short", "closed", "not begun")}
-    return {
-        "runs": len(found),
-        "kills": len(lost_s) + len(wrong),
-        "outcomes": {**counts, "wrong": len(wrong)},
-        "wrong": wrong,
-        "lost_s": {"median": median(lost_s), "max": max(lost_s)} if lost_s else None,
-        "beyond_bound": sum(one > BOUND_S for one in lost_s),
-        "bound_s": BOUND_S,
-        "in_bounds": not wrong and max(lost_s, default=0.0) <= BOUND_S and len(lost_s) == kills,
-    }

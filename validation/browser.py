@@ -51,6 +51,8 @@ os.execv(sys.argv[3], sys.argv[3:])
 ANSWER_S = 120.0
 PLAYS = "Boolean(window.player && player.drawn)"
 """True once the player of a run has drawn a frame."""
+RESTS = f"{PLAYS} && player.calm > 1 && !player.isStale"
+"""True once the player of a moment has drawn it with all pixels."""
 LOADED = "document.readyState === 'complete' && location.protocol !== 'about:'"
 """True once a page without a player is there."""
 
@@ -83,7 +85,8 @@ CONTRAST = """
   };
   let least = 21;
   for (const node of document.body.querySelectorAll(":not(script):not(style):not(noscript)")) {
-    if (![...node.childNodes].some((one) => one.nodeType === Node.TEXT_NODE && one.data.trim())) continue;
+    const hasText = [...node.childNodes].some((one) => one.nodeType === Node.TEXT_NODE && one.data.trim());
+    if (!hasText || !node.getClientRects().length) continue;  // such as the title of a figure
     const style = getComputedStyle(node);
     const own = parse(node instanceof SVGElement ? style.fill : style.color);
     const [ink, paper] = [own, behind(node)].map(light);
@@ -275,9 +278,6 @@ def record_placement(log: Path, progress: Progress) -> Path:
 def take_pictures(browser: Browser, page: Path, folder: Path) -> None:
     """Take the pictures of the docs."""
     for name, (width, height, dark, time_s, factor) in SHOTS.items():
-        browser.open(page.as_uri(), width, height, dark)
-        browser.evaluate(
-            f"document.getElementById('magnify').value = Math.log({factor});"
-            f"player.seek({time_s}); player.draw()"
-        )
+        moment = f"#t={time_s}&x={factor}&camera=all"
+        browser.open(page.as_uri() + moment, width, height, dark, ready=RESTS)
         browser.save_screenshot(folder / name)

@@ -10,12 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.calibration.calibrate import (
-    calibrate,
-    calibrated_params,
-    rms_m,
-    save_parameter_file,
-)
+from marsarm.calibration.calibrate import calibrate, calibrated_params, rms_m, save_parameter_file
 from marsarm.calibration.campaign import CampaignPlan, earth_reference, run_campaign
 from marsarm.calibration.campaign_data import BadData, Campaign
 from marsarm.calibration.execution import check_data, check_fit

@@ -5,26 +5,21 @@ A campaign is a function of a `Context` and of keyword arguments, its sizes. It 
 """
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import UnionType
 from typing import Any, Final, TypeVar, get_args
 
-from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, in_order, run_here
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress
 from simgap.common.toml import read_toml
-from simgap.selection.checkpoint import digest_code
 
 Document = dict[str, Any]
 Sizes = Mapping[str, Any]
 Result = TypeVar("Result")
-Once = Callable[[str, Callable[[], Document]], Document]
-"""Function of the name of a result and of the work that makes it; the work is done once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,28 +120,3 @@ def _read_value(name: str, value: str, kind: Any) -> Any:
     if number is not None and number < 0:
         raise BadRequest(f"set {name}: {value} is below 0")
     return number if number is not None else Path(value) if Path in types else value
-
-
-@contextmanager
-def keep_results(path: Path | None, seed: int) -> Iterator[Once]:
-    """Keep the results of a block in a file, one JSON line each.
-
-    Args:
-        path: The file; None keeps nothing.
-        seed: Seed of the campaign. Results of another seed, or of other code of the diagnosis, are refused.
-
-    Raises:
-        BadRequest: The file belongs to another campaign, or cannot be written.
-    """
-    request = {"seed": seed, "code of the diagnosis": digest_code()[:12]}
-    with nullcontext() if path is None else Checkpoint(path, request) as kept:
-        known: dict[str, Document] = {} if kept is None else {o["name"]: o["result"] for o in kept.done}
-
-        def once(name: str, work: Callable[[], Document]) -> Document:
-            if name not in known:
-                known[name] = work()
-                if kept is not None:
-                    kept.add({"name": name, "result": known[name]})
-            return known[name]
-
-        yield once

@@ -16,7 +16,7 @@ from sim.arms import BuiltArm, arm_named
 from sim.bare_arm import without_turret
 from sim.initialisation import prepare_random_homing
 from sim.sequence import Outcome
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document
 
@@ -103,9 +103,7 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
             }
             for place in PLACES
         },
-        "earth_less_mars_mrad": {
-            "equal torque": _mean_difference(results, joints),
-        },
+        "earth_less_mars_mrad": {"equal torque": _mean_difference(results, joints)},
     }
 
 

@@ -27,7 +27,7 @@ from sim.frames import P_NR_M
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from validation.campaigns import Context, Document
 
 STRAIGHT_N: Final = 50.0

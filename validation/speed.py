@@ -37,7 +37,7 @@ from sim.placement import Placement, PlacementRun
 from sim.record import CycleRecord
 from sim.scenario.file import load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
-from sim.world import Surface, World
+from sim.setting import Surface, World
 
 REPEATS = 5
 TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))

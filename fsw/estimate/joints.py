@@ -141,11 +141,7 @@ def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointE
     reference = provisional_reference(config, last.reference, sensors)
     motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
     return replace(
-        last,
-        initialised=True,
-        reference=reference,
-        motor_rad=motor,
-        imu_R_m_s2=sensors.gravity_R_m_s2,
+        last, initialised=True, reference=reference, motor_rad=motor, imu_R_m_s2=sensors.gravity_R_m_s2
     )
 
 

@@ -243,10 +243,7 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
     X_FT = {name: tools[k] for k, name in enumerate(arm.X_FT)}
     X_LF = Pose(X_CF.R, X_CF.p + arm.p_LC_m)
     return replace(
-        arm,
-        RP_CF=_side_by_side(X_CF),
-        X_FT=X_FT,
-        orthogonal=OrthogonalArms(arm.theta_rad, X_LF, X_FT),
+        arm, RP_CF=_side_by_side(X_CF), X_FT=X_FT, orthogonal=OrthogonalArms(arm.theta_rad, X_LF, X_FT)
     )
 
 

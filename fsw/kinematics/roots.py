@@ -53,12 +53,7 @@ class NewtonRoots:
 
 
 def refine_roots(
-    arm: Arm,
-    tool: str,
-    p_RoTo_R_m: Array,
-    approach_R: Array,
-    gravity_R_m_s2: Array,
-    start_rad: Array,
+    arm: Arm, tool: str, p_RoTo_R_m: Array, approach_R: Array, gravity_R_m_s2: Array, start_rad: Array
 ) -> NewtonRoots:
     """Refine starts by Newton steps until the tool meets its target.
 

@@ -12,14 +12,7 @@ import numpy as np
 
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import (
-    CommandAborted,
-    CommandCompleted,
-    ContactMade,
-    Evr,
-    ForceEstimated,
-    Preloaded,
-)
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate

@@ -133,11 +133,7 @@ def run_monitors(
 
 
 def _monitor_arm(
-    bounds: ProtectionBounds,
-    last: Counts,
-    arm: ArmStatus,
-    sensors: Sensors,
-    planned_gravity_R: Array | None,
+    bounds: ProtectionBounds, last: Counts, arm: ArmStatus, sensors: Sensors, planned_gravity_R: Array | None
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """Run the monitors that compute with readings."""
     evrs: tuple[Evr, ...] = ()

@@ -212,11 +212,7 @@ def _wind_up(arm: ArmStatus, gear_rad: Array) -> Array:
 
 
 def update_means(
-    bounds: ProtectionBounds,
-    now: FreeMove,
-    arm: ArmStatus,
-    load_A: list[float],
-    unchanged: tuple[int, ...],
+    bounds: ProtectionBounds, now: FreeMove, arm: ArmStatus, load_A: list[float], unchanged: tuple[int, ...]
 ) -> tuple[JointMeans, ...]:
     """Update the slow means of all joints, or begin them anew; a repeated resolver reading is left out."""
     after: list[JointMeans] = []
@@ -279,13 +275,7 @@ def check_wind_up(
 ) -> tuple[Evr, ...]:
     """Check the wind-up in an update against the slow means before it."""
     total, excess, off_rad = 0.0, [], []
-    each = zip(
-        before,
-        now,
-        arm.gear_uncertainty_rad.tolist(),
-        move.setpoint_rate_rad_s.tolist(),
-        strict=True,
-    )
+    each = zip(before, now, arm.gear_uncertainty_rad.tolist(), move.setpoint_rate_rad_s.tolist(), strict=True)
     for last, one, unsure, rate in each:
         off = one.last_wind_up_rad - last.wind_up_rad
         is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_WIND_UP_UPDATES

@@ -31,12 +31,7 @@ from marsarm.accuracy.propagation import (
     worst_case,
 )
 from marsarm.accuracy.request import BudgetRequest
-from marsarm.accuracy.sources import (
-    BudgetCase,
-    ErrorModel,
-    is_compensated,
-    load_error_model,
-)
+from marsarm.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options

@@ -27,8 +27,8 @@ WHEN: Final = {
     "mars-repeatability": "on Mars",
 }
 """Words for the cases that the paper has requirements for."""
-FRAME_COLOURS: Final = ("#482878", "#3e4a89", "#31688e", "#21918c", "#35b779", "#90d743", "#fde725")
-"""Colours from the base to the tool that grow brighter, so that all readers can tell them apart."""
+FRAME_COLOURS: Final = ("#117733", "#88ccee", "#882255", "#332288", "#44aa99", "#ddcc77", "#cc6677")
+"""Colours from the base to the tool that colour-blind readers tell apart too, neighbours most."""
 CELLS: Final = 14
 """Number of cells along each side of the map."""
 
@@ -208,9 +208,8 @@ def _draw_bars(bars: Any, budget: Budget) -> None:
     names = [name.replace("_", " ") for name in budget.case.sources]
     left = np.zeros(len(names))
     for frame, colour in zip(Frame, FRAME_COLOURS, strict=True):
-        bars.barh(
-            [names[k] for k in order], share[order, frame], left=left, label=frame.name.lower(), color=colour
-        )
+        look = {"label": frame.name.lower(), "color": colour, "edgecolor": svg.INK, "linewidth": 0.4}
+        bars.barh([names[k] for k in order], share[order, frame], left=left, **look)
         left += share[order, frame]
     bars.set(title="Shares of the total, mean over the poses", xlabel="mm")
     bars.legend(loc="lower right")

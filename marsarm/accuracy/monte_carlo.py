@@ -29,7 +29,7 @@ from marsarm.accuracy.trial import MeasuredPlacement, run_trial
 from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.requests import load_params, select_arm
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress

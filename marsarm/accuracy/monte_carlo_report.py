@@ -185,10 +185,7 @@ def monte_carlo_page(report: MonteCarloReport) -> ReportPage:
             _coverage_table(report, found),
         ]
     if report.three_sigma is not None:
-        parts += [
-            Heading(f"Accuracy and repeatability: {_sample(report)}"),
-            _three_sigma_table(report),
-        ]
+        parts += [Heading(f"Accuracy and repeatability: {_sample(report)}"), _three_sigma_table(report)]
     origin = make_origin("monte-carlo", request, report.params_sha256, monte_carlo_document(report))
     title = "The error budget against a Monte Carlo"
     return ReportPage(title, monte_carlo_requirements(report), origin, parts)

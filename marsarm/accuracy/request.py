@@ -25,8 +25,7 @@ class BudgetRequest:
     ] = "all"
     tool: Annotated[str, Option("A tool of the arm, or all.", "TOOL|all")] = "all"
     poses: Annotated[
-        int,
-        Option("Number of random poses in the workspace, over all branches.", within=(100, 200_000)),
+        int, Option("Number of random poses in the workspace, over all branches.", within=(100, 200_000))
     ] = 15_000
     seed: Annotated[int, Option("Seed of the random poses.", within=(0, None))] = 0
     params: ParamsOption = None
@@ -67,8 +66,7 @@ class MonteCarloRequest:
         Option("Seed of arms, places and moves; calibrated arm K is calibrated:SEED+K.", within=(0, None)),
     ] = 0
     only: Annotated[
-        int | None,
-        Option("Run arm number K alone; its results are the same as among others.", "K"),
+        int | None, Option("Run arm number K alone; its results are the same as among others.", "K")
     ] = None
     workers: WorkersOption = None
     cluster: ClusterOption = None

@@ -38,7 +38,7 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 from sim.loop import Setup, hardware_rng
 from sim.pose_sequence import describe_no_way, free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
-from sim.world import WARM_C, World
+from sim.setting import WARM_C, World
 
 START_OFFSET_RAD: Final = 0.05
 """Offset of the start of a move from its end, each joint to a random side; wider than any backlash."""

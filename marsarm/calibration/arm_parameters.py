@@ -166,9 +166,7 @@ def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
         of_joint = getattr(arm.joints, name)
         moved = replace(of_joint, hardstop_rad=float(of_joint.hardstop_rad + zero[joint]))
         arm = replace(
-            arm,
-            links=replace(arm.links, **{link: turned_back}),
-            joints=replace(arm.joints, **{name: moved}),
+            arm, links=replace(arm.links, **{link: turned_back}), joints=replace(arm.joints, **{name: moved})
         )
     return zero, arm
 

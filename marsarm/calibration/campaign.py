@@ -30,6 +30,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
 from sim.pose_sequence import describe_no_way, free_air_loop, pose_in_workspace, run_and_rest
 from sim.sequence import Outcome
+from sim.setting import World
 from sim.tracker import (
     GROUND_TARGETS,
     ROVER_TARGETS,
@@ -42,7 +43,6 @@ from sim.tracker import (
     rover_pose,
     turret_pose,
 )
-from sim.world import World
 from simgap.common.errors import BadRequest, UserError
 from simgap.common.progress import Progress
 
@@ -305,6 +305,7 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
     except NoPlan as error:
         raise BadRequest(f"arm: no poses for Earth without a turret: {error}") from error
     runs = []
+    progress(0, len(HARDSTOP_ORDER), "hardstops")
     for run in initialise_joints(bare, World("earth")):
         runs.append(run)
         progress(len(runs), len(HARDSTOP_ORDER), "hardstops")

@@ -3,25 +3,23 @@
 Poses are selected by flags, (n,), or by indices in the wanted order, (k,).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
-from marsarm.common.requests import describe_bad_table
 from simgap.common.errors import BadRequest, RobotError
-from simgap.common.files import atomic_write, read_bytes
-
-MAX_TABLE_BYTES: Final = 1 << 32
+from simgap.common.files import atomic_write
+from simgap.files.log_file import open_whole
 
 
 class BadData(BadRequest):
@@ -143,18 +141,30 @@ def save_campaign(campaign: Campaign, path: Path) -> None:
 def read_campaign(path: Path) -> Campaign:
     """Read a table; BadData if the file cannot be read or is too large, or columns or values are wrong."""
     try:
-        data = BytesIO(read_bytes(path, MAX_TABLE_BYTES, "a table"))
-        table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
-        problems = [f"{path}: {problem}" for problem in _problems(table)]
+        log = open_whole(path)
+        there = {one.name for one in log.describe()}
     except RobotError as error:
         raise BadData(str(error)) from error
-    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
-        raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error
+    missing = [n for n in (*TEXT_COLUMNS, *COUNT_COLUMNS, *NUMBER_COLUMNS) if n not in there]
+    if missing:
+        raise BadData(f"{path}: columns missing: {', '.join(missing)}; docs/calibration.md lists them all")
+    column: dict[str, Any] = {name: log.texts(name) for name in TEXT_COLUMNS}
+    problems = [f"{path}: {problem}" for problem in _text_problems(column)]
+    for name in (*COUNT_COLUMNS, *NUMBER_COLUMNS):
+        try:
+            column[name] = log.numbers(name).value
+        except RobotError as error:
+            problems.append(str(error))
+            continue
+        bad = ~np.isfinite(column[name])
+        if name not in MAY_BE_EMPTY and bad.any():
+            problems.append(
+                f"{path}: column {name}: no number in {int(bad.sum())} rows, the first is "
+                f"{int(np.argmax(bad))}; leave such poses out"
+            )
     if problems:
         raise BadData("\n".join(problems))
-    return _campaign(
-        {name: table[name].to_numpy() for name in (*TEXT_COLUMNS, *COUNT_COLUMNS, *NUMBER_COLUMNS)}
-    )
+    return _campaign(column)
 
 
 def _columns(campaign: Campaign) -> Iterator[tuple[str, Any]]:
@@ -172,31 +182,14 @@ def _columns(campaign: Campaign) -> Iterator[tuple[str, Any]]:
         yield name, pa.array(row, from_pandas=name in MAY_BE_EMPTY)
 
 
-def _problems(table: pa.Table) -> Iterator[str]:
-    names = (*TEXT_COLUMNS, *COUNT_COLUMNS, *NUMBER_COLUMNS)
-    missing = [name for name in names if name not in table.column_names]
-    if missing:
-        yield f"columns missing: {', '.join(missing)}; docs/calibration.md lists them all"
-        return
-    if table.num_rows > MOST_ROWS:
-        yield f"{table.num_rows} rows; {MOST_ROWS} poses are the most"
-        return
-    for name in (*COUNT_COLUMNS, *NUMBER_COLUMNS):
-        kind = table.schema.field(name).type
-        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
-            yield f"column {name}: holds {kind}; numbers are wanted"
-            continue
-        bad = ~np.isfinite(table[name].to_numpy().astype(float))
-        if name not in MAY_BE_EMPTY and bad.any():
-            yield (
-                f"column {name}: no number in {int(bad.sum())} rows, the first is {int(np.argmax(bad))}; "
-                "leave such poses out"
-            )
-    if set(table["branch"].to_pylist()) - set(BRANCHES):
+def _text_problems(column: Mapping[str, NDArray[np.str_]]) -> Iterator[str]:
+    if column["arm"].size > MOST_ROWS:
+        yield f"{column['arm'].size} rows; {MOST_ROWS} poses are the most"
+    if set(column["branch"].tolist()) - set(BRANCHES):
         yield f"column branch: only {', '.join(BRANCHES)}"
-    if len(set(table["arm"].to_pylist())) > 1:
+    if len(set(column["arm"].tolist())) > 1:
         yield "column arm: poses of several arms; calibrate one at a time"
-    if not all(table["arm"].to_pylist()):
+    if not all(column["arm"].tolist()):
         yield "column arm: is empty; give the arm's name in every row"
 
 

@@ -43,12 +43,10 @@ class CalibrateRequest:
         ),
     ] = 0
     save_data: Annotated[
-        Path | None,
-        Option("Write the measured poses.", "FILE.parquet|.csv", suffixes=(".parquet", ".csv")),
+        Path | None, Option("Write the measured poses.", "FILE.parquet|.csv", suffixes=(".parquet", ".csv"))
     ] = None
     out: Annotated[Path | None, Option("Write flight parameters.", "FILE.toml", suffixes=(".toml",))] = None
     report: ReportOption = None
     picture: Annotated[
-        Path | None,
-        Option("Draw the errors of each pose before and after.", "FILE.png", suffixes=(".png",)),
+        Path | None, Option("Draw the errors of each pose before and after.", "FILE.png", suffixes=(".png",))
     ] = None

@@ -47,8 +47,8 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
 from sim.pose_sequence import free_air_loop, run_and_rest
+from sim.setting import World
 from sim.tracker import Tracker
-from sim.world import World
 from simgap.common.progress import Progress, part_of
 
 SLIP_BAND: Final = 0.4

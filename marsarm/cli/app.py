@@ -5,12 +5,11 @@ from marsarm.cli.diagnosis import diagnose, gap_app
 from marsarm.cli.log import log_app, replay
 from marsarm.cli.runs import hardstop, place, run, show, view
 from simgap.common.app import make_app, run_app
-from simgap.common.verb import EFFECT_MODULES, VerbCommand
+from simgap.common.verb import VerbCommand
 
 app = make_app(
     "marsarm", "Control of the arms of Curiosity and like rovers, a MuJoCo plant for them, and ground tools."
 )
-EFFECT_MODULES.append("sim.scenario.effects")
 
 app.command()(show)
 app.command()(place)

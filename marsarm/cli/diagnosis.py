@@ -27,9 +27,10 @@ def record(request: RecordRequest, progress: Progress) -> VerbResult:
     """
     from marsarm.diagnosis.arm.record import record_logs
 
-    paths = record_logs(request, progress)
-    document = {"logs": [str(path) for path in paths]}
-    return VerbResult(document, lambda: print(f"{len(paths)} logs in {request.out}"))
+    found = record_logs(request, progress)
+    document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
+    left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
+    return VerbResult(document, lambda: print(f"{len(found.logs)} logs in {request.out}{left_out}"))
 
 
 @gap_app.command()
@@ -40,12 +41,15 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
     demonstration computes the sensitivities of the campaign, which takes five minutes; later ones take one.
 
-    Example: marsarm gap demo --seed 3
+    Four lines say what the logs show; then come the truth, and whether the lines are right.
+
+    Example: marsarm gap demo --seed 3 --report demo.html
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
     from sim.plant import PlantDiverged
-    from simgap.command.diagnosis import print_lines
     from simgap.common.console import plain_console
+    from simgap.report.page import save_diagnosis_page
+    from simgap.report.sentences import verdict_lines
 
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
@@ -56,15 +60,18 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
         raise BadRequest(str(error)) from error
 
     def print_demo() -> None:
-        print_lines(found.diagnosis)
         truth = found.truth
         on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
-        plain_console().print(
-            f"{'Truth:':<9}{on}{'; left out of the catalogue' if truth.kind == 'left out' else ''}"
-        )
-        plain_console().print(f"{'Right:':<9}{'yes' if found.is_right else 'no'}: {found.reason}.")
+        left_out = "; left out of the catalogue" if truth.kind == "left out" else ""
+        right = f"{'yes' if found.is_right else 'no'}: {found.reason}."
+        for line in (*verdict_lines(found.case.diagnosis), f"Truth: {on}{left_out}.", f"Right: {right}"):
+            plain_console().print(line)
 
-    return VerbResult(demo_json(found), print_demo)
+    def save() -> None:
+        if request.report is not None:
+            save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report)
+
+    return VerbResult(demo_json(found), print_demo, save=save)
 
 
 @verb

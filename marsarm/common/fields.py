@@ -51,11 +51,7 @@ DIMENSIONLESS: Final = {
 UNIT_VECTORS: Final = ("approach", "gravity", "normal", "R")
 """First words of names of directions and rotations, whose components are pure numbers."""
 
-UNITS_BY_NAME: Final = {
-    "compliance": "mixed",
-    "value": "of the parameter",
-    "bound": "cycle",
-}
+UNITS_BY_NAME: Final = {"compliance": "mixed", "value": "of the parameter", "bound": "cycle"}
 """Unit of names for which the docstring, or another field, gives the unit."""
 
 

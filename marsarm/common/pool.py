@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import resource_tracker
 from typing import Any, Final, Protocol, TypeVar
 
 from simgap.common.errors import UserError
@@ -139,6 +138,8 @@ def _run_in_processes(workers: int, work: Callable[[Job], Result], jobs: Sequenc
 def _start_processes(
     workers: int, work: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
 ) -> Generator[tuple[int, Outcome], None, None]:
+    from multiprocessing import resource_tracker
+
     from joblib import Parallel, cpu_count, delayed, parallel_config
 
     numbered = _NumberedCall(partial(attempt, work))

@@ -1,7 +1,6 @@
 """Checks and conversions of requests and tables that several verbs share, made before any work begins."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
@@ -17,9 +16,8 @@ from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
-from simgap.common.toml import NOT_UTF8
 
 MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
 """Largest distance of a target, that of a command; the squares of farther ones may overflow."""
@@ -116,11 +114,7 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
 
 
 def parse_tool(name: str, tools: Sequence[str]) -> str:
-    """Return the tool of this name, in any case.
-
-    Raises:
-        BadRequest: the arm has no such tool.
-    """
+    """Return the tool of this name, in any case; BadRequest if the arm has no such tool."""
     tool = match_name(name, tools)
     if tool is None:
         raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(tools)}")
@@ -159,24 +153,3 @@ def _format_beyond(value: float, limit: float) -> str:
     """Format a number with three digits, or with as many as show that it exceeds its limit."""
     texts = (f"{value:.{digits}g}" for digits in range(3, 17))
     return next((text for text in texts if float(text) > limit), f"{value!r}")
-
-
-NO_UTF8: Final = ("utf-8", "utf8")
-WRONG_WIDTH: Final = re.compile(
-    r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)"
-)
-"""Error of pyarrow about a row with another number of columns than the first."""
-
-
-def describe_bad_table(error: Exception, kind: str) -> str:
-    """Describe why a table of a format cannot be read, in place of the words and bytes of a library."""
-    text = str(error)
-    if "pickle" in text:
-        return "holds Python objects; only arrays of numbers are read"
-    if isinstance(error, UnicodeDecodeError) or any(name in text.lower() for name in NO_UTF8):
-        return NOT_UTF8
-    width = WRONG_WIDTH.search(text)
-    if width is not None:
-        row = f"row {width['row']}" if width["row"] else "a row"
-        return f"cannot be read as {kind}: {row} has {width['n']} columns, the first has {width['right']}"
-    return f"cannot be read as {kind}; it is damaged, cut short or of another format"

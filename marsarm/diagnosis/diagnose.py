@@ -22,7 +22,6 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import MIN_DIRECTION_SHARE, DiagnosisModel, FeatureGroup, condition_directions
 from marsarm.diagnosis.normal_equations import (
     LinearFit,
-    NormalEquations,
     fit_linear,
     form_normal_equations,
 )
@@ -71,17 +70,14 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
 
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
-
-    Returns:
-        Findings, and what remains unexplained.
     """
     sensitivities = selection.sensitivities
     for h, a in zip(selection.chosen, selection.departures, strict=True):
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
     y, q = equations.whiten(value), equations.q
-    fit = fit_linear(equations, y, equations.columns(selection.chosen))
-    remaining = tuple(find_lack_of_fit(model, equations, fit, y))
+    fit = fit_linear(equations, y, selection.chosen)
+    remaining = tuple(find_lack_of_fit(model, fit, y))
     unit = equations.nuisance_sigma
     nuisance = fit.theta[:q] * unit
     base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
@@ -147,8 +143,8 @@ def _describe_finding(
     columns = context.union.columns([effect])
     size = selection.engine.chosen.sizes[columns]
     intervals = own.intervals[[int(np.flatnonzero(own.columns == c)[0]) for c in columns]]
-    ends = np.sort([hypothesis.amplitude_values(end) for end in (*intervals.T,)], axis=0)
-    bounds = np.transpose([(one.least, one.most) for one in hypothesis.amplitudes])
+    ends = np.sort([hypothesis.values(end) for end in (*intervals.T,)], axis=0)
+    bounds = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
     members = [
         k
         for one in found.alternatives
@@ -161,9 +157,9 @@ def _describe_finding(
         place=effect.place,
         family=effect.family,
         effect=effect.name,
-        size=tuple(hypothesis.amplitude_values(size).tolist()),
+        size=tuple(hypothesis.values(size).tolist()),
         size_names=tuple(
-            f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.amplitudes
+            f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
         ),
         interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
         text=effect.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),
@@ -175,9 +171,7 @@ def _describe_finding(
     )
 
 
-def find_lack_of_fit(
-    model: DiagnosisModel, equations: NormalEquations, fit: LinearFit, y: Array
-) -> Iterator[Remainder]:
+def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterator[Remainder]:
     """Test every group, and all groups together, for structure.
 
     The greater -log10 p of both tests of a group counts. Of each channel the most significant group is
@@ -186,16 +180,15 @@ def find_lack_of_fit(
     Args:
         y: Whitened features, shape (m,).
     """
-    rest = np.asarray(y - equations.A[:, fit.active] @ fit.theta)
+    rest = np.asarray(y - fit.A @ fit.theta)
     total, freedom, found = 0.0, 0, []
     for group in model.groups:
-        AQ = equations.A[group.rows][:, fit.active].T @ group.Q
-        statistic, d = _chi_square(group, AQ, fit, rest)
+        statistic, d = _chi_square(group, fit, rest)
         whole = group.regime is None
         total, freedom = total + statistic * whole, freedom + d * whole
-        energy, n = _energy(equations, group, fit, rest)
+        energy, n = _energy(group, fit, rest)
         of_direction, of_energy = _neg_log10_p(statistic, d), _neg_log10_p(energy, n)
-        remainder = _describe(equations.layout, group, rest, of_direction >= of_energy)
+        remainder = _describe(model.sensitivities.layout, group, rest, of_direction >= of_energy)
         found.append((max(of_direction, of_energy), remainder))
     mean = float(np.mean(np.abs(rest)))
     everywhere = Remainder("all channels together", "all motion", mean, FeatureResiduals.units[0], "", 0.0)
@@ -212,19 +205,18 @@ def _neg_log10_p(statistic: float, freedom: float) -> float:
     return -chi_square_log_p(statistic, freedom) / float(np.log(10.0))
 
 
-def _chi_square(group: FeatureGroup, AQ: Array, fit: LinearFit, rest: Array) -> tuple[float, int]:
+def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:
     """Return statistic and degrees of freedom of the directions of a group."""
+    AQ = fit.A[group.rows].T @ group.Q
     s, V = np.linalg.eigh(np.eye(group.Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
     kept = s > MIN_DIRECTION_SHARE
     along = V[:, kept].T @ (group.Q.T @ rest[group.rows])
     return float(np.sum(along**2 / s[kept])), int(kept.sum())
 
 
-def _energy(
-    equations: NormalEquations, group: FeatureGroup, fit: LinearFit, rest: Array
-) -> tuple[float, float]:
+def _energy(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, float]:
     """Return the sum of squares in a group, and its expectation."""
-    A = equations.A[np.ix_(group.rows, fit.active)]
+    A = fit.A[group.rows]
     expected = group.rows.size - float(np.sum((A @ fit.covariance) * A))
     return float(np.sum(rest[group.rows] ** 2)), max(expected, 1.0)
 

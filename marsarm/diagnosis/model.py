@@ -42,17 +42,6 @@ MIN_GROUP_FEATURES: Final = 4
 """Least number of features in a group."""
 
 
-@dataclass(frozen=True, slots=True)
-class Detectability:
-    """Detection limit of one hypothesis in a campaign."""
-
-    limit: float
-    """Detection limit in typical sizes, all amplitudes growing together; infinite if it is not
-    identifiable."""
-    family_wise_limit: float
-    """Detection limit in the selection from all hypotheses, whose false alarms together have 5 %."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureGroup:
     """Features that are tested together for structure."""
@@ -77,7 +66,11 @@ class DiagnosisModel:
     equations: NormalEquations
     label: Ints
     """Equivalence class of every hypothesis, shape (h,)."""
-    limits: tuple[Detectability, ...]
+    limits: Array
+    """Detection limit of every hypothesis in typical sizes, its parameters departing together, shape (h,);
+    infinite if it is not identifiable."""
+    family_wise_limits: Array
+    """The same in the selection from all hypotheses, whose false alarms together have 5 %, shape (h,)."""
     groups: tuple[FeatureGroup, ...]
     left_out_effect: str = ""
     """Effect that does not compete, to see what takes the place of one that no catalogue has; "" for none."""
@@ -116,13 +109,13 @@ def build_model(
         tuple(locations),
         equations,
         label,
-        detection_limits(equations, label),
+        *detection_limits(equations, label),
         group_features(equations),
     )
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
-    """Compute the cosine of the largest principal angle between the columns of every two hypotheses.
+    """Compute the cosine (h, h) of the largest angle between the columns of every two hypotheses.
 
     The metric is R, with nuisances eliminated. The cosine is 0 between hypotheses with different numbers of
     columns: one is at most a special case of the other, and parsimony decides. It is 0 for a hypothesis that
@@ -130,9 +123,6 @@ def alias_cosines(equations: NormalEquations) -> Array:
 
     Args:
         equations: Normal equations of the campaign, with h hypotheses.
-
-    Returns:
-        Absolute cosines, shape (h, h).
     """
     of = [np.flatnonzero(equations.owner == h) for h in range(equations.owner[-1] + 1)]
     roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
@@ -176,8 +166,8 @@ def noncentrality(k: int, false_alarm: float = FALSE_ALARM) -> float:
     return float(brentq(lambda n: ncx2.sf(beyond, k, n) - POWER, 1e-6, 1e3))
 
 
-def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectability, ...]:
-    """Compute the amplitude of every hypothesis that a likelihood-ratio test finds with 90 % power.
+def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Array]:
+    """Compute the size (h,) that a likelihood-ratio test finds with 90 % power: alone, and in the selection.
 
     The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
     chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
@@ -186,27 +176,18 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectabi
 
     Args:
         equations: Normal equations of the campaign, with h hypotheses.
-        label: Equivalence class of every hypothesis, shape (h,).
-
-    Returns:
-        One a hypothesis.
+        label: Equivalence class of every hypothesis, without a unit, shape (h,).
     """
-    result = []
     n_classes = np.unique(label[equations.identifiable]).size
-    false_alarm_of_each = FALSE_ALARM / KINDS_OF_TEST / max(n_classes, 1)
-    for index, seen in enumerate(equations.identifiable):
+    false_alarms = FALSE_ALARM, FALSE_ALARM / KINDS_OF_TEST / max(n_classes, 1)
+    alone, family_wise = np.full((2, label.size), np.inf)
+    for index in np.flatnonzero(equations.identifiable):
         at = np.flatnonzero(equations.owner == index)
-        typical = equations.scale[at]
-        information = float(typical @ equations.R[np.ix_(at, at)] @ typical)
-        if not seen or information <= 0.0:
-            result.append(Detectability(np.inf, np.inf))
-            continue
-        alone, family_wise = (
-            float(np.sqrt(noncentrality(at.size, by) / information))
-            for by in (FALSE_ALARM, false_alarm_of_each)
-        )
-        result.append(Detectability(alone, family_wise))
-    return tuple(result)
+        information = float(equations.scale[at] @ equations.R[np.ix_(at, at)] @ equations.scale[at])
+        if information > 0.0:
+            needed = [noncentrality(at.size, by) for by in false_alarms]
+            alone[index], family_wise[index] = np.sqrt(np.array(needed) / information)
+    return alone, family_wise
 
 
 def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
@@ -226,14 +207,11 @@ def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
 
 
 def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
-    """Compute the directions of the lack-of-fit test: a constant, and the centred conditions.
+    """Compute directions (n, d) of norm 1 or 0: a constant, and the centred conditions.
 
     Args:
         layout: Layout of the features with c conditions.
         rows: Indices of n features.
-
-    Returns:
-        Directions of norm 1 or 0, shape (n, 1 + c).
     """
     centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
     all_of = np.column_stack([np.ones(rows.size), centred])

@@ -1,14 +1,15 @@
 """Normal equations of the linear model, with nuisances eliminated, and the fit to a case.
 
-The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v are in units
-of their sigma, so that their prior has unit covariance too. With G = A'A, they are eliminated by the Schur
+The whitened model is y = N v + S a + e with e of unit covariance. The nuisances v are in units
+of their sigma, so that their prior has unit covariance too. They are eliminated by the Schur
 complement:
 
-    R = G_SS - G_SN (G_NN + 1)^-1 G_NS
+    R = S'S - S'N (N'N + 1)^-1 N'S
 
 Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,14 +43,7 @@ class Whitener:
     scatter: tuple[BlockCovariance, ...]
 
     def __call__(self, X: Array) -> Array:
-        """Whiten features.
-
-        Args:
-            X: Features in the units of their channels, shape (m,) or (m, n).
-
-        Returns:
-            Whitened features, same shape.
-        """
+        """Whiten features in the units of their channels, shape (m,) or (m, n)."""
         Z = (X.T / self.sigma).T
         for block in self.scatter:
             part = Z[block.rows]
@@ -98,10 +92,10 @@ class NormalEquations:
     owner: Ints
     """Index of the hypothesis that each column belongs to, shape (k,)."""
     whiten: Whitener
-    A: Array
-    """Whitened nuisances and columns, [N S], shape (m, q + k)."""
-    G: Array
-    """Normal matrix A'A, shape (q + k, q + k)."""
+    N: Array
+    """Whitened nuisances, shape (m, q)."""
+    S: Array
+    """Whitened columns, shape (m, k)."""
     nuisance_sigma: Array
     """Sigma of each shared nuisance in its own unit, shape (q,)."""
     R: Array
@@ -121,10 +115,6 @@ class NormalEquations:
         hidden[self.owner[self.scale == 0.0]] = True
         return ~hidden
 
-    def columns(self, chosen: tuple[int, ...]) -> Ints:
-        """Return the columns of some hypotheses, in the order of the hypotheses given."""
-        return np.concatenate([np.flatnonzero(self.owner == h) for h in chosen] or [np.zeros(0, np.intp)])
-
 
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses; columns that are not identifiable become 0."""
@@ -136,10 +126,9 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     is_seen = information > ABSORBED_SHARE * np.sum(S**2, axis=0)
     scale = np.sqrt(np.where(is_seen, information, 0.0))
     by = np.where(is_seen, 1.0 / np.where(is_seen, scale, 1.0), 0.0)
-    A = np.hstack([N, S * by])
     R = (R + R.T) / 2.0 * np.outer(by, by)
     sigma = _shared_sigma(sensitivities)
-    return NormalEquations(sensitivities.layout, sensitivities.owner, whiten, A, A.T @ A, sigma, R, scale)
+    return NormalEquations(sensitivities.layout, sensitivities.owner, whiten, N, S * by, sigma, R, scale)
 
 
 def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> Array:
@@ -155,27 +144,22 @@ def _shared_sigma(sensitivities: Sensitivities) -> Array:
 class LinearFit:
     """Nuisances and chosen columns, fitted together."""
 
-    active: Ints
-    """Indices of the fitted columns of `NormalEquations.A`: all nuisances, then the chosen columns, shape
-    (n,)."""
+    A: Array
+    """Fitted columns: whitened nuisances, then the chosen ones, shape (m, n)."""
     theta: Array
     """Fitted values, shape (n,): nuisances in sigmas, amplitudes in standard errors."""
     covariance: Array
     """Posterior covariance, shape (n, n)."""
 
 
-def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit:
-    """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0.
+def fit_linear(equations: NormalEquations, y: Array, chosen: Collection[int]) -> LinearFit:
+    """Fit nuisances and chosen hypotheses by maximum posterior; singular combinations stay at 0.
 
     Args:
         y: Whitened features, without a unit, shape (m,).
-        columns: Indices of columns of effects.
-
-    Returns:
-        The fit.
+        chosen: Indices of hypotheses.
     """
-    active = np.concatenate([np.arange(equations.q), equations.q + columns])
-    information = equations.G[np.ix_(active, active)]
-    information[: equations.q, : equations.q] += np.eye(equations.q)
-    covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
-    return LinearFit(active, covariance @ (equations.A[:, active].T @ y), covariance)
+    A = np.hstack([equations.N, equations.S[:, np.isin(equations.owner, list(chosen))]])
+    prior = np.where(np.arange(A.shape[1]) < equations.q, 1.0, 0.0)
+    covariance = np.linalg.pinv(A.T @ A + np.diag(prior), rcond=1e-13, hermitian=True)
+    return LinearFit(A, covariance @ (A.T @ y), covariance)

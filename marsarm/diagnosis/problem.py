@@ -27,51 +27,35 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Parameter of an effect; ValueError if its neutral value lies outside its bounds."""
+    """Parameter that sets the size of an effect; ValueError if its neutral value lies outside its bounds."""
 
     name: str
     unit: str
     least: float
     most: float
     typical: float
-    """Typical departure from neutral, not 0; typical value for a parameter without a neutral value."""
-    neutral: float | None = None
-    """Value at which the effect changes nothing; None for a shape parameter."""
+    """Typical departure from neutral, not 0."""
+    neutral: float
+    """Value at which the effect changes nothing."""
 
     def __post_init__(self) -> None:
-        if self.neutral is None:
-            return
         if not self.least <= self.neutral <= self.most or self.typical == 0.0:
             raise ValueError(f"{self.name}: neutral must be within its bounds, and typical must not be 0")
 
     @property
-    def is_amplitude(self) -> bool:
-        """Amplitude parameter: it sets the size of the effect. Otherwise it sets only the shape."""
-        return self.neutral is not None
-
-    @property
-    def absent(self) -> float:
-        """Value while the effect is absent: neutral, or the typical value of a shape parameter."""
-        return self.typical if self.neutral is None else self.neutral
-
-    @property
     def departure_range(self) -> tuple[float, float]:
-        """Least and greatest departure from absent within the bounds, in typical sizes."""
-        ends = [(end - self.absent) / self.typical for end in (self.least, self.most)]
+        """Least and greatest departure from neutral within the bounds, in typical sizes."""
+        ends = [(end - self.neutral) / self.typical for end in (self.least, self.most)]
         return min(ends), max(ends)
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Effect at a place; ValueError if it has no amplitude parameter."""
+    """Effect at a place; what sets its shape alone keeps the default of the catalogue."""
 
     effect: str
     place: str
     parameters: tuple[Parameter, ...]
-
-    def __post_init__(self) -> None:
-        if not any(parameter.is_amplitude for parameter in self.parameters):
-            raise ValueError(f"{self.name}: no parameter has a neutral value")
 
     @property
     def name(self) -> str:
@@ -83,63 +67,23 @@ class Hypothesis:
         """Name of its effect in the engine: `Effect.key`."""
         return f"{self.place}: {self.effect}"
 
-    @property
-    def amplitudes(self) -> tuple[Parameter, ...]:
-        """Amplitude parameters: those that the selection fits."""
-        return tuple(parameter for parameter in self.parameters if parameter.is_amplitude)
-
-    @property
-    def absent(self) -> Array:
-        """Values of all parameters while the effect is absent, shape (p,)."""
-        return np.array([parameter.absent for parameter in self.parameters])
-
     def departures(self, values: Array) -> Array:
-        """Return the amplitudes in typical sizes.
+        """Return the departures from neutral in typical sizes, shape (n,).
 
         Args:
-            values: All parameters in their units, shape (p,).
-
-        Returns:
-            Departures of the amplitude parameters from neutral, shape (n,).
+            values: Values in their units, shape (n,).
         """
-        return np.array([
-            (value - parameter.absent) / parameter.typical
-            for value, parameter in zip(values, self.parameters, strict=True)
-            if parameter.is_amplitude
-        ])  # fmt: skip
+        typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
+        return np.asarray((values - neutral) / typical)
 
     def values(self, departures: Array) -> Array:
-        """Return the values of all parameters.
+        """Return the values in their units, shape (n,).
 
         Args:
-            departures: Departures from neutral, without a unit (multiples of typical), shape (n,).
-
-        Returns:
-            All parameters in their units, shape (p,); shape parameters have their typical values.
+            departures: Departures from neutral, without a unit (typical sizes), shape (n,).
         """
-        return self.fill(self.amplitude_values(departures))
-
-    def fill(self, amplitudes: Array) -> Array:
-        """Return the values of all parameters; shape parameters have their typical values.
-
-        Args:
-            amplitudes: Values of the amplitude parameters in their units, shape (n,).
-
-        Returns:
-            All parameters in their units, shape (p,).
-        """
-        values = self.absent
-        values[[parameter.is_amplitude for parameter in self.parameters]] = amplitudes
-        return values
-
-    def amplitude_values(self, departures: Array) -> Array:
-        """Return the values of the amplitude parameters in their units, shape (n,).
-
-        Args:
-            departures: Departures from neutral, without a unit (multiples of typical), shape (n,).
-        """
-        typical, absent = np.array([(one.typical, one.absent) for one in self.amplitudes]).T
-        return np.asarray(absent + typical * departures)
+        typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
+        return np.asarray(neutral + typical * departures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,24 +135,16 @@ class FeatureLayout:
 
     def __post_init__(self) -> None:
         m = self.sigma.size
-        if self.condition.shape != (m, len(self.conditions)):
-            raise ValueError(f"condition is {self.condition.shape}; wanted {(m, len(self.conditions))}")
+        if self.condition.shape != (m, len(self.conditions)) or len(self.units) != len(self.channels):
+            raise ValueError(f"condition is {self.condition.shape} for {m} features; {len(self.units)} units")
         if not (np.all(np.isfinite(self.condition)) and np.all(np.isfinite(self.sigma))):
             raise ValueError("sigma and condition must be finite")
         if not np.all(self.sigma > 0.0):
             raise ValueError("the floor of every feature must be above 0")
-        if len(self.units) != len(self.channels):
-            raise ValueError(f"{len(self.units)} units of {len(self.channels)} channels")
-        for what, index, names in (
-            ("block", self.block, self.blocks),
-            ("channel", self.channel, self.channels),
-            ("place", self.place, self.places),
-            ("regime", self.regime, self.regimes),
-        ):
-            if index.shape != (m,):
-                raise ValueError(f"{what} is {index.shape}; wanted {(m,)}")
-            if m and not 0 <= index.min() <= index.max() < len(names):
-                raise ValueError(f"{what} must be among its {len(names)} names")
+        for what in ("block", "channel", "place", "regime"):
+            index, names = getattr(self, what), getattr(self, f"{what}s")
+            if index.shape != (m,) or (m and not 0 <= index.min() <= index.max() < len(names)):
+                raise ValueError(f"{what} must be {m} indices of its {len(names)} names")
 
     @property
     def size(self) -> int:
@@ -223,7 +159,7 @@ class FeatureLayout:
 
 
 EffectValues = Mapping[Hypothesis, Array]
-"""Values of all parameters of the effects that are switched on, in their order and units."""
+"""Values of the parameters of the effects that are switched on, in their order and units."""
 
 Simulate = Callable[[EffectValues], Array]
 """Simulator of a case: the change of its m features by effects, in the units of the channels, shape (m,); NaN

@@ -48,20 +48,12 @@ class FeatureSelection:
     chosen: tuple[int, ...]
     departures: tuple[Array, ...]
     """Amplitudes of each in typical sizes, (n,)."""
-    null_deviance: float
-    """Deviance without effect, nuisances free."""
-    n_distinct: float
-    """Number of tests that share the probability of a false alarm."""
     sensitivities: Sensitivities
     """Sensitivities that it was made with."""
     engine: Selection
 
     def change(self) -> Array:
-        """Compute the change of the features by the selected effects.
-
-        Returns:
-            Change in the units of the channels, shape (m,).
-        """
+        """Compute the change of the features by the selected effects in their units, shape (m,)."""
         hypotheses = [self.sensitivities.hypotheses[h] for h in self.chosen]
         pairs = zip(hypotheses, self.departures, strict=True)
         return self.sensitivities.change({one: one.values(a) for one, a in pairs})
@@ -75,9 +67,6 @@ def select_simulated(
     Args:
         value: Measured minus nominal features in the units of the channels, (m,).
         simulate: Simulator of the case; None to extrapolate.
-
-    Returns:
-        The last selection.
     """
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
     simulated: dict[int, tuple[Array, Array]] = {}
@@ -130,21 +119,15 @@ def select(
         whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
         excluded: Hypotheses that do not compete.
-
-    Returns:
-        Selection, the effects in the order found.
     """
     residuals = FeatureResiduals(sensitivities, whiten, value)
     effects = list_feature_effects(model, excluded)
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
     chosen = found.chosen.effects
     union, sizes = found.context.union, found.chosen.sizes
-    before = np.concatenate([fit.residuals for fit in found.base.fits])
     return FeatureSelection(
         tuple(sensitivities.index(one.key) for one in chosen),
         tuple(sizes[union.columns([one])] for one in chosen),
-        float(before @ before),
-        found.context.n_distinct,
         sensitivities,
         found,
     )
@@ -180,7 +163,7 @@ class FeatureEffect(Effect):
         Args:
             size: Departures in typical sizes, without a unit, (n_sizes,).
         """
-        values = zip(self.hypothesis.amplitudes, self.hypothesis.amplitude_values(size), strict=True)
+        values = zip(self.hypothesis.parameters, self.hypothesis.values(size), strict=True)
         return ", ".join(
             f"{one.name} {100.0 * np.expm1(value):+.3g} %"
             if one.unit == LOG_UNIT
@@ -197,14 +180,11 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
 
     Args:
         excluded: Indices of hypotheses that do not compete.
-
-    Returns:
-        One effect a class with a finite limit.
     """
     absent = {*excluded, *model.left_out}
     members: dict[int, list[int]] = {}
     for k, limit in enumerate(model.limits):
-        if np.isfinite(limit.limit) and k not in absent:
+        if np.isfinite(limit) and k not in absent:
             members.setdefault(int(model.label[k]), []).append(k)
     return tuple(
         _feature_effect(model, next(k for k in of if not any(_has_more_room(model, one, k) for one in of)))
@@ -227,15 +207,15 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 
 def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
     """Return least and greatest common departure of all amplitudes, in detection limits."""
-    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].amplitudes])
-    limit = model.limits[k].limit
+    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
+    limit = model.limits[k]
     return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
 
 
 def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
-    hypothesis, limit = model.sensitivities.hypotheses[k], model.limits[k].limit
+    hypothesis, limit = model.sensitivities.hypotheses[k], float(model.limits[k])
     sizes = []
-    for parameter in hypothesis.amplitudes:
+    for parameter in hypothesis.parameters:
         least, most = parameter.departure_range
         typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
         sizes.append(Size(parameter.name, least, most, typical))
@@ -278,15 +258,12 @@ class FeatureResiduals:
         self._condition = dict(zip(layout.conditions, layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates, in noise floors.
+        """Return the residuals of candidates in noise floors, (n_candidates, m).
 
         Args:
             effects: Feature effects of all candidates.
             sizes: Departures from neutral in typical sizes, without a unit, one effect after the other,
                 (n_candidates, n_sizes).
-
-        Returns:
-            (n_candidates, m).
         """
         own = [self._columns[one.key] for one in effects]
         columns = np.concatenate([np.zeros(0, np.intp), *own])
@@ -298,12 +275,5 @@ class FeatureResiduals:
         return self
 
     def explain(self, name: str) -> Array:
-        """Return a condition of the features.
-
-        Args:
-            name: Name of the condition.
-
-        Returns:
-            (m,), in its unit; NaN for a condition that features do not have.
-        """
+        """Return a condition of the features in its unit, (m,); NaN for one that they do not have."""
         return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))

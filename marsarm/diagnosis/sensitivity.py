@@ -7,43 +7,28 @@ Near its nominal state the simulator f is approximated for amplitudes a in typic
 with the square taken of each amplitude.
 """
 
-import json
 import zlib
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.problem import (
-    EffectValues,
-    FeatureLayout,
-    Hypothesis,
-    Ints,
-    Nuisance,
-    Parameter,
-)
+from marsarm.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 
-_READ_ERRORS: Final = (
-    *(
-        OSError,
-        EOFError,
-        BadZipFile,
-        zlib.error,
-        RuntimeError,
-    ),  # zipfile raises the last for unknown compression
-    *(ValueError, KeyError, TypeError),
-)
+_READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
+"""Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
 _LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions", "keys")
 _OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
 ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
-_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions", "keys")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +50,7 @@ class Sensitivities:
     """Change per unit of each nuisance, shape (m, q)."""
 
     def __post_init__(self) -> None:
-        m, wanted = self.layout.size, [len(hypothesis.amplitudes) for hypothesis in self.hypotheses]
+        m, wanted = self.layout.size, [len(hypothesis.parameters) for hypothesis in self.hypotheses]
         if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
             raise ValueError("owner must list every size parameter of every hypothesis in order")
         shapes = (
@@ -88,14 +73,11 @@ class Sensitivities:
         return next(k for k, one in enumerate(self.hypotheses) if one.key == key)
 
     def change(self, settings: EffectValues) -> Array:
-        """Compute the change of the features by effects: parabolas, linear beyond the simulated departures.
+        """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures.
 
         Args:
             settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
                 have no influence.
-
-        Returns:
-            Change in the units of the channels, shape (m,).
         """
         total = np.zeros(self.layout.size)
         for hypothesis, values in settings.items():
@@ -116,9 +98,6 @@ class Sensitivities:
             hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures in typical sizes, without a unit, shape (n,), not all 0.
             change: Simulated change there in the units of the channels, shape (m,).
-
-        Returns:
-            Sensitivities with another curvature and reach, and other slopes of such nuisances.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         curve, reach = self.curve.copy(), self.reach.copy()
@@ -143,9 +122,6 @@ class Sensitivities:
         Args:
             hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
-
-        Returns:
-            Sensitivities with other slopes.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         inside = np.clip(a, -self.reach[columns], self.reach[columns])
@@ -163,7 +139,7 @@ class Sensitivities:
         chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
         columns = np.flatnonzero(np.isin(self.owner, chosen))
         hypotheses = tuple(self.hypotheses[k] for k in chosen)
-        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.amplitudes) for hypothesis in hypotheses])
+        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.parameters) for hypothesis in hypotheses])
         parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
         return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
 
@@ -175,18 +151,27 @@ class Sensitivities:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """All of some sensitivities that is no array."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    nuisances: tuple[Nuisance, ...]
+    names: dict[str, tuple[str, ...]]
+
+
+_WORDS: Final = TypeAdapter(_Words)
+
+
 def save_sensitivities(path: Path, found: Sensitivities) -> None:
     """Save sensitivities to an .npz file without pickled objects; BadOutput if it cannot be written."""
     layout = found.layout
-    words = {
-        "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
-        "nuisances": [asdict(nuisance) for nuisance in found.nuisances],
-        "names": {name: getattr(layout, name) for name in _LAYOUT_NAMES},
-    }
+    names = {name: getattr(layout, name) for name in _LAYOUT_NAMES}
+    words = _WORDS.dump_json(_Words(found.hypotheses, found.nuisances, names)).decode()
     arrays = {name: getattr(layout, name) for name in _LAYOUT_ARRAYS}
     arrays |= {name: getattr(found, name) for name in _OWN_ARRAYS}
     with atomic_write(path, "sensitivities") as file:
-        np.savez(file, words=np.array(json.dumps(words)), **arrays)
+        np.savez(file, words=np.array(words), **arrays)
 
 
 def load_sensitivities(path: Path) -> Sensitivities:
@@ -196,55 +181,37 @@ def load_sensitivities(path: Path) -> Sensitivities:
         BadRequest: The file is incomplete, damaged, or holds no sensitivities.
     """
     try:
-        return _read_sensitivities(path)
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            words = _WORDS.validate_json(str(file["words"]))
+            names = (words.names[name] for name in _LAYOUT_NAMES)
+            layout = FeatureLayout(*(file[name] for name in _LAYOUT_ARRAYS), *names)
+            own = (file[name] for name in _OWN_ARRAYS)
+            return Sensitivities(layout, words.hypotheses, words.nuisances, *own)
     except _READ_ERRORS as error:
         raise BadRequest(
             f"{path}: no sensitivities ({error}); remove it, and they are computed anew"
         ) from error
 
 
-def _read_sensitivities(path: Path) -> Sensitivities:
-    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-        missing = {"words", *_LAYOUT_ARRAYS, *_OWN_ARRAYS} - set(file.files)
-        if missing:
-            raise ValueError(f"{', '.join(sorted(missing))} missing")
-        words = json.loads(str(file["words"]))
-        names = (tuple(words["names"][name]) for name in _LAYOUT_NAMES)
-        layout = FeatureLayout(*(file[name] for name in _LAYOUT_ARRAYS), *names)
-        hypotheses = tuple(
-            Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
-            for h in words["hypotheses"]
-        )
-        nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
-        found = (file[name] for name in _OWN_ARRAYS)
-        return Sensitivities(layout, hypotheses, nuisances, *found)
-
-
 def continue_parabola(effect: Array, curve: Array, reach: Array, a: Array) -> Array:
-    """Compute the change by amplitudes: parabolas up to their reach, and straight on beyond.
+    """Compute changes (m,) or (n, m): parabolas up to their reach, and straight on beyond.
 
     Args:
         effect: First derivatives of the features, shape (m, k).
         curve: Second-order coefficients, shape (m, k).
         reach: Largest simulated departures, without a unit (typical sizes), shape (k,).
         a: Departures, without a unit (typical sizes), shape (k,), or of n candidates, shape (n, k).
-
-    Returns:
-        Changes in the unit of `effect`, shape (m,) or (n, m).
     """
     inside = np.clip(a, -reach, reach)
     return np.asarray(a @ effect.T + (inside * (2.0 * a - inside)) @ curve.T)
 
 
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
-    """Fit a parabola through 0 and two points; through one point, a line.
+    """Fit slope and curvature (m,) at 0 through 0 and two points; through one point, a line.
 
     Args:
         ends: One or two simulated changes of the features in the units of their channels, shape (m,),
             each with its step.
-
-    Returns:
-        First and second-order coefficient at 0, each of shape (m,).
     """
     (high, up), (low, down) = ends[0], ends[-1]
     curvature = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)

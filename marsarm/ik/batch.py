@@ -1,12 +1,10 @@
 """Files of batches: read targets from tables, and write their results part by part."""
 
 import json
-import os
 import shutil
 import tempfile
-import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, Protocol
@@ -14,20 +12,24 @@ from typing import IO, Any, BinaryIO, Final, Protocol
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import parquet, types
+from pyarrow import parquet
 
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
-from fsw.kinematics.transforms import Array
-from marsarm.common.requests import describe_bad_table
 from marsarm.ik.request import BATCH_SUFFIXES
 from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
+from simgap.files.log_file import open_whole
 
-ZIP_MAGIC: Final = b"PK\x03\x04"
 POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
 APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
+ARRAYS: Final = ("position_m", "approach")
+NAMES: Final = {
+    ".npz": tuple(tuple(f"{array}[{k}]" for k in range(3)) for array in ARRAYS),
+    ".parquet": (POSITION_COLUMNS, APPROACH_COLUMNS),
+}
+"""Columns of a file of targets by its suffix: of the positions, and of the approaches."""
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:
@@ -39,106 +41,39 @@ def read_targets(path: Path, frame: str) -> IkTargets:
     Raises:
         BadRequest: The file cannot be read, an array or column is missing, or a target is wrong.
     """
-    suffix = path.suffix.lower()
-    if suffix not in BATCH_SUFFIXES:
+    if path.suffix.lower() not in BATCH_SUFFIXES:
         raise BadRequest(f"batch {path}: its name must end in {' or '.join(BATCH_SUFFIXES)}")
-    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe could block forever
-        raise BadRequest(f"batch {path}: is not a regular file")
-    with _read_errors(path):
-        position, approach = _from_npz(path) if suffix == ".npz" else _from_parquet(path)
-    if position.shape[1] != approach.shape[1]:
+    names = NAMES[path.suffix.lower()]
+    try:
+        log = open_whole(path)
+        there = [one.name for one in log.describe()]
+        _check_columns(path, there, names)
+        values = [[log.numbers(name).value for name in three] for three in names]
+    except RobotError as error:
+        raise BadRequest(f"batch {error}") from error
+    position, approach = (np.array(three) for three in values)
+    if position.shape != approach.shape:
         raise BadRequest(
             f"batch {path}: there are {position.shape[1]} positions and {approach.shape[1]} approaches"
         )
-    if position.shape[1] == 0:
-        raise BadRequest(f"batch {path}: there is no target in it; give at least one")
-    names = (
-        ("position_m", "approach")
-        if suffix == ".npz"
-        else (", ".join(POSITION_COLUMNS), ", ".join(APPROACH_COLUMNS))
-    )
+    labels = ARRAYS if path.suffix.lower() == ".npz" else [", ".join(three) for three in names]
 
     def naming(row: int) -> tuple[str, str]:
         where = f"batch {path}: row {row} (the first is 0): "
-        return where + names[0], where + names[1]
+        return where + labels[0], where + labels[1]
 
     return make_targets(position, approach, frame, naming)
 
 
-@contextmanager
-def _read_errors(path: Path) -> Iterator[None]:
-    """Convert errors of the readers, from damaged or foreign files, to one sentence."""
-    kind = "a NumPy .npz file" if path.suffix.lower() == ".npz" else "a Parquet file"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # old file formats raise warnings
-            yield
-    except BadRequest:
-        raise
-    except MemoryError as error:
-        raise BadRequest(f"batch {path}: is too large for the memory; give it in parts") from error
-    except OSError as error:
-        if error.strerror is None:  # raised by a reader of the format, not by the system
-            raise BadRequest(f"batch {path}: {describe_bad_table(error, kind)}") from error
-        raise BadRequest(f"batch {path}: cannot be read ({error.strerror})") from error
-    except Exception as error:  # damaged headers raise errors of any kind
-        raise BadRequest(f"batch {path}: {describe_bad_table(error, kind)}") from error
-
-
-def _from_npz(path: Path) -> tuple[Array, Array]:
-    """Read positions and approaches, shape (3, n) each."""
-    with path.open("rb") as file:
-        if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC or not zipfile.is_zipfile(file):
-            raise BadRequest(f"batch {path}: is not a NumPy .npz file, or only a part of one")
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as arrays:
-            missing = [name for name in ("position_m", "approach") if name not in arrays.files]
-            if missing:
-                raise BadRequest(
-                    f"batch {path}: there is no array {' and no '.join(missing)}; "
-                    "it must hold position_m (n, 3) and approach (n, 3), it holds "
-                    f"{_list_names(arrays.files)}"
-                )
-            return _three_rows(path, "position_m", arrays["position_m"]), _three_rows(
-                path, "approach", arrays["approach"]
-            )
-
-
-def _three_rows(path: Path, name: str, values: object) -> Array:
-    """Check an array (n, 3) of real numbers; return it as (3, n)."""
-    if not isinstance(values, np.ndarray):
-        raise BadRequest(f"batch {path}: {name} is not an array")
-    if values.ndim != 2 or values.shape[1] != 3:
-        raise BadRequest(f"batch {path}: {name} has the shape {values.shape}, not (n, 3)")
-    if values.dtype.kind not in "fiu":
-        raise BadRequest(f"batch {path}: {name} holds {values.dtype}, not real numbers")
-    with np.errstate(over="ignore"):  # wider number types may overflow
-        return np.ascontiguousarray(values.T, dtype=np.float64)
-
-
-def _from_parquet(path: Path) -> tuple[Array, Array]:
-    """Read positions and approaches, shape (3, n) each; null becomes NaN."""
-    with path.open("rb") as source, parquet.ParquetFile(source, page_checksum_verification=True) as file:
-        column_names = file.schema_arrow.names
-        missing = [name for name in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if column_names.count(name) != 1]
-        if missing:
-            raise BadRequest(
-                f"batch {path}: there must be one column {' and one '.join(missing)}; it has "
-                f"{_list_names(column_names)}"
-            )
-        table = file.read(columns=[*POSITION_COLUMNS, *APPROACH_COLUMNS])
-    for column in table.schema:
-        if not types.is_floating(column.type) and not types.is_integer(column.type):
-            raise BadRequest(f"batch {path}: {column.name} holds {column.type}, not real numbers")
-    position, approach = (
-        np.array([table.column(name).to_numpy() for name in names], dtype=np.float64)
-        for names in (POSITION_COLUMNS, APPROACH_COLUMNS)
-    )
-    return position, approach
-
-
-def _list_names(names: list[str]) -> str:
-    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") if names else "nothing"
+def _check_columns(path: Path, there: Sequence[str], names: Sequence[Sequence[str]]) -> None:
+    """Check that all components are there, and no fourth one of an array."""
+    missing = [name for three in names for name in three if name not in there]
+    if missing or any(f"{array}[3]" in there for array in ARRAYS):
+        form = ", each of shape (n, 3)" if names == NAMES[".npz"] else ""
+        wanted = ARRAYS if form else (*POSITION_COLUMNS, *APPROACH_COLUMNS)
+        raise BadRequest(
+            f"batch {path}: it must hold {', '.join(wanted)}{form}; it has {', '.join(there[:20])}"
+        )
 
 
 NO_JOINT: Final = -1

@@ -12,14 +12,7 @@ from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, select_runner
 from marsarm.ik.request import ReachRequest
-from marsarm.ik.solve import (
-    IkModel,
-    Tally,
-    build_ik_model,
-    model_document,
-    tally_document,
-    tally_table,
-)
+from marsarm.ik.solve import IkModel, Tally, build_ik_model, model_document, tally_document, tally_table
 from marsarm.ik.targets import IkTargets
 from marsarm.render.rover_scene import draw_outlines, project_outlines
 from marsarm.render.svg import save_figure

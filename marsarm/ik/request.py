@@ -93,6 +93,5 @@ class ReachRequest:
     workers: BatchWorkersOption = 1
     cluster: ClusterOption = None
     picture: Annotated[
-        Path | None,
-        Option("Draw the map.", "FILE.png", suffixes=(".png",), help_without="Draw no picture."),
+        Path | None, Option("Draw the map.", "FILE.png", suffixes=(".png",), help_without="Draw no picture.")
     ] = Path("reach.png")

@@ -76,11 +76,7 @@ class IkModel:
 
 
 def build_ik_model(request: ModelRequest) -> IkModel:
-    """Build the arm model of a request.
-
-    Raises:
-        BadRequest: A field of the request is wrong.
-    """
+    """Build the arm model of a request; BadRequest if a field of the request is wrong."""
     world = make_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
     if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
         raise BadRequest(

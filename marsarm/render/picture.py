@@ -25,6 +25,8 @@ Image = NDArray[np.uint8]
 Renderer = Literal["opengl", "rays", "none"]
 
 FRAMES_PER_S: Final = 16
+FINER: Final = 2
+"""Factor of the pixels along a side of a picture that OpenGL draws: else the edges of shadows are saws."""
 APT: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
@@ -58,7 +60,7 @@ def save_picture(
         BadRequest: the path cannot be written, there is no such camera, or the size is not positive.
     """
     check_output(path, (".png",), "picture")
-    opened, result = _open_camera(model, camera, path, size)
+    opened, result = _open_camera(model, camera, path, size, FINER)
     if opened is None:
         return result
     try:
@@ -69,7 +71,8 @@ def save_picture(
 
     try:
         with _replace(path) as part:
-            PIL.Image.fromarray(image).save(part, "PNG")
+            drawn = PIL.Image.fromarray(image)
+            drawn.reduce(drawn.width // size[0]).save(part, "PNG")
     except OSError as error:
         return _not_saved("picture", path, error)
     return result
@@ -166,9 +169,12 @@ def check_movie_path(path: Path) -> None:
 
 
 def _open_camera(
-    model: mujoco.MjModel, camera: str, file: Path, size: tuple[int, int]
+    model: mujoco.MjModel, camera: str, file: Path, size: tuple[int, int], finer: int = 1
 ) -> tuple[Camera | None, PictureResult]:
-    """Open a camera of the model with the best renderer of this machine, and describe its picture."""
+    """Open a camera of the model with the best renderer of this machine, and describe its picture.
+
+    OpenGL draws `finer` times the pixels along each side; the ray camera has several rays at edges.
+    """
     camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
     if camera_id < 0:
         names = ", ".join(model.camera(number).name for number in range(model.ncam)) or "none"
@@ -179,6 +185,7 @@ def _open_camera(
         return None, PictureResult(None, "none", "no picture: Pillow is missing; pip install pillow")
     reason = gl.unavailable_reason()
     if reason is None:
-        return gl.GlCamera(model, camera_id, size), PictureResult(file, "opengl")
+        finer_size = (finer * size[0], finer * size[1])
+        return gl.GlCamera(model, camera_id, finer_size), PictureResult(file, "opengl")
     hint = f"drawn without OpenGL ({reason}); for the real picture: {APT}"
     return RayCamera(model, camera_id, size), PictureResult(file, "rays", hint)

@@ -157,13 +157,13 @@ class RayCamera:
     def take(self, data: mujoco.MjData) -> Image:
         """Draw the scene in its current state; shape (height, width, 3), 0 to 255.
 
-        Pixels on edges get four rays, the others one.
+        Pixels on edges of shapes and shadows get four rays, the others one.
         """
         width, height = self._size
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         centre = np.column_stack([columns.ravel(), rows.ravel()])
         rgb, face = self._shade(data, centre)
-        edge = _edge_pixels(face.reshape(height, width, 4)).ravel()
+        edge = _edge_pixels(face.reshape(height, width, -1)).ravel()
         finer = (centre[edge, None, :] + SUBPIXELS).reshape(-1, 2)
         rgb[edge] = self._shade(data, finer)[0].reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
         return (255.0 * np.clip(rgb, 0.0, 1.0) + 0.5).astype(np.uint8).reshape(height, width, 3)
@@ -172,8 +172,8 @@ class RayCamera:
         """Do nothing: the camera holds no resources."""
 
     def _shade(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
-        """Compute colours (n, 3) at image points (n, 2), and geom and normal of the faces there (n, 4)."""
-        rgb, face = np.empty((len(pixel), 3)), np.empty((len(pixel), 4))
+        """Compute colours (n, 3) at image points (n, 2), and geom, normal and sunlight there (n, 5)."""
+        rgb, face = np.empty((len(pixel), 3)), np.empty((len(pixel), 5))
         tile = (pixel // TILE_PIXELS) @ [1.0, 1e6]
         order = np.argsort(tile, kind="stable")
         for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1):
@@ -186,11 +186,13 @@ class RayCamera:
         geom, distance, normal = self._rays.cast(data, eye, direction)
         normal = np.where(np.sum(normal * direction, axis=1, keepdims=True) > 0.0, -normal, normal)
         hit = geom >= 0
-        shade = self._rays.brightness(data, eye + distance[hit, None] * direction[hit], normal[hit])
+        shade, is_sunny = self._rays.brightness(data, eye + distance[hit, None] * direction[hit], normal[hit])
         haze = np.exp(-distance[hit, None] / HAZE_M)
         rgb = np.tile(self._sky, (len(pixel), 1))
         rgb[hit] = haze * shade * self._rgb[geom[hit]] + (1.0 - haze) * self._sky
-        return rgb, np.column_stack([geom, normal])
+        sunny = np.zeros(len(pixel))
+        sunny[hit] = is_sunny
+        return rgb, np.column_stack([geom, normal, sunny])
 
     def _directions(self, data: mujoco.MjData, pixel: Floats) -> Floats:
         """Compute unit vectors (n, 3) in the world through image points, in pixels from the top left."""
@@ -238,10 +240,15 @@ class Rays:
             )
         return geom, distance, normal
 
-    def brightness(self, data: mujoco.MjData, point: Floats, normal: Floats) -> Floats:
+    def brightness(
+        self, data: mujoco.MjData, point: Floats, normal: Floats
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         """Compute the light on surface points: skylight from above, and the sun where nothing casts a shadow.
 
-        Points [m] and unit normals are in world axes, (n, 3); the factors on red, green and blue too.
+        Points [m] and unit normals are in world axes, (n, 3).
+
+        Returns:
+            Factors on red, green and blue, (n, 3), and whether the sun shines there, (n,).
         """
         sun = data.light_xdir[0] if self._model.nlight else np.array([0.0, 0.0, -1.0])
         sunlight = np.maximum(0.0, -(normal @ sun))
@@ -251,7 +258,7 @@ class Rays:
         _, distance, _ = self.cast(data, origin, _unit(ray))
         sunlight[facing] *= distance > np.linalg.norm(ray, axis=1) - SHADOW_BIAS_M
         skylight = AMBIENT + 0.08 * normal[:, 2]
-        return np.asarray(skylight[:, None] + SUN * sunlight[:, None] * self._tint)
+        return np.asarray(skylight[:, None] + SUN * sunlight[:, None] * self._tint), sunlight > 0.0
 
     def _geoms_in_cone(self, data: mujoco.MjData, origin: Floats, direction: Floats) -> NDArray[np.bool_]:
         """Find geoms (ngeom,) whose bounding sphere intersects the cone around the rays."""
@@ -274,7 +281,7 @@ def _unit(vector: Floats) -> Floats:
 
 
 def _edge_pixels(face: Floats) -> NDArray[np.bool_]:
-    """Find pixels (height, width) that show another geom or face than a neighbour."""
+    """Find pixels (height, width) that show another geom, face or edge of a shadow than a neighbour."""
     edge = np.zeros(face.shape[:2], dtype=bool)
     across = np.abs(np.diff(face, axis=1)).max(axis=2) > 0.5
     along = np.abs(np.diff(face, axis=0)).max(axis=2) > 0.5

@@ -15,10 +15,15 @@ CENTRE_M: Final = np.array([0.5, 0.0, 0.0])
 """Centre of the slope, in world axes from the rover's origin; rover and workspace are around it."""
 RADIUS_M: Final = 2.3
 """Radius of the slope, larger than the distance to the rear wheels and the reach of the arm."""
+FOOT_M: Final = 4 * RADIUS_M
+"""Radius of the hill that has the slope on top: on its highest side it is at most as steep as the slope."""
+SECTORS: Final = 96
+GRAIN_1_M: Final = 0.125
+"""Copies of the texture in a metre, as on the plain."""
 
 
 def tilt_rover(spec: mujoco.MjSpec) -> None:
-    """Rotate rover, arm and rock until gravity points down, on a slope whose lower edge lies in the plain.
+    """Rotate rover, arm and rock until gravity points down, on a hill that runs out into the plain.
 
     Plain, scenery, sky, light, cameras and horizon stay level. A level rover is not changed.
     """
@@ -39,20 +44,62 @@ def tilt_rover(spec: mujoco.MjSpec) -> None:
     for element in (*spec.worldbody.bodies, *spec.worldbody.geoms):
         if element not in (ground, scenery):
             element.set_frame(frame)
-    drop_m = RADIUS_M * float(np.linalg.norm(gravity[:2])) / g_m_s2
+    hill = _Hill(centre, gravity)
     for element in (ground, scenery):
         if element is not None:
-            element.pos[2] -= drop_m
+            element.pos[2] -= hill.drop_m
+    for rock in () if scenery is None else scenery.geoms:
+        if rock.type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            rock.pos[2] += float(hill.height_m(rock.pos[:2]))
+    vertices, faces = hill.surface()
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.add_mesh(
+        name="slope",
+        uservert=vertices.ravel(),
+        userface=faces.ravel(),
+        usertexcoord=(GRAIN_1_M * vertices[:, :2]).ravel(),
+        inertia=shell,
+    )
     spec.worldbody.add_geom(
         name="slope",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=centre - (0.0, 0.0, 2.0 * drop_m),
-        size=(RADIUS_M, 2.0 * drop_m, 0.0),
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="slope",
+        pos=(*centre[:2], centre[2] - hill.drop_m),
         contype=0,
         conaffinity=0,
         group=2,
         material=ground.material,
-    ).set_frame(frame)
+    )
+
+
+class _Hill:
+    """Hill: a slope around a centre, whose lowest point is on the plain, and sides that run out into it."""
+
+    def __init__(self, centre_m: Array, gravity: Array) -> None:
+        """Take the centre of the slope, shape (3,), and gravity in world axes turned with the rover."""
+        self._centre_m = centre_m
+        self._rise = gravity[:2] / gravity[2]
+        self.drop_m = RADIUS_M * float(np.linalg.norm(self._rise))
+
+    def height_m(self, p_m: Array) -> Array:
+        """Return the height over the plain of points in world axes, shape (..., 2)."""
+        away = p_m - self._centre_m[:2]
+        r = np.linalg.norm(away, axis=-1)
+        inside = away * np.minimum(1.0, RADIUS_M / np.maximum(r, 1e-9))[..., None]
+        share = np.clip((FOOT_M - r) / (FOOT_M - RADIUS_M), 0.0, 1.0)
+        return np.asarray((self.drop_m + inside @ self._rise) * share**2 * (3.0 - 2.0 * share))
+
+    def surface(self) -> tuple[Array, Array]:
+        """Return vertices from the centre's foot on the plain, shape (n, 3), and faces, shape (m, 3)."""
+        radius = np.append(0.0, np.linspace(RADIUS_M, FOOT_M, 16))
+        turn = np.arange(SECTORS) * 2 * np.pi / SECTORS
+        flat = radius[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        vertices = np.dstack([flat, self.height_m(self._centre_m[:2] + flat)]).reshape(-1, 3)
+        index = np.arange(len(vertices)).reshape(-1, SECTORS)
+        a, b = index[:-1], index[1:]
+        c, d = (np.roll(rows, -1, axis=1) for rows in (b, a))
+        faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)[1:]])
+        return vertices, faces.reshape(-1, 3)
 
 
 def _rotate(quat: Array, v: Array) -> Array:

@@ -1,11 +1,12 @@
 """Comparison of two runs: events that are missing, added or changed, and channels that differ."""
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
 from math import isfinite, isnan
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -56,62 +57,49 @@ def evr_differences(
     ticks, first by equal message, then by equal name.
     """
     found: list[EvrDifference] = []
-    unpaired: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
-    ours, theirs = _group_by(recorded, "tick"), _group_by(replayed, "tick")
-    for tick in sorted({*ours, *theirs}):
-        found += _compare_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, unpaired)
-    for key in ("message", "name"):
+    unpaired = list(recorded), list(replayed)
+    for key in (attrgetter("tick", "name"), attrgetter("message"), attrgetter("name")):
         pairs, unpaired = _pair_evrs(*unpaired, key)
-        found += [EvrDifference(EvrChange.CHANGED, one, other) for one, other in pairs]
+        found += [
+            EvrDifference(EvrChange.CHANGED, one, other)
+            for one, other in pairs
+            if one.tick != other.tick or not _evrs_equal(one, other, tolerance)
+        ]
     found += [EvrDifference(EvrChange.MISSING, one, None) for one in unpaired[0]]
     found += [EvrDifference(EvrChange.ADDED, None, other) for other in unpaired[1]]
+    found += _order_differences(recorded, replayed)
     return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
 
 
 def _pair_evrs(
-    recorded: list[EvrEntry], replayed: list[EvrEntry], key: str
+    recorded: list[EvrEntry], replayed: list[EvrEntry], key: Callable[[EvrEntry], Any]
 ) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
-    """Pair events of equal message or name in order; return the pairs and the events without a partner."""
+    """Pair events of equal key in order; return the pairs and the events without a partner."""
     pairs, rest = [], []
     free = _group_by(replayed, key)
     for one in recorded:
-        partners = free.get(getattr(one, key))
-        if partners:
-            pairs.append((one, partners.pop(0)))
+        if free[key(one)]:
+            pairs.append((one, free[key(one)].pop(0)))
         else:
             rest.append(one)
     taken = {id(other) for _, other in pairs}
     return pairs, (rest, [other for other in replayed if id(other) not in taken])
 
 
-def _compare_tick(
-    recorded: list[EvrEntry],
-    replayed: list[EvrEntry],
-    tolerance: float,
-    unpaired: tuple[list[EvrEntry], list[EvrEntry]],
-) -> list[EvrDifference]:
-    """Compare the events of one tick by name; `unpaired` receives those without a partner."""
-    found = []
-    recorded_by_name, replayed_by_name = _group_by(recorded, "name"), _group_by(replayed, "name")
-    for name in dict.fromkeys((*recorded_by_name, *replayed_by_name)):
-        for one, other in zip_longest(recorded_by_name.get(name, []), replayed_by_name.get(name, [])):
-            if one is None:
-                unpaired[1].append(other)
-            elif other is None:
-                unpaired[0].append(one)
-            elif not _evrs_equal(one, other, tolerance):
-                found.append(EvrDifference(EvrChange.CHANGED, one, other))
-    names = [[evr.name for evr in side] for side in (recorded, replayed)]
-    if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
-        one, other = next((a, b) for a, b in zip(recorded, replayed, strict=True) if a.name != b.name)
-        found.append(EvrDifference(EvrChange.CHANGED, one, other))
-    return found
+def _order_differences(recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry]) -> Iterator[EvrDifference]:
+    """Yield the first event of each tick that has the same events in another order."""
+    theirs = _group_by(replayed, attrgetter("tick"))
+    for tick, ours in _group_by(recorded, attrgetter("tick")).items():
+        names = [[evr.name for evr in side] for side in (ours, theirs[tick])]
+        if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
+            pair = next(pair for pair in zip(ours, theirs[tick], strict=True) if pair[0].name != pair[1].name)
+            yield EvrDifference(EvrChange.CHANGED, *pair)
 
 
-def _group_by(evrs: Sequence[EvrEntry], key: str) -> dict[Any, list[EvrEntry]]:
+def _group_by(evrs: Sequence[EvrEntry], key: Callable[[EvrEntry], Any]) -> dict[Any, list[EvrEntry]]:
     groups: dict[Any, list[EvrEntry]] = defaultdict(list)
     for evr in evrs:
-        groups[getattr(evr, key)].append(evr)
+        groups[key(evr)].append(evr)
     return groups
 
 
@@ -149,45 +137,17 @@ def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDAr
         Differences, same shape and unit: 0 only if the numbers are the same, infinite if only one of them is
         NaN, at least MIN_DIFFERENCE if they differ, as 0.0 and -0.0 do.
     """
+    x, y, least = a.astype(np.float64), b.astype(np.float64), MIN_DIFFERENCE
     with np.errstate(invalid="ignore", over="ignore"):
-        distance = _distance(a, b)
-    if {a.dtype.kind, b.dtype.kind} == {"f"}:
-        same = _floats_equal(a, b, distance, tolerance)
+        distance = np.abs(x - y)
+    if {a.dtype.kind, b.dtype.kind} != {"f"}:
+        same, least = a == b, 1.0  # large integers are not exact as floats
+    elif tolerance == 0.0:
+        same = (x.view(np.int64) == y.view(np.int64)) | (np.isnan(x) & np.isnan(y))
     else:
-        same = _exactly_equal(a, b)
-    return np.where(same, 0.0, np.where(np.isnan(distance), np.inf, np.maximum(distance, MIN_DIFFERENCE)))
-
-
-def _distance(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    """Compute absolute differences; integers stay integers, since large ones are not exact as floats."""
-    if not (_is_integer(a) and _is_integer(b)):
-        return np.abs(a.astype(np.float64) - b.astype(np.float64))
-    # Negative numbers wrap around, and their difference wraps back.
-    c, d = a.astype(np.uint64), b.astype(np.uint64)
-    return np.where(a > b, c - d, d - c).astype(np.float64)
-
-
-def _floats_equal(
-    a: NDArray[Any], b: NDArray[Any], distance: NDArray[np.float64], tolerance: float
-) -> NDArray[np.bool_]:
-    a, b = a.astype(np.float64), b.astype(np.float64)
-    both_nan = np.isnan(a) & np.isnan(b)
-    if tolerance == 0.0:
-        same: NDArray[np.bool_] = a.view(np.int64) == b.view(np.int64)
-    else:
-        same = (a == b) | (np.isfinite(distance) & (distance <= tolerance * np.maximum(1.0, np.abs(a))))
-    return np.asarray(same | both_nan)
-
-
-def _exactly_equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Compare numbers of two kinds; Python compares an int with a float without rounding."""
-    if _is_integer(a) and _is_integer(b):
-        return np.asarray(a == b)
-    return np.asarray(a.astype(object) == b.astype(object), np.bool_)
-
-
-def _is_integer(numbers: NDArray[Any]) -> bool:
-    return numbers.dtype.kind in "biu"
+        near = np.isfinite(distance) & (distance <= tolerance * np.maximum(1.0, np.abs(x)))
+        same = (a == b) | near | (np.isnan(x) & np.isnan(y))
+    return np.where(same, 0.0, np.where(np.isnan(distance), np.inf, np.maximum(distance, least)))
 
 
 BEFORE, AFTER = 8, 24

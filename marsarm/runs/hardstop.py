@@ -37,7 +37,7 @@ from sim.initialisation import (
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome
-from sim.world import WARM_C, World
+from sim.setting import WARM_C, World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
@@ -65,7 +65,7 @@ NAMES: Final = {
     HomingStage.RELEASE: "release: slowly away",
 }
 COLDEST_C, WARMEST_C = -130.0, 50.0
-EXPECTED_S: Final = 1500.0
+EXPECTED_S: Final = 1030.0
 """Approximate duration of the initialisation of all joints, for the progress bar."""
 
 

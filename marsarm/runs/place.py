@@ -12,13 +12,7 @@ from fsw.dictionary.types import match_name, vector3
 from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
 from marsarm.render.picture import check_movie_path
-from marsarm.runs.execution import (
-    Execution,
-    execute,
-    execution_not_begun,
-    initialise,
-    open_view,
-)
+from marsarm.runs.execution import Execution, execute, execution_not_begun, initialise, open_view
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
@@ -26,7 +20,8 @@ from sim.effects.effect import Effect
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun, preview_placement, unstow_duration_s
 from sim.sequence import Outcome
-from sim.world import Surface, World, inside_rover
+from sim.setting import Surface, World
+from sim.world import inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve
 from simgap.common.options import check_options

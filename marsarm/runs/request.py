@@ -87,8 +87,7 @@ class PlaceRequest:
     mismatch: MismatchOption = False
     effects: EffectsOption = ()
     has_surface: Annotated[
-        bool,
-        Option("Place a rock with this surface in the world, or none.", name="--surface/--no-surface"),
+        bool, Option("Place a rock with this surface in the world, or none.", name="--surface/--no-surface")
     ] = True
     files: RunFiles = RunFiles(picture=Path("place.png"))
 
@@ -103,10 +102,7 @@ class RunRequest:
             "A name from `marsarm run --list`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
         ),
     ] = ""
-    arm: Annotated[
-        str | None,
-        Option(f"{ARM_HELP} That of the scenario if not given.", "ARM"),
-    ] = None
+    arm: Annotated[str | None, Option(f"{ARM_HELP} That of the scenario if not given.", "ARM")] = None
     tilt_deg: Annotated[
         tuple[float, float] | None,
         Option(

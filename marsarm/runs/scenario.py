@@ -89,13 +89,7 @@ def _carry_out(
         scenario_run,
         loop,
         run_header(
-            loop,
-            arm.name,
-            request.seed,
-            asdict(request),
-            scenario.commands,
-            scenario.effects,
-            scenario.world,
+            loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects, scenario.world
         ),
         request.files,
         scenario.world,

@@ -24,7 +24,7 @@ from marsarm.telemetry.format import WRITER_KEY
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
-from sim.world import World
+from sim.setting import World
 from simgap.common.origin import git_revision
 
 

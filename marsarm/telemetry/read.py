@@ -225,10 +225,7 @@ def _build_log(path: Path, found: McapContent, header: dict[str, str], selection
 
 
 def _take_messages(
-    chunks: Sequence[tuple[int, Chunk]],
-    specs: Sequence[TopicSpec],
-    selection: LogSelection,
-    from_start: bool,
+    chunks: Sequence[tuple[int, Chunk]], specs: Sequence[TopicSpec], selection: LogSelection, from_start: bool
 ) -> tuple[dict[str, NDArray[np.void]], dict[str, NDArray[np.uint64]], dict[str, list[bytes]]]:
     """Return packets, times, and messages without a layout, by topic."""
     heads: dict[str, list[NDArray[np.void]]] = {one.topic: [] for one in specs}

@@ -13,29 +13,18 @@ from weakref import finalize
 
 from fsw.config import Config
 from fsw.dictionary.commands import Command
+from fsw.dictionary.params import Params
 from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
-from marsarm.telemetry.format import (
-    CHUNK_CYCLES,
-    COMMAND_TOPIC,
-    EVR_TOPIC,
-    TICK_NS,
-    end_metadata,
-)
+from marsarm.telemetry.format import CHUNK_CYCLES, COMMAND_TOPIC, EVR_TOPIC, TICK_NS, end_metadata
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.log_writer import ChunkWriter, Packer
 from marsarm.telemetry.robot_description import DrawnScene
 from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
-from marsarm.telemetry.topics import (
-    PACKET_TOPICS,
-    ROSOUT_TOPIC,
-    TopicSpec,
-    begin_log,
-    topic_specs,
-)
+from marsarm.telemetry.topics import PACKET_TOPICS, ROSOUT_TOPIC, TopicSpec, begin_log, topic_specs
 from sim.arms import UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
@@ -94,6 +83,7 @@ class Recorder:
         config: Config | None = None,
         chunk_cycles: int = CHUNK_CYCLES,
         scene: DrawnScene | None = None,
+        params: Params | None = None,
     ) -> None:
         """Replace the file at `path` by a log with header and channels.
 
@@ -102,12 +92,15 @@ class Recorder:
             config: Configuration of the arm, to record messages for other tools too; None for none.
             chunk_cycles: Cycles in a chunk; a killed run loses less than a chunk.
             scene: Visible shapes of the run, which viewers draw; None for none. It needs `config`.
+            params: Flight parameters, whose tools and switches messages have; None for those of `config`, or
+                of the default arm.
 
         Raises:
             LogNotWritable: no log can be written at this path; a previous file is unchanged.
         """
         self.path = Path(path)
-        channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
+        known = params or (nominal_params() if config is None else config.params)
+        channels = topic_specs(arm_names(known))
         self._ids = {one.topic: one.id for one in channels}
         self._packers = [
             (one.id, attrgetter(path := PACKET_TOPICS[one.topic].path), Packer(path, one.layout))

@@ -32,13 +32,7 @@ from marsarm.telemetry.format import (
     without_crc,
 )
 from marsarm.telemetry.log_writer import MESSAGE_HEADER, RECORD_HEAD
-from marsarm.telemetry.mcap_columns import (
-    CHUNK_MARK,
-    MARK_PLACE,
-    PARSE_ERRORS,
-    message_starts,
-    unpack_chunk,
-)
+from marsarm.telemetry.mcap_columns import CHUNK_MARK, MARK_PLACE, PARSE_ERRORS, message_starts, unpack_chunk
 from marsarm.telemetry.read import MAX_UNPACKED_BYTES, parse_log, read_log_bytes
 from marsarm.telemetry.topics import TopicSpec, begin_log, decode_topics, spec_of_channel
 from simgap.common.files import atomic_write, check_distinct_files, check_output

@@ -19,7 +19,8 @@ from marsarm.render.rays import VISIBLE_GROUPS, geom_rgb
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mjcf import HULL
 from sim.frames import FLIP, P_NR_M
-from sim.world import TURRET, World, build
+from sim.setting import World
+from sim.world import TURRET, build
 
 DIGITS: Final = 9
 """Decimal places of metres and radians."""
@@ -82,9 +83,7 @@ class TurningFrame(NamedTuple):
 
 
 def robot_description(
-    fixed: Sequence[FixedFrame],
-    turning: Sequence[TurningFrame],
-    visuals: Mapping[str, Sequence[Visual]],
+    fixed: Sequence[FixedFrame], turning: Sequence[TurningFrame], visuals: Mapping[str, Sequence[Visual]]
 ) -> str:
     """Return the URDF of the frames of a log, which together are a tree, and of the shapes in them."""
     robot = Element("robot", name=ROBOT_NAME)
@@ -205,10 +204,13 @@ def _pose(p_m: Array, R: Array) -> Pose:
 
 
 def visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
-    """Yield the shapes that draw a geom; other shapes than these are drawn as the box around them."""
+    """Yield the shapes that draw a geom; other shapes than these are drawn as the box around them.
+
+    A mesh is drawn as a box inside: that of a boulder leaves the face free that the arm touches.
+    """
     a, b, c = model.geom_size[geom].tolist()
     rgba = tuple(round(x, 3) for x in (*geom_rgb(model, geom).tolist(), _opacity(model, geom)))
-    match mujoco.mjtGeom(model.geom_type[geom]):
+    match kind := mujoco.mjtGeom(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_PLANE:
             below = Pose(np.eye(3), np.array([0.0, 0.0, -0.5 * GROUND_DEPTH_M]))
             side = 2 * GROUND_HALF_M
@@ -225,7 +227,9 @@ def visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
             yield Visual("box", (2 * a, 2 * b, 2 * c), X, rgba)
         case _:
             centre, half = model.geom_aabb[geom].reshape(2, 3)
-            yield Visual("box", tuple((2 * half).tolist()), X @ Pose(IDENTITY.R, centre.copy()), rgba)
+            inside = 1 / np.sqrt(3.0) if kind == mujoco.mjtGeom.mjGEOM_MESH else 1.0
+            size_m = tuple((2 * inside * half).tolist())
+            yield Visual("box", size_m, X @ Pose(IDENTITY.R, centre.copy()), rgba)
 
 
 def _opacity(model: mujoco.MjModel, geom: int) -> float:

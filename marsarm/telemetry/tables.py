@@ -18,7 +18,7 @@ from simgap.common.report import ReportTable
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""
-JSON_KEYS: Final = ("boot", "cpu", "effects", "request")
+JSON_KEYS: Final = ("boot", "cpu", "effects", "request", "session", "world")
 """Keys of the header whose values are JSON."""
 
 

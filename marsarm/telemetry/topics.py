@@ -24,13 +24,7 @@ from marsarm.telemetry.format import (
     header_records,
 )
 from marsarm.telemetry.log_writer import ChunkWriter
-from marsarm.telemetry.schema import (
-    ArmNames,
-    Layout,
-    packet_layout,
-    ros_definition,
-    strip_optional,
-)
+from marsarm.telemetry.schema import ArmNames, Layout, packet_layout, ros_definition, strip_optional
 from sim.record import CycleRecord
 
 SEPARATOR: Final = "=" * 80 + "\nMSG: "

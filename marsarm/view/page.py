@@ -23,6 +23,7 @@ from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress
 
+SCRIPTS: Final = ("scene.js", "painter.js", "plots.js", "player.js")
 LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
 """Point at which the camera looks, as shares of the box around the trail: the surface is at its bottom."""
 
@@ -41,12 +42,12 @@ def make_page(run: WatchedRun) -> bytes:
     packed, about = _pack(_arrays(run, plots))
     read = {
         name: files("marsarm.view").joinpath("page", name).read_text(encoding="utf-8")
-        for name in ("page.html", "style.css", "scene.js", "player.js")
+        for name in ("page.html", "style.css", *SCRIPTS)
     }
     text = Template(read["page.html"]).substitute(
         title=html.escape(run.title),
         style=read["style.css"],
-        player=read["scene.js"] + read["player.js"],
+        player="".join(read[name] for name in SCRIPTS),
         run=json.dumps({**_document(run, plots), "arrays": about}, allow_nan=False).replace("<", "\\u003c"),
         data=base64.b64encode(packed).decode(),
     )
@@ -74,6 +75,7 @@ def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
             {
                 "carrier": part.carrier,
                 "rgb": part.rgb,
+                "is_ground": part.is_ground,
                 "vertices": (int(start[0]), len(part.triangles.vertices_m)),
                 "faces": (int(start[1]), len(part.triangles.faces)),
             }

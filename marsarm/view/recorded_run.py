@@ -9,7 +9,7 @@ from marsarm.view.watched_run import WatchedRun, build_surroundings, list_facts
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.record import CycleRecord
-from sim.world import World
+from sim.setting import World
 
 
 class RecordedRun:

@@ -19,15 +19,16 @@ from marsarm.render.rays import VISIBLE_GROUPS, Triangles, geom_rgb, join_triang
 from marsarm.render.rover_scene import tilt_rover
 from sim.arm_model.load import ArmModel
 from sim.plant import rotation_matrices
-from sim.world import TURRET, World, build
+from sim.setting import World
+from sim.world import TURRET, build
 
 SPEEDS: Final = (1, 2, 5, 10, 20, 50)
 FIRST_SPEED: Final = 10
 GHOST_RGB: Final = (40, 115, 240)
 FORCE_RGB: Final = (230, 30, 25)
 TRAIL_RGB: Final = (255, 217, 25)
-CURVE_COLOURS: Final = ("#1f77b4", "#d95f02", "#2b8a3e", "#8e44ad", "#7a5c3e")
-DARK_CURVE_COLOURS: Final = ("#6db3f2", "#ff9f5a", "#6fce82", "#c58be0", "#c9a581")
+CURVE_COLOURS: Final = ("#1d4fa0", "#cf5a00", "#0b9a74", "#c2559d", "#111111")
+DARK_CURVE_COLOURS: Final = ("#4a8fff", "#ff9d2e", "#2fc99a", "#f7a6d8", "#ffffff")
 """Colours of the curves on a dark page."""
 ARROW_M_PER_N: Final = 0.006
 SHORTEST_ARROW_M, LONGEST_ARROW_M = 0.1, 0.8
@@ -75,6 +76,7 @@ class Part:
 
     carrier: int
     """Index of the carrier, or STATIC for a part in world axes."""
+    is_ground: bool
     rgb: tuple[float, float, float]
     triangles: Triangles
 
@@ -171,7 +173,8 @@ def _body_pose(data: mujoco.MjData, body: int) -> Pose:
 
 def _parts(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]) -> list[Part]:
     """Collect the visible triangles by carrier and colour."""
-    found: dict[tuple[int, tuple[float, ...]], list[Triangles]] = defaultdict(list)
+    found: dict[tuple[int, bool, tuple[float, ...]], list[Triangles]] = defaultdict(list)
+    sand = model.geom("ground").matid[0]
     for geom in range(model.ngeom):
         triangles = triangulate(model, geom) if model.geom_group[geom] < VISIBLE_GROUPS else None
         if triangles is None:
@@ -184,5 +187,9 @@ def _parts(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]) -> lis
             X_WB = _body_pose(data, weld)
             vertices_m = (vertices_m - X_WB.p) @ X_WB.R
         rgb = tuple(round(float(value), 3) for value in geom_rgb(model, geom))
-        found[carrier, rgb].append(Triangles(vertices_m.astype(np.float32), triangles.faces))
-    return [Part(carrier, (r, g, b), join_triangles(parts)) for (carrier, (r, g, b)), parts in found.items()]
+        is_ground = bool(model.geom_matid[geom] == sand)
+        found[carrier, is_ground, rgb].append(Triangles(vertices_m.astype(np.float32), triangles.faces))
+    return [
+        Part(carrier, is_ground, (r, g, b), join_triangles(parts))
+        for (carrier, is_ground, (r, g, b)), parts in found.items()
+    ]

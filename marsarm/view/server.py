@@ -38,7 +38,7 @@ from marsarm.view.watched_run import Plot, WatchedRun, make_plots
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.record import CycleRecord
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
 
 HOST: Final = "127.0.0.1"

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,8 +24,11 @@ from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect, params_with_effects
 from sim.effects.structure import StandInTurret
 from sim.scenario.effects import BadEffect, parse_effect_text
-from sim.world import World
+from sim.setting import World
 from simgap.common.errors import BadRequest
+
+MOST_COMMANDS: Final = 3
+"""Largest number of commands in a title, which then fits a line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +136,19 @@ def watch_log(path: Path) -> WatchedRun:
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
-    return WatchedRun(path.name, list_facts(log.header), tuple(notes), surroundings.scene, frames, events)
+    facts = (("log", path.name), *list_facts(log.header))
+    title = _title(log.header) or path.name
+    return WatchedRun(title, facts, tuple(notes), surroundings.scene, frames, events)
+
+
+def _title(header: Mapping[str, str]) -> str:
+    """Return the first commands of a run in words; nothing for a log without commands."""
+    commands = [
+        " ".join(filter(None, (one["type"], one["fields"].get("tool"))))
+        for one in _parse(header.get("commands", "[]"))
+    ]
+    more = [f"{len(commands) - MOST_COMMANDS} more"] if len(commands) > MOST_COMMANDS else []
+    return ", ".join(commands[:MOST_COMMANDS] + more)
 
 
 def list_facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:

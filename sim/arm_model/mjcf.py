@@ -10,7 +10,6 @@ from typing import Final
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import mujoco
 import numpy as np
 
 from fsw.dictionary.params import Transform6
@@ -257,10 +256,20 @@ def _quaternion(X: Transform6) -> Array:
         if abs(angle) == 0.5 * np.pi:  # sine and cosine of 45 degrees differ by rounding
             s = np.copysign(c, angle)
         turn[:] = c, *(s * np.array(axis, float))
-        product = np.zeros(4)
-        mujoco.mju_mulQuat(product, quat, turn)
-        quat = product
+        quat = _multiply(quat, turn)
     return quat
+
+
+def _multiply(p: Array, q: Array) -> Array:
+    """Return the product of two quaternions w, x, y, z, shape (4,), rounded as by MuJoCo."""
+    return np.array(
+        [
+            p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+            p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+            p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+            p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+        ]
+    )
 
 
 def _add_mass(body: Element, lump: Lump, centre: Vector3) -> None:

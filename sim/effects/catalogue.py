@@ -124,13 +124,16 @@ def parameters_of(kind: type[Effect]) -> tuple[ParameterField, ...]:
     return tuple(found)
 
 
-def all_places(kind: type[Effect]) -> Iterator[dict[str, Any]]:
+def all_places(kind: type[Effect], tools: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
     """List every place that an effect accepts.
+
+    Args:
+        tools: Tools of the arm; None for those of the default arm.
 
     Yields:
         Field values by field name.
     """
-    place_fields = place_fields_of(kind)
+    place_fields = place_fields_of(kind, tools)
     choices = [[*([None] if field.optional else []), *field.members.values()] for field in place_fields]
     values = {p.field: _neutral_value(p) for p in parameters_of(kind)}
     for chosen in product(*choices):
@@ -238,7 +241,9 @@ def scaled_value(parameter: ParameterField, times: float) -> float:
     return spec.neutral + times * spec.typical
 
 
-def hypotheses(kinds: Mapping[str, type[Effect]] | None = None) -> Iterator[EffectHypothesis]:
+def hypotheses(
+    kinds: Mapping[str, type[Effect]] | None = None, tools: Sequence[str] | None = None
+) -> Iterator[EffectHypothesis]:
     """List the hypotheses of these effects, or of the catalogue, at every place.
 
     Each parameter has a neutral or a default value, and at least one of them a neutral value.
@@ -247,4 +252,4 @@ def hypotheses(kinds: Mapping[str, type[Effect]] | None = None) -> Iterator[Effe
         parameters = parameters_of(kind)
         is_open = all(p.is_amplitude or p.default is not None for p in parameters)
         if is_open and any(p.is_amplitude for p in parameters):
-            yield from (EffectHypothesis(kind, tuple(place.items())) for place in all_places(kind))
+            yield from (EffectHypothesis(kind, tuple(place.items())) for place in all_places(kind, tools))

@@ -15,7 +15,7 @@ from fsw.messages import Sensors
 from sim.arm_model.description import ArmDescription
 from sim.arm_model.load import default_arm
 from sim.record import NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
-from sim.world import WARM_C, grow
+from sim.setting import WARM_C
 
 if TYPE_CHECKING:  # an arm is described without a simulation of it
     import mujoco
@@ -295,6 +295,8 @@ def apply_effects(effects: Iterable[Effect], spec: "mujoco.MjSpec", hardware: Ha
     for effect in effects:
         effect.on_model(spec)
         hardware = effect.on_hardware(hardware)
+    from sim.world import grow  # loads MuJoCo, which takes 0.1 s, and an arm is described without it
+
     grow(spec, hardware.structure_C)
     return hardware
 
@@ -340,11 +342,7 @@ def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator)
 
 
 def refuse_first_joint(joint: Joint) -> None:
-    """Refuse the joint that has no other between itself and the rover.
-
-    Raises:
-        ValueError: it is the azimuth.
-    """
+    """Refuse the joint that has no other between itself and the rover; ValueError if it is the azimuth."""
     if joint is Joint.AZIMUTH:
         raise ValueError("joint: azimuth has no joint between itself and the rover")
 

@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.arm_model.description import VISCOUS_COLD
 from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
-from sim.world import WARM_C
+from sim.setting import WARM_C
 
 COLD_C = -55.0
 COULOMB_COLD = 2.5

@@ -23,7 +23,7 @@ from sim.effects.effect import (
 from sim.effects.environment import COLD_C
 from sim.plant import Plant
 from sim.record import Disturbance, at_joint
-from sim.world import WARM_C
+from sim.setting import WARM_C
 
 WaveAmplitude = Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
 WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]

@@ -13,7 +13,7 @@ from fsw.dictionary.types import Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect, check_effects
 from sim.effects.faults import InjectedFault
-from sim.world import WARM_C, World
+from sim.setting import WARM_C, World
 
 CommandNumber = Annotated[int, Limits(1, 1000)]
 """Number of a command in its scenario."""

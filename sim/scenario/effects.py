@@ -1,14 +1,10 @@
 """Effects as text on the command line and in scenarios: NAME:PLACE:PARAMETER=VALUE,..."""
 
-import hashlib
 import re
 import sys
-import traceback
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final, get_type_hints
 
 from fsw.dictionary.types import match_name
@@ -35,6 +31,7 @@ from sim.scenario.records import (
     shorten,
 )
 from simgap.common.errors import RobotError
+from simgap.common.modules import load_module
 from simgap.common.toml import KeyPath, parse_toml, read_toml, toml_text
 
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
@@ -43,16 +40,8 @@ COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
 """Comma outside of brackets."""
 
 
-MODULE_PREFIX: Final = "outside_"
-"""Start of the names of modules that are made of the files of users."""
-
-
 class BadEffect(ValueError):
     """Effect that cannot be made; the message names it and says what would be right."""
-
-
-class NotAnEffect(ValueError):
-    """File or class that is no effect; the message says what would be right."""
 
 
 def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
@@ -112,10 +101,7 @@ def find_effect_class(name: str) -> type[Effect]:
             )
         return catalogue()[name]
     path, wanted = (name, "") if file is None else (file["file"], file["rest"])
-    try:
-        return load_effect_class(path, wanted)
-    except NotAnEffect as error:
-        raise BadEffect(str(error)) from error
+    return load_effect_class(path, wanted)
 
 
 def effect_from_fields(
@@ -197,37 +183,35 @@ def _place_name(kind: type[Effect], field: str, value: Any) -> str:
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
-    """Run a Python file and return its effects.
-
-    Raises:
-        NotAnEffect: the file cannot be run.
-    """
-    return tuple(effect_classes_in(_load_module(Path(path))))
+    """Run a Python file and return its effects; BadEffect if the file cannot be run."""
+    try:
+        return tuple(effect_classes_in(load_module(Path(path))))
+    except RobotError as error:
+        raise BadEffect(f"effect {error}") from error
 
 
 def load_effect_class(path: str, name: str) -> type[Effect]:
     """Run a Python file and return its class of this name.
 
     Raises:
-        NotAnEffect: there is no such file or class, the file cannot be run, or the class is no effect.
+        BadEffect: there is no such file or class, the file cannot be run, or the class is no effect.
     """
-    module = _load_module(Path(path))
-    known = [kind.__name__ for kind in effect_classes_in(module)]
-    kind = vars(module).get(name)
+    known = [kind.__name__ for kind in effect_classes_in_file(path)]
+    kind = vars(load_module(Path(path))).get(name)
     if not name:
-        raise NotAnEffect(
+        raise BadEffect(
             f"effect {path}: names no class; write {path}:CLASS:PLACE:PARAMETER=VALUE,...; "
             f"{list_choices(known)}"
         )
     if kind is None:
-        raise NotAnEffect(f"effect {path}:{name}: there is no such class; {did_you_mean(name, known)}")
+        raise BadEffect(f"effect {path}:{name}: there is no such class; {did_you_mean(name, known)}")
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        raise NotAnEffect(
+        raise BadEffect(
             f"effect {path}:{name}: is no effect; derive it from Effect, EachCycle, EachMove or Timed of "
             f"sim.effects.effect; {list_choices(known)}"
         )
     if "__dataclass_fields__" not in vars(kind):
-        raise NotAnEffect(
+        raise BadEffect(
             f"effect {path}:{name}: is no dataclass; write @dataclass(frozen=True, slots=True) above it"
         )
     return kind
@@ -237,47 +221,6 @@ def parameter_key(kind: type[Effect], field: str) -> str:
     """Return the name of a parameter with its SI unit."""
     hint = get_type_hints(kind)[field]
     return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
-
-
-def user_files() -> set[str]:
-    """Return the files of users that were run as modules."""
-    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
-
-
-def _load_module(path: Path) -> ModuleType:
-    """Run a file as a module, once for each of its contents."""
-    if path.exists() and not path.is_file():  # reading a pipe blocks
-        raise NotAnEffect(f"effect {path}: is not a regular file; give the path of a Python file")
-    try:
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise NotAnEffect(f"effect {path}: cannot be read ({why}); give the path of a Python file") from error
-    name = f"{MODULE_PREFIX}{hashlib.sha256(bytes(path.resolve()) + content).hexdigest()}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = spec_from_file_location(name, path)
-    if spec is None:
-        raise NotAnEffect(f"effect {path}: is no Python file; its name ends in .py")
-    module = module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look up the module of their class
-    try:
-        # Not by its loader, which takes compiled code for up to a second after a change of the file.
-        exec(compile(content, str(module.__file__), "exec"), module.__dict__)
-    except (Exception, SystemExit) as error:
-        del sys.modules[name]
-        what = " ".join(f"{type(error).__name__}: {error}".split())
-        raise NotAnEffect(f"effect {path}{_line_of(error, path)}: cannot be run: {what}") from error
-    return module
-
-
-def _line_of(error: BaseException, path: Path) -> str:
-    """Return the last line of a file that an exception passed through, as `:12`; empty if it has none."""
-    if isinstance(error, SyntaxError):
-        return f":{error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    passed = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
-    return f":{passed[-1]}" if passed else ""
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:

@@ -23,7 +23,7 @@ from sim.scenario.effects import read_effect
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
 from sim.scenario.rehearsal import find_refusals
 from sim.scenario.tables import prevents_completion, read_check, read_command, read_fault, read_taught_point
-from sim.world import MAX_TILT_RAD, WARM_C, Scene, Surface, World
+from sim.setting import MAX_TILT_RAD, WARM_C, Scene, Surface, World
 from simgap.common.errors import RobotError
 from simgap.common.toml import parse_toml, read_text
 

@@ -36,7 +36,7 @@ from sim.scenario.data import (
 )
 from sim.scenario.records import upper_snake
 from sim.sequence import Outcome
-from sim.world import Surface
+from sim.setting import Surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)

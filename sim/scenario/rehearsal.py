@@ -45,7 +45,8 @@ from sim.frames import p_R_from_N
 from sim.placement import first_estimate, joints_at
 from sim.scenario.data import Scenario, TaughtPoint
 from sim.scenario.records import upper_snake
-from sim.world import Surface, params_in_world
+from sim.setting import Surface
+from sim.world import params_in_world
 
 _FREE: Final = (ModeEvent.MOVE_FREE, ModeEvent.DONE)
 _GUARDED: Final = (ModeEvent.MOVE_GUARDED, ModeEvent.DONE)

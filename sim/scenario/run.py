@@ -33,7 +33,7 @@ from sim.scenario.judge import (
     take_snapshot,
 )
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
-from sim.world import World
+from sim.setting import World
 
 TYPICAL_COMMAND_S: Final = 200.0
 """Duration of a typical command, for the progress: an arm unstows in 300 s, and docks in 60 s."""

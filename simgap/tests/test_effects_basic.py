@@ -116,11 +116,7 @@ def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind:
         (ConstantTorque, [0.03], lambda t, q, v: 0.13),
         (Spring, [0.5, 0.02], lambda t, q, v: 0.12 - 0.5 * q),
         (PeriodicTorque, [0.02, 0.03], lambda t, q, v: 0.1 + 0.02 * np.cos(q) + 0.03 * np.sin(q)),
-        (
-            PositionTorque,
-            [0.02, -0.05],
-            lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q),
-        ),
+        (PositionTorque, [0.02, -0.05], lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q)),
         (TorqueConstant, [0.3], lambda t, q, v: 0.13),
         (TorqueLimit, [20.0], lambda t, q, v: 0.05),
         (BackEmf, [0.1], lambda t, q, v: min(0.1, 0.2 * max(1 - 0.1 * v, 0.0))),
@@ -184,11 +180,7 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
             [0.2],
             lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 * (1 + 0.2 * v), 0.2 * (1 - 0.2 * v)),
         ),
-        (
-            DeadZone,
-            [0.05],
-            lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v,
-        ),
+        (DeadZone, [0.05], lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v),
     ],
 )
 def test_a_position_loop_moves_as_the_law_says(

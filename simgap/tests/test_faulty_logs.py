@@ -104,10 +104,7 @@ def unwrap(signals, range_rad=NO_LIMITS, gear=1.0, side="joint", **command):
 
 @pytest.mark.parametrize(("side", "gear"), [("joint", 1.0), ("motor", 10.0)])
 def test_a_counter_of_one_turn_is_unwrapped_and_one_of_many_is_as_it_was(side, gear):
-    for shown, expected, count in (
-        (TURNS % 1.0, TURNS, [2]),
-        (np.arange(100.0), np.arange(100.0), [None]),
-    ):
+    for shown, expected, count in ((TURNS % 1.0, TURNS, [2]), (np.arange(100.0), np.arange(100.0), [None])):
         found, wraps = unwrap({"position": [shown]}, gear=gear, side=side)
         assert wraps == count
         np.testing.assert_allclose(found["position"][0], expected, atol=1e-12)

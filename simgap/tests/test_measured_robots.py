@@ -1,15 +1,19 @@
 """Diagnoses of a real KR300 and a real XL330: named effects hold for motions that took no part."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.real_robots import load_real, robot_path
+from helpers.real_robots import exchange_commands, load_real, robot_path
 from simgap.catalogue.catalogue import catalogue
+from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
 from simgap.loading import load
+from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.inverse_residuals import InverseResiduals, shows
 from simgap.result import Diagnosis, Finding
 from simgap.robot import Robot
@@ -131,3 +135,33 @@ def test_three_effects_predict_the_gain_that_was_held_out(real_data):
     assert error.explained < 0.040 < error.base
     assert len(result.findings) <= 3
     assert "load-dependent friction" in {one.effect for one in result.findings}
+
+
+def is_refused(robot: Robot, motions: Sequence[Motion]) -> bool:
+    """Return whether a diagnosis ends in an error, or without a fitted motion."""
+    try:
+        result = diagnose(robot, motions, seed=1)
+    except RobotError:
+        return True
+    return not result.findings and not result.fitted_motions
+
+
+def test_a_servo_with_the_commands_of_other_motions_is_refused(real_data):
+    robot, logs = load_real(real_data, "pendulum")
+    assert is_refused(robot, exchange_commands(logs.motions, 1))
+
+
+def test_positions_that_are_stamped_20_ms_later_are_a_delay_and_nothing_else_is_new(real_data):
+    robot, logs = load_real(real_data, "pendulum")
+    later = [
+        replace(motion, joints={name: delayed(log) for name, log in motion.joints.items()})
+        for motion in logs.motions
+    ]
+    before, after = (diagnose(robot, motions, seed=1).findings for motions in (logs.motions, later))
+    delays = {"command delay", "measurement delay"} & {one.effect for one in after}
+    assert delays
+    assert {one.family for one in after if one.effect not in delays} <= {one.family for one in before}
+
+
+def delayed(log: JointLog) -> JointLog:
+    return replace(log, position=Signal(log.position.time_s + 0.02, log.position.value))

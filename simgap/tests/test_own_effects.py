@@ -93,8 +93,8 @@ def test_files_of_one_name_in_two_folders_stay_apart(tmp_path):
     ("text", "sentence"),
     [
         ("x = 1", "no effect; give a subclass of JointEffect or a function"),
-        ("import nothing_of_this_name", "cannot be loaded, ModuleNotFoundError: No module named"),
-        ("def broken(:", "cannot be loaded, SyntaxError"),
+        ("import nothing_of_this_name", "cannot be run: ModuleNotFoundError: No module named"),
+        ("def broken(:", "cannot be run: SyntaxError"),
         (
             "def effects(robot, logs):\n    return 1 / 0",
             "cannot be made, ZeroDivisionError: division by zero",
@@ -129,5 +129,5 @@ def test_a_missing_file_and_another_kind_of_file_are_one_sentence(tmp_path):
         load_effects(tmp_path / "none.py", ARM, LOGS)
     with pytest.raises(RobotError, match="no such file"):
         load_effects(tmp_path / f"{'a' * 300}.py", ARM, LOGS)
-    with pytest.raises(RobotError, match=r"its name has to end in \.py"):
+    with pytest.raises(RobotError, match=r"its name ends in \.py"):
         load_effects(write(tmp_path, "x = 1", "mine.txt"), ARM, LOGS)

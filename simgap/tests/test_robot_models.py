@@ -92,8 +92,7 @@ def _terms(model, q, v):
 
 @pytest.mark.real_data
 @pytest.mark.parametrize(
-    ("name", "fitted", "judged", "joints"),
-    [("so101", 20, 20, 6), ("pendulum", 12, 4, 1), ("kr300", 1, 1, 6)],
+    ("name", "fitted", "judged", "joints"), [("so101", 20, 20, 6), ("pendulum", 12, 4, 1), ("kr300", 1, 1, 6)]
 )
 def test_the_logs_load_and_are_split(real_data, name, fitted, judged, joints):
     logs = load(robot_path(name), [real_data / one for one in LOGS[name]])

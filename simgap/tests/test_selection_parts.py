@@ -23,9 +23,10 @@ from simgap.selection.sharing import ALL_JOINTS, Sharing, find_sharing, relative
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))
 
 
-def test_an_effect_that_one_motion_reaches_is_found() -> None:
+@pytest.mark.parametrize("touch", [0.0, 1e-6, 1e-3])
+def test_an_effect_that_one_motion_reaches_is_found_although_others_touch_it(touch: float) -> None:
     toy = draw_toy(1, {})
-    commands = np.clip(toy.commands, -0.8, 0.8)
+    commands = np.clip(toy.commands, -0.8, 0.8 + touch)
     commands[:, 3] = toy.commands[:, 3]
     measured = toy.measured - 0.3 * toy.commands + 0.3 * commands
     measured[0] += LIMIT.shape(commands[0])

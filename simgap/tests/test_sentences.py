@@ -6,6 +6,7 @@ from math import inf
 
 import pytest
 
+from helpers.arm_folder import write_arm
 from helpers.verdicts import (
     ARMATURE,
     FRICTION,
@@ -22,7 +23,10 @@ from simgap.effects.effect import Family
 from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.sentences import level, verdict_lines, verdict_word
+from simgap.report.user_units import convert_errors, find_user_unit
 from simgap.result import Rejected
+from simgap.robot import Robot
+from simgap.units import quantity
 
 TWO = finding(effects=("lift: Coulomb friction", "lift: gain error"), next_motion="slow sweeps of lift")
 FOUR_EFFECTS = finding(effects=tuple("abcd"))
@@ -94,6 +98,40 @@ def test_a_set_that_no_recorded_motion_separates_asks_for_another_kind():
 def test_an_effect_that_is_not_named_is_told_with_its_reason():
     said = detail_lines(diagnosis(rejected=(Rejected("a1", "joint compliance", "gravity does not load it"),)))
     assert "Joint compliance at a1 is not named: gravity does not load it." in said
+
+
+def test_effects_that_are_not_named_for_one_reason_share_a_sentence():
+    alike = [
+        Rejected("a1", name, "a1: gravity does not load it") for name in ("joint compliance", "backlash")
+    ]
+    said = detail_lines(diagnosis(rejected=tuple(alike)))
+    assert "Joint compliance and backlash at a1 are not named: gravity does not load it." in said
+
+
+def test_the_main_finding_is_that_of_the_largest_error_of_its_own_kind():
+    torque = replace(LIFT, unit="N m", base=2000.0, kind="inverse dynamics")
+    small = replace(torque, joint="pan", base=40.0)
+    skew = replace(LIFT, kind="second encoder", base=0.0005)
+    two = (finding(place="pan", effect="creep", share=0.9), finding(effect="hum", share=0.6))
+    kind = "inverse dynamics and second encoder"
+    what = lines(findings=two, errors=(torque, small, skew), kind=kind)[1]
+    assert what.index("hum") < what.index("creep")
+
+
+def test_errors_are_told_in_the_unit_of_the_user_and_without_an_exponent(tmp_path):
+    write_arm(tmp_path)
+    text = (tmp_path / "robot.toml").read_text()
+    (tmp_path / "robot.toml").write_text(text.replace('unit = "rad" }', 'unit = "deg" }'))
+    robot = Robot.from_toml(tmp_path / "robot.toml")
+    name = robot.joints[0].name
+    errors = (replace(LIFT, joint=name, nominal=0.1), replace(LIFT, joint=name, unit="N m", nominal=2043.6))
+    first, second = convert_errors(robot, diagnosis(errors=errors)).errors
+    assert (first.unit, first.nominal) == ("deg", pytest.approx(5.73, abs=0.01))
+    assert quantity(second.nominal, second.unit) == "2040 N m"
+    motor = 'torque = { column = "x", unit = "N m", side = "motor" }\ngear_ratio = 100\nposition ='
+    (tmp_path / "robot.toml").write_text(text.replace("position =", motor, 1))
+    geared = Robot.from_toml(tmp_path / "robot.toml")
+    assert find_user_unit(geared, name, "N m") == ("N m of the motor", 0.01)
 
 
 def test_two_effects_that_these_motions_cannot_tell_apart_are_both_named_with_the_next_motion():

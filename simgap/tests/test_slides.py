@@ -169,8 +169,7 @@ def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("unit", "said"),
-    [("mm", "times its command: is the position in mm, "), ("cm", "is the position in cm")],
+    ("unit", "said"), [("mm", "times its command: is the position in mm, "), ("cm", "is the position in cm")]
 )
 def test_a_slide_in_another_unit_is_told(tmp_path, unit, said):
     """The position is declared in m."""

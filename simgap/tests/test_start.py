@@ -12,14 +12,13 @@ from simgap import diagnose, verdict_lines
 from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
-from simgap.diagnosis import changes_of
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion, Signal
 from simgap.patch.found import read_found
 from simgap.patch.patch import save_patch
 from simgap.report.traces import trace_motions
-from simgap.residuals.known_effects import Change, KnownResiduals
+from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
 from simgap.selection.selection import select_effects
 
 TIME_s = np.arange(0.0, 2.0, 0.01)

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from simgap.common.errors import BadRequest
-from validation import campaigns
 from validation.__main__ import main
-from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_results, read_sizes
+from validation.campaigns import TABLE, Campaign, Context, find_campaign, read_sizes
 from validation.programs import BriefResult
 
-WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "mutants", "robot-baselines", "so101", "view"}
+WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "robot-baselines", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
 
 
@@ -36,9 +34,9 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     ("words", "said"),
     [
         (["dance"], "dance: is no campaign; `python -m validation` lists them"),
-        (["kinematics", "--set", "speed=3"], "set speed: is not known; there are targets, vectors"),
-        (["kinematics", "--set", "targets=none"], "set targets: 'none' is not int"),
-        (["kinematics", "--set", "targets=-1"], "set targets: -1 is below 0"),
+        (["hardstops", "--set", "speed=3"], "set speed: is not known; there are arms, repeats, joint"),
+        (["hardstops", "--set", "arms=none"], "set arms: 'none' is not int"),
+        (["hardstops", "--set", "arms=-1"], "set arms: -1 is below 0"),
         (["calibration", "--set", "closed_loop=2"], "set closed_loop: '2' is not bool"),
         (["robot-baselines"], "set robot: is missing"),
         (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
@@ -59,43 +57,16 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
 ) -> None:
     document = {"rate": 0.123456, "rows": [1, 2], "part": {"n": 3}, "in_bounds": in_bounds}
     monkeypatch.setattr(Campaign, "load", lambda _: lambda context: document)
-    assert main(["kinematics", "--json", "--out", str(tmp_path / "found.json")]) == status
+    assert main(["hardstops", "--json", "--out", str(tmp_path / "found.json")]) == status
     printed, written = capsys.readouterr().out, (tmp_path / "found.json").read_text()
     assert json.loads(printed) == json.loads(written) == document
-    assert main(["kinematics"]) == status
+    assert main(["hardstops"]) == status
     assert capsys.readouterr().out.splitlines() == ["rate: 0.1235", "part / n: 3", f"in_bounds: {in_bounds}"]
 
 
 @pytest.mark.parametrize(("status", "verdict"), [(0, "in bounds"), (2, "FAILED, exit status 2")])
 def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status: int, verdict: str) -> None:
     assert BriefResult(find_campaign("faults"), status, 3.0, "").line() == f"faults            3 s, {verdict}"
-
-
-def test_a_campaign_goes_on_after_its_last_result(tmp_path: Path) -> None:
-    done: list[str] = []
-
-    def work(name: str) -> dict[str, str]:
-        done.append(name)
-        return {"found": name}
-
-    for names in (["one", "two"], ["one", "two", "three"]):
-        with keep_results(tmp_path / "results.jsonl", 1) as once:
-            found = [once(name, lambda name=name: work(name)) for name in names]
-    with keep_results(None, 1) as once:
-        found.append(once("one", lambda: {"kept": "nowhere"}))
-    assert found == [{"found": "one"}, {"found": "two"}, {"found": "three"}, {"kept": "nowhere"}]
-    assert done == ["one", "two", "three"]
-
-
-def test_results_of_other_code_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with keep_results(tmp_path / "results.jsonl", 1) as once:
-        once("one", dict)
-    monkeypatch.setattr(campaigns, "digest_code", lambda: "another")
-    with (
-        pytest.raises(BadRequest, match="code of the diagnosis"),
-        keep_results(tmp_path / "results.jsonl", 1),
-    ):
-        pass
 
 
 def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:

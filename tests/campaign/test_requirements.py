@@ -51,7 +51,7 @@ def test_a_short_campaign_measures_the_numbers_of_the_page(name):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"tests": ("tests/campaign/test_jobs.py::test_of_nothing",)}, "there is no test .*test_of_nothing"),
+        ({"tests": ("tests/campaign/test_brief.py::test_of_nothing",)}, "there is no test .*test_of_nothing"),
         ({"tests": ("tests/none.py",)}, "there is no test tests/none.py"),
         ({"tests": ()}, "no test shows it"),
         ({"campaign": "none"}, "no campaign is called none"),

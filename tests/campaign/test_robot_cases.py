@@ -10,19 +10,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from helpers.real_robots import exchange_commands
 from marsarm.common.pool import run_here
 from marsarm.common.rates import check_rate
+from simgap.common.errors import RobotError
 from simgap.common.progress import no_progress
+from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
-from validation.cases.robot import (
-    INDEX_FILE,
-    RobotCases,
-    plan_robot_cases,
-    write_logs,
-    write_robot,
-)
+from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs, write_robot
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
 from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times
@@ -158,3 +155,13 @@ def test_the_same_seed_gives_the_same_case() -> None:
     first, second = (draw_case(11, "none", "pendulum")[1] for _ in range(2))
     pairs = zip(first.motions, second.motions, strict=True)
     assert all((a.joints["swing"].position.value == b.joints["swing"].position.value).all() for a, b in pairs)
+
+
+@pytest.mark.slow
+def test_motions_with_the_commands_of_others_are_not_fitted() -> None:
+    robot, logs, _ = draw_case(0, "single", "two_joint")
+    try:
+        found = diagnose(robot, exchange_commands(logs.motions, 0), seed=0)
+    except RobotError:
+        return
+    assert (found.findings, found.fitted_motions) == ((), ())

@@ -31,7 +31,7 @@ from sim.effects.effect import Effect
 from sim.effects.faults import MissedCycles, SensorFault
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim.lab import true_reference
 
 LEVEL = World()
@@ -123,10 +123,7 @@ RUNS = (
     ReferenceRun(
         "press",
         DRILL_THERE,
-        (
-            (GuardedMove("drill", beyond(0.06), IN), LONG),
-            (Preload("drill", 24.0), LONG),
-        ),
+        ((GuardedMove("drill", beyond(0.06), IN), LONG), (Preload("drill", 24.0), LONG)),
         "Preloaded",
         world=World(surface=DRILL_ROCK),
     ),

@@ -1,11 +1,13 @@
-"""Tests that today's flight software replays every reference run bit for bit."""
+"""Reference runs replay, and those that no longer do are made anew."""
 
 import json
 import warnings
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from marsarm.replaying.compare import compare_behaviours
 from marsarm.replaying.inputs import behaviour_from_outputs, inputs_from_log
@@ -13,7 +15,7 @@ from marsarm.replaying.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, r
 from marsarm.replaying.tables import verdict_line
 from marsarm.telemetry.header import cpu_features
 from marsarm.telemetry.read import read_log
-from tests.replay.remake import FOLDER, path_of
+from tests.replay.remake import FOLDER, main, make, path_of, tell
 from tests.replay.runs import RUNS
 
 MOST_BYTES = 1_500_000
@@ -80,3 +82,32 @@ def test_a_log_made_elsewhere_is_said_to_be_compared_within_a_tolerance(tmp_path
     assert not report.same_processor
     assert report.differences.tolerance == OTHER_PROCESSOR_TOLERANCE
     assert verdict_line(report.differences).startswith("the same to 1e-12")
+
+
+(SHORT,) = (run for run in RUNS if run.name == "no-number")
+
+
+def print_differences(old, new) -> tuple[bool, str]:
+    console = Console(file=StringIO(), width=200)
+    return tell(SHORT, old, new, console), console.file.getvalue()
+
+
+def test_a_run_that_is_made_again_is_the_same(tmp_path):
+    again = tmp_path / "again"
+    again.mkdir()
+    differs, printed = print_differences(make(SHORT, tmp_path), make(SHORT, again))
+    assert not differs
+    assert printed == "no-number: identical: 81 ticks, 1.3 s, 26 channels\n"
+
+
+def test_what_differs_is_printed():
+    differs, printed = print_differences(FOLDER / "fault.mcap", path_of(SHORT))
+    assert differs
+    assert "recorded is what the file held, replayed the run made anew" in printed
+    assert "missing  ResolverDisagrees" in printed
+    assert "header    has another commands" in printed
+
+
+def test_a_name_that_is_no_run_is_refused():
+    with pytest.raises(SystemExit, match="jump: no such run; there are joints, contact"):
+        main(["jump"])

@@ -12,7 +12,8 @@ from fsw.dictionary.enums import Joint
 from sim.initialisation import true_reference as true_reference
 from sim.loop import ClosedLoop
 from sim.plant import JOINT_NAMES, Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 
 Array = NDArray[np.float64]
 Edit = Callable[[mujoco.MjSpec], None]

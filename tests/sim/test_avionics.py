@@ -15,7 +15,7 @@ from sim.effects.environment import PowerLoss
 from sim.frames import FLIP
 from sim.params import nominal_params
 from sim.plant import Plant
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, switch_index, tool_index
 

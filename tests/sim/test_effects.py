@@ -17,7 +17,7 @@ from sim.effects.joints import BacklashWidth, GearFriction, GearStiffness, Hards
 from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
-from sim.world import WARM_C, World
+from sim.setting import WARM_C, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 

@@ -43,7 +43,7 @@ from sim.effects.faults import (
 )
 from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
-from sim.world import World
+from sim.setting import World
 from tests.fsw.rig import config_of
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest

@@ -18,7 +18,7 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
 from sim.record import LINK_BODIES, frame_body, no_move_disturbance
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 

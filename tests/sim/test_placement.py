@@ -13,7 +13,7 @@ from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun, Preview, preview_placement
 from sim.sequence import Outcome
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim import lab
 from tests.tools import TOOL_SWITCHES, TOOLS
 

@@ -11,7 +11,7 @@ from sim.arms import arm_named
 from sim.effects.faults import JointSeized
 from sim.loop import Setup
 from sim.pose_sequence import RestState, free_air_loop, random_poses, run_and_rest, visit_poses
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 
 pytestmark = pytest.mark.slow

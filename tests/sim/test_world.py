@@ -10,7 +10,8 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.frames import FLIP, P_NR_M, approach_from, gravity_in_rover, p_R_from_N, random_targets
 from sim.params import nominal_params
-from sim.world import Surface, World, WrongMujoco, add_rock, build, inside_rover
+from sim.setting import Surface, World
+from sim.world import WrongMujoco, add_rock, build, inside_rover
 
 APEX = (2.1, 0.1, -0.3)
 NORMAL = (-0.6, 0.1, -0.7)

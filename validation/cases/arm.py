@@ -20,12 +20,7 @@ from marsarm.diagnosis.arm.blind_case import (
     record_blind,
     sample_background,
 )
-from marsarm.diagnosis.arm.case import (
-    CampaignModel,
-    diagnose_fitted_case,
-    fit_case,
-    load_campaign_model,
-)
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -103,8 +98,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             part.rename(campaign)
         model = load_model(campaign, self.kinds, run, part_of(progress, RECORDING_SHARE, 1.0)).model
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
-        limits = [one.limit for one in model.limits]
-        known = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+        known = list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [])
@@ -136,8 +130,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
         try:
             fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
-            fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
-            return to_document(diagnose_fitted_case(fitted_case, campaign).diagnosis)
+            return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
 
@@ -202,7 +195,7 @@ def _true_effect(one: SampledEffect, outside: bool) -> SealedEffect:
     if outside:
         spec = list_uncatalogued()[name].spec(one.values)
     else:
-        spec = effect_text(catalogue_effect(hypothesis.key, one.amplitudes))
+        spec = effect_text(catalogue_effect(hypothesis.key, one.values))
     values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
     return SealedEffect(*name, values, one.times_limit, spec)
 

@@ -116,8 +116,9 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     """Return the JSON document; an infinite limit is None."""
     rows = zip(
         model.sensitivities.hypotheses,
-        model.label,
-        model.limits,
+        model.label.tolist(),
+        model.limits.tolist(),
+        model.family_wise_limits.tolist(),
         model.families,
         model.locations,
         strict=True,
@@ -126,13 +127,13 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
         {
             "name": one.effect,
             "place": one.place,
-            "class": int(label),
-            "limit": limit.limit,
-            "family_wise_limit": limit.family_wise_limit,
+            "class": label,
+            "limit": limit,
+            "family_wise_limit": family_wise_limit,
             "family": str(family),
             "location": location,
         }
-        for one, label, limit, family, location in rows
+        for one, label, limit, family_wise_limit, family, location in rows
     ])  # fmt: skip
     return document
 

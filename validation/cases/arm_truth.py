@@ -64,7 +64,7 @@ class SealedEffect:
     name: str
     place: str
     values: dict[str, float]
-    """Values of all its parameters by name, in the units of the diagnosis."""
+    """Values of its parameters by name, in the units of the diagnosis."""
     times_limit: float
     """Amplitude as a multiple of the detection limit; of the typical size outside the catalogue."""
     spec: str
@@ -153,7 +153,7 @@ class UncataloguedEffect:
 
     def spec(self, values: Array) -> str:
         """Return the text that switches the effect on, with the name of its file in the folder."""
-        text = effect_text(make_effect(self.catalogue_entry, self.hypothesis, values))
+        text = effect_text(make_effect(self.catalogue_entry, values))
         return text.removeprefix(f"{EFFECTS_FOLDER}/")
 
 

@@ -21,7 +21,7 @@ from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
-from sim.arm_model.load import default_arm
+from sim.arm_model.load import ArmModel
 from sim.effects import environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect, joint_of, link_of
@@ -40,7 +40,6 @@ from sim.effects.joints import (
 from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA
-from sim.params import nominal_params
 from sim.plant import SCREW_AXES, SPRING_NAMES
 from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from simgap import Family, screw_log
@@ -49,8 +48,6 @@ NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)
 """Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
 step is the change to the limit of short steps; the explicit scheme, whose steps cannot be as long, has an
 error of its own at 21 steps, which looks like friction at the elbow."""
-LEFT: Final = default_arm().description.tolerances.calibrated
-"""Errors that a calibration leaves."""
 COUNT_RAD: Final = 3.3e-6
 """Encoder count: the position of a set-point within a count is random but constant."""
 NUMERICS_SIGMA: Final = 2.0
@@ -131,15 +128,16 @@ class NuisanceEffect:
     """Place of the only features that it influences; empty for all."""
 
 
-def list_nuisance_effects() -> Iterator[NuisanceEffect]:
-    """Yield calibration errors (sim.arms), friction of the day, and numerical errors."""
-    yield from _frame_nuisances()
+def list_nuisance_effects(arm: ArmModel) -> Iterator[NuisanceEffect]:
+    """Yield what a calibration of an arm leaves (sim.arms), friction of the day, and numerical errors."""
+    left = arm.description.tolerances.calibrated
+    yield from _frame_nuisances(arm)
     for joint in Joint:
-        yield _joint_nuisance(joint, "zero", "rad", LEFT.hardstop_rad, HardstopAngle)
-        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, LEFT.stiffness_share, GearStiffness)
+        yield _joint_nuisance(joint, "zero", "rad", left.hardstop_rad, HardstopAngle)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, left.stiffness_share, GearStiffness)
         yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, GearFriction)
     for frame in SPRING_FRAMES:
-        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, LEFT.stiffness_share, LinkStiffness)
+        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, left.stiffness_share, LinkStiffness)
     for joint in Joint:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
         for word, numerics in NUMERICS.items():
@@ -147,12 +145,13 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
     yield from _session_nuisances()
 
 
-def _frame_nuisances() -> Iterator[NuisanceEffect]:
+def _frame_nuisances(arm: ArmModel) -> Iterator[NuisanceEffect]:
     """Yield rotations and shifts of frames; the last frame has those of every tool."""
-    for frame, tool in list_frames(nominal_params().tool_names):
+    left = arm.description.tolerances.calibrated
+    for frame, tool in list_frames(arm.params.tool_names):
         for axis in IDENTIFIABLE_AXES[frame]:
             named = frame.name.lower() if tool is None else tool
-            unit, sigma = ("rad", LEFT.frame_rad) if axis < 3 else ("m", LEFT.frame_m)
+            unit, sigma = ("rad", left.frame_rad) if axis < 3 else ("m", left.frame_m)
             word = SCREW_AXES[axis]
             yield NuisanceEffect(
                 Nuisance(f"frame {named}.{word}", unit, sigma),
@@ -233,20 +232,18 @@ def family_of(kind: type[Effect]) -> StrEnum:
     return next(family for family, kinds in FAMILIES.items() if kind in kinds)
 
 
-def effects_of_params(params: Params) -> tuple[Effect, ...]:
+def effects_of_params(params: Params, drawing: Params) -> tuple[Effect, ...]:
     """Return the effects whose perfect calibration gives these flight parameters.
 
     They are frames, springs and masses of the links, frames of the tools, hardstops, backlash, stiffness and
     friction of the joints, constants of the motors and scales of the encoders. A spring has one factor.
 
     Args:
-        params: Flight parameters of an arm of the default drawing.
-
-    Returns:
-        Effects; none for the parameters of the drawing.
+        params: Flight parameters of an arm.
+        drawing: Those of its drawing.
     """
     found: list[Effect] = []
-    now = nominal_params()
+    now = drawing
     for effect in _frame_errors(now, params):
         found.append(effect)
         now = effect.on_params(now)

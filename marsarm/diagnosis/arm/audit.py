@@ -18,7 +18,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
-from sim.params import nominal_params
+from sim.arm_model.load import ArmModel
 from simgap.report.sentences import join_words
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -43,11 +43,11 @@ MIN_SEGMENTS: Final = 2
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     """Return the reasons why recordings cannot be compared with a simulator of these parameters."""
-    known = nominal_params().model.name
+    known = recordings[0].arm.name
     foreign = {one.params.model.name for one in recordings} - {known}
     if foreign:
         names = ", ".join(sorted(foreign))
-        return (f"logs of the arm {names}: the diagnosis knows the arm {known} only",)
+        return (f"logs of the arm {names}, and the diagnosis is of the arm {known}: name theirs with --arm",)
     wrong = [
         f"{one.name}: {reason}"
         for one in recordings
@@ -63,16 +63,19 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     return tuple(wrong)
 
 
-def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
+def load_checked_recordings(
+    paths: Sequence[Path], base: Params | None = None, arm: ArmModel | None = None
+) -> list[Recording]:
     """Load recordings, and check that they can be compared with a simulator of these parameters.
 
     Args:
         base: Flight parameters of the simulator; None for those of the first log.
+        arm: Drawing of the simulator; None for the default one.
 
     Raises:
         NotForDiagnosis: One cannot be compared; the message says why.
     """
-    recordings = [load_recording(path) for path in paths]
+    recordings = [load_recording(path, arm) for path in paths]
     wrong = refusals(recordings, base or recordings[0].params) if recordings else ()
     if wrong:
         raise NotForDiagnosis("\n".join(wrong))

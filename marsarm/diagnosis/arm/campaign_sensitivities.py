@@ -27,17 +27,14 @@ from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, est
 from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
-    JacobianColumn,
     OneSidedStep,
     adapt_step,
-    count_sides,
-    find_equal_columns,
-    find_shared_slopes,
+    find_borrowed_slopes,
     group_columns,
     list_columns,
+    perturb_both_sides,
     simulate_side,
     step_error,
-    step_size,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
@@ -45,14 +42,17 @@ from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import FeatureLayout
 from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
 from marsarm.telemetry.header import model_digest
+from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
-from sim.params import nominal_params
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
+NOMINAL: Final = "nominal"
+"""Name of the default arm as its drawing has it."""
 
 
 COMPARING_MODULES: Final = (
@@ -69,9 +69,16 @@ NUMERICS_SHARE: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _Campaign:
     logs: Logs
     kinds: Names
+    arm: str
+    """Name of an arm of its drawing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    campaign: _Campaign
     columns: tuple[int, ...]
     """Indices of the columns that are simulated at once."""
     side: int
@@ -89,12 +96,14 @@ def compute_sensitivities(
     progress: Progress,
     kinds: Sequence[str] | None = None,
     steps_of: Sequence[Path] = (),
+    arm: str = NOMINAL,
 ) -> Sensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 
     Args:
         kinds: Names of the effects of the catalogue; None for all.
         steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
+        arm: Name of an arm of the drawing.
 
     Raises:
         NotForDiagnosis: A log cannot be compared.
@@ -104,63 +113,63 @@ def compute_sensitivities(
     # absolute, as a worker may be in another folder
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
-    path = kept_in / _cache_name(paths, names, others)
+    path = kept_in / _cache_name(arm, names, paths, others)
     if path.exists():
         return load_sensitivities(path)
     check_cache_folder(kept_in)
-    whole = kept_in / _cache_name(paths, tuple(catalogue()), others)
+    whole = kept_in / _cache_name(arm, tuple(catalogue()), paths, others)
     if whole.exists():
         found = load_sensitivities(whole).only(names)
     else:
-        steps = load_sensitivities(kept_in / _cache_name(others, names, ())).reach if others else None
-        found = _difference_all(paths, names, run, progress, steps)
+        steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
+        found = _difference_all(_Campaign(paths, names, arm), run, progress, steps)
     save_sensitivities(path, found)
     return found
 
 
-def _cache_name(logs: Logs, kinds: Names, steps_of: Logs) -> str:
-    digests = [campaign_digest(some, kinds)[:16] for some in (logs, steps_of) if some]
+def _cache_name(arm: str, kinds: Names, *logs: Logs) -> str:
+    digests = [campaign_digest(some, kinds, arm)[:16] for some in logs if some]
     return f"sensitivities-{'-'.join(digests)}.npz"
 
 
 def _difference_all(
-    paths: Logs, names: Names, run: Runner, progress: Progress, given: Array | None
+    campaign: _Campaign, run: Runner, progress: Progress, given: Array | None
 ) -> Sensitivities:
     """Simulate every column to both sides, with given steps or with adapted ones.
 
     Args:
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
-    simulator = _simulator(paths, names)
+    simulator = _simulator(campaign)
     columns = list_columns(simulator)
-    same = find_equal_columns(simulator, columns)
-    shares = {k: 1.0 for k in range(len(columns)) if k not in same}
+    borrowed = find_borrowed_slopes(simulator, columns)
+    shares = {k: 1.0 for k, one in enumerate(columns) if k not in borrowed or one.hypothesis is not None}
     if given is None:
-        shares = _choose_steps(paths, names, run, part_of(progress, 0.0, STEPS_SHARE), shares)
+        shares = _choose_steps(campaign, run, part_of(progress, 0.0, STEPS_SHARE), shares)
     else:
         shares |= dict(enumerate(given.tolist()))
-    two_sided = {k: by for k, by in shares.items() if count_sides(simulator, columns[k]) > 1}
-    jobs = [*_list_jobs(paths, names, shares, 0), *_list_jobs(paths, names, two_sided, 1)]
+    two_sided = {k: by for k, by in shares.items() if len(perturb_both_sides(simulator, columns[k], by)) > 1}
+    jobs = [*_list_jobs(campaign, shares, 0), *_list_jobs(campaign, two_sided, 1)]
     sides: tuple[dict[int, OneSidedStep], ...] = {}, {}
     rest = part_of(progress, STEPS_SHARE if given is None else 0.0, 1.0)
     for done, (side, found) in enumerate(run(_run_job, jobs), 1):
         sides[side].update(found)
         rest(done, len(jobs), "sensitivities")
-    return _assemble(paths, names, *sides)
+    return _assemble(campaign, *sides)
 
 
 def _list_jobs(
-    paths: Logs, names: Names, shares: Mapping[int, float], side: int, is_probe: bool = False
+    campaign: _Campaign, shares: Mapping[int, float], side: int, is_probe: bool = False
 ) -> list[_Job]:
     """List the jobs that simulate one side of columns with these steps."""
-    simulator = _simulator(paths, names)
+    simulator = _simulator(campaign)
     at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
-    nominal = _nominal_features(paths, names)
-    return [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal, is_probe) for of in at_once]
+    nominal = _nominal_features(campaign)
+    return [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_probe) for of in at_once]
 
 
 def _choose_steps(
-    paths: Logs, names: Names, run: Runner, progress: Progress, first: Mapping[int, float]
+    campaign: _Campaign, run: Runner, progress: Progress, first: Mapping[int, float]
 ) -> dict[int, float]:
     """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
 
@@ -170,25 +179,27 @@ def _choose_steps(
     Returns:
         Step of each column as a share of its typical size.
     """
-    simulator = _simulator(paths, names)
+    simulator = _simulator(campaign)
     columns = list_columns(simulator)
-    fixed = find_shared_slopes(simulator, columns)
+    fixed = find_borrowed_slopes(simulator, columns)
     last: dict[int, OneSidedStep] = {}
     begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
     chosen, best = dict(first), dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
-        jobs = _list_jobs(paths, names, wanted, 0, is_probe=True)
+        jobs = _list_jobs(campaign, wanted, 0, is_probe=True)
         for done, (_, found) in enumerate(run(_run_job, jobs), 1):
             last |= found
             update(done, len(jobs), "steps")
-        scale = form_normal_equations(_assemble(paths, names, last, {})).scale
+        scale = form_normal_equations(_assemble(campaign, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
         chosen |= {k: last[k].share for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
-        wanted = _adapt_steps(simulator, columns, last, seen)
+        better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
+        ends = {k: perturb_both_sides(simulator, columns[k], share)[0] for k, share in better.items()}
+        wanted = {k: share for k, share in better.items() if ends[k].size != last[k].size}
         if not wanted:
             break
     return chosen
@@ -199,30 +210,15 @@ def _list_numerical(simulator: ArmSimulator) -> list[int]:
     return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
 
 
-def _adapt_steps(
-    simulator: ArmSimulator,
-    columns: Sequence[JacobianColumn],
-    last: Mapping[int, OneSidedStep],
-    seen: Mapping[int, float],
-) -> dict[int, float]:
-    """Return better steps for columns whose steps are too small or too large."""
-    found: dict[int, float] = {}
-    for k, by in seen.items():
-        share = adapt_step(last[k].share, by)
-        if share is not None and step_size(simulator, columns[k], share) != last[k].size:
-            found[k] = share
-    return found
-
-
 def _assemble(
-    paths: Logs, names: Names, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+    campaign: _Campaign, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
 ) -> Sensitivities:
     """Fit parabolas through the simulated steps, or lines where there is one side.
 
     A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
     own steps.
     """
-    simulator = _simulator(paths, names)
+    simulator = _simulator(campaign)
     columns = list_columns(simulator)
     slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
@@ -230,10 +226,8 @@ def _assemble(
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, typical) in find_equal_columns(simulator, columns).items():
-        slope[:, k] = slope[:, other] / typical
-    for k, (other, typical) in find_shared_slopes(simulator, columns).items():
-        slope[:, k] = slope[:, other] * typical
+    for k, (other, factor) in find_borrowed_slopes(simulator, columns).items():
+        slope[:, k] = slope[:, other] * factor
     owner = [column.hypothesis for column in columns if column.hypothesis is not None]
     sized = len(owner)
     nuisance = _restrict_nuisances(simulator, slope[:, sized:])
@@ -280,23 +274,26 @@ def check_cache_folder(kept_in: Path) -> None:
         raise BadRequest(f"{kept_in}: no sensitivities can be kept there ({error.strerror})") from error
 
 
-def campaign_digest(logs: Logs, kinds: Names) -> str:
+def campaign_digest(logs: Logs, kinds: Names, arm: str) -> str:
     """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
     trackers = (path.with_suffix(".tracker.csv") for path in logs)
     code = (
         *sorted(Path(__file__).parent.glob("*.py")),
         *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
     )
-    return simulator_digest("\n".join(kinds), *logs, *(path for path in trackers if path.exists()), *code)
+    return simulator_digest(
+        "\n".join(kinds), arm, *logs, *(path for path in trackers if path.exists()), *code
+    )
 
 
-def simulator_digest(text: str, *more: Path) -> str:
-    """Return the SHA-256 of flight software, simulator, nominal parameters and model, of a text and files."""
+def simulator_digest(text: str, arm: str, *more: Path) -> str:
+    """Return the SHA-256 of flight software, simulator, drawing of an arm, a text and files."""
+    drawing = arm_named(arm).model
     total = hashlib.sha256(text.encode())
     for path in (*_list_sources(fsw), *_list_sources(sim), *more):
         total.update(path.read_bytes())
-    total.update(digest(nominal_params()).encode())
-    total.update(model_digest(build(World()).compile()).encode())
+    total.update(digest(drawing.params).encode())
+    total.update(model_digest(build(World(), drawing).compile()).encode())
     return total.hexdigest()
 
 
@@ -306,22 +303,22 @@ def _list_sources(package: ModuleType) -> list[Path]:
 
 
 @cache
-def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
+def _simulator(campaign: _Campaign) -> ArmSimulator:
     """Build the simulator; once in each process."""
-    feature_set = build_feature_set(load_checked_recordings(logs))
-    return build_simulator(
-        feature_set, estimate_floor(feature_set).sigma, {name: catalogue()[name] for name in kinds}
-    )
+    arm = arm_named(campaign.arm).model
+    feature_set = build_feature_set(load_checked_recordings(campaign.logs, arm=arm))
+    kinds = {name: catalogue()[name] for name in campaign.kinds}
+    return build_simulator(feature_set, estimate_floor(feature_set).sigma, kinds)
 
 
 @cache
-def _nominal_features(logs: Logs, kinds: Names) -> Array:
-    return _simulator(logs, kinds).predict_effects(())
+def _nominal_features(campaign: _Campaign) -> Array:
+    return _simulator(campaign).predict_effects(())
 
 
 def _run_job(job: _Job) -> tuple[int, dict[int, OneSidedStep]]:
     """Simulate the columns of a job; return its side, and the step of each column."""
-    simulator = _simulator(job.logs, job.kinds)
+    simulator = _simulator(job.campaign)
     every = list_columns(simulator)
     only = _moves_most_joints(simulator.feature_set) if job.is_probe else every_motion
     columns = [every[k] for k in job.columns]

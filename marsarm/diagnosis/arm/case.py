@@ -13,23 +13,28 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
 from marsarm.diagnosis.arm.audit import audit_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator, fit_nuisances
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
+from marsarm.diagnosis.arm.case_simulator import (
+    CaseSimulator,
+    NuisanceFit,
+    build_case_simulator,
+    fit_nuisances,
+)
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints
-from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
+from marsarm.diagnosis.selection import FeatureResiduals
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 from simgap import Diagnosis, JointError, Trace
 from simgap.common.progress import Progress, part_of
@@ -58,6 +63,7 @@ def load_campaign_model(
     run: Runner,
     progress: Progress,
     kinds: Sequence[str] | None = None,
+    arm: str = NOMINAL,
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
@@ -65,22 +71,25 @@ def load_campaign_model(
         logs: Logs of the fitted motions.
         held_out: Logs of the held-out motions.
         kinds: Names of the effects of the catalogue; None for all.
+        arm: Name of an arm of the drawing.
 
     Raises:
         BadRequest: A cached file cannot be read.
         BadOutput: A file cannot be written.
     """
     share = len(logs) / (len(logs) + len(held_out))
-    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds)
+    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
     made = build_model(fitted, list_families(fitted.hypotheses), list_locations(fitted.hypotheses))
     if not held_out:
         return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
-    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs))
+    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, logs, arm))
 
 
-def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array) -> JointError | None:
-    """Compute the root mean square tool error over rests and the five tools.
+def compute_tool_error(
+    keys: Sequence[str], rows: Sequence[Array], sigma: Array, drawing: Params
+) -> JointError | None:
+    """Compute the root mean square tool error over rests and the tools; None without whole poses.
 
     A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
 
@@ -89,14 +98,11 @@ def compute_tool_error(keys: Sequence[str], rows: Sequence[Array], sigma: Array)
         rows: Residuals as in `Explanation.residuals`, rotation in rad and shift in m, turret frame, shape
             (m,) each.
         sigma: Noise floor in the same units, shape (m,).
-
-    Returns:
-        Errors in m; None if no rest has all six components of a pose.
     """
     at = _screw_rows(keys)
     if not at.size:
         return None
-    tools = configure(nominal_params()).arm.X_FT
+    tools = configure(drawing).arm.X_FT
     J = np.stack(
         [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
     )  # (tools, 3, 6)
@@ -121,26 +127,6 @@ class TooLittleMotion(NotForDiagnosis):
     """Case that lacks most of the campaign; the message names the missing motions."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedCase:
-    """Case in the campaign's features, resimulated at its nuisances."""
-
-    model: DiagnosisModel
-    """Diagnosis model of the campaign, restricted to the features of the case."""
-    simulator: CaseSimulator
-    residual: Array
-    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
-    selection: FeatureSelection
-    """Effects that are selected there; large ones are simulated."""
-    held_out: CaseSimulator | None
-    held_out_residual: Array
-    """The same residual for held-out motion, shape (n,)."""
-    notes: tuple[str, ...]
-    """Notes of the audit."""
-    noise_floor: tuple[str, ...]
-    """Notes on the origin of the noise floor."""
-
-
 @dataclass(frozen=True, slots=True)
 class CaseDiagnosis:
     """Diagnosis of a case, with traces for its page."""
@@ -148,6 +134,8 @@ class CaseDiagnosis:
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Features of the fitted motions, measured and predicted without and with the findings."""
+    patch: tuple[Effect, ...] = ()
+    """Effects of the simulator that the findings are beside: the given ones, and the fitted nuisances."""
 
 
 def diagnose_case(
@@ -157,81 +145,47 @@ def diagnose_case(
     seed: int,
     patch: tuple[Effect, ...] = (),
 ) -> CaseDiagnosis:
-    """Diagnose a case.
+    """Diagnose a case: fit its nuisances, find its effects, and judge them on held-out motion.
 
     Args:
         recordings: Recordings that are fitted.
         held_out: Recordings that the findings are tested on.
+        patch: Effects that are switched on in the simulator from the start.
 
     Raises:
         TooLittleMotion: Most motions of the campaign are missing.
     """
-    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, seed, patch), campaign)
-
-
-def fit_case(
-    recordings: Sequence[Recording],
-    held_out: Sequence[Recording],
-    campaign: CampaignModel,
-    seed: int,
-    patch: tuple[Effect, ...] = (),
-) -> FittedCase:
-    """Fit the nuisances of a case; arguments and errors as for `diagnose_case`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    layout = campaign.model.sensitivities.layout
-    arm, floor = _case_simulator(recordings, campaign, patch)
-    first = build_case_simulator(arm, layout)
-    _check_motion(first, campaign)
+    arm, floor_notes = _case_simulator(recordings, campaign, patch)
+    first = build_case_simulator(arm, campaign.model.sensitivities.layout)
+    missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
-    notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
-    nuisance_fit, selection = fit_nuisances(model, first, patch, seed)
-    held_out_simulator = _held_out_simulator(held_out, campaign, nuisance_fit.simulator.arm.patch)
-    held_out_residual = np.zeros(0)
-    if held_out_simulator is not None and campaign.held_out is not None:
-        held_out_residual = (
-            held_out_simulator.residual()
-            + campaign.held_out.nuisance[held_out_simulator.rows] @ nuisance_fit.nuisance
-        )
-    return FittedCase(
-        model,
-        nuisance_fit.simulator,
-        nuisance_fit.residual,
-        selection,
-        held_out_simulator,
-        held_out_residual,
-        notes,
-        floor,
-    )
-
-
-def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel) -> CaseDiagnosis:
-    """Diagnose a case whose nuisances are fitted, and judge its findings on held-out motion."""
-    found = diagnose(fitted.model, fitted.residual, fitted.selection)
-    features = fitted.simulator.arm.feature_set
-    seen = sum(one.family_wise_limit <= 1.0 for one in fitted.model.limits)
+    fit, selection = fit_nuisances(model, first, patch, seed)
+    found = diagnose(model, fit.residual, selection)
+    seen = int(np.sum(model.family_wise_limits <= 1.0))
     remarks = (
-        *fitted.notes,
-        *fitted.noise_floor,
-        f"these motions would show {seen} of {len(fitted.model.limits)} effects at their typical size",
+        *audit_recordings(recordings),
+        *missing,
+        *floor_notes,
+        f"these motions would show {seen} of {len(model.limits)} effects at their typical size",
     )
     diagnosis = replace(
         found.diagnosis,
-        robot=features.robot,
-        fitted_motions=tuple(dict.fromkeys(features.list_sessions())),
+        robot=arm.feature_set.arm.name,
+        fitted_motions=tuple(dict.fromkeys(arm.feature_set.list_sessions())),
         remarks=tuple(f"{one}." for one in remarks),
     )
-    errors = _judge_held_out(found, fitted, campaign)
-    if errors and fitted.held_out is not None:
-        judged = fitted.held_out.arm.feature_set.list_sessions()
-        diagnosis = replace(diagnosis, errors=errors, judged_motions=tuple(dict.fromkeys(judged)))
-    return CaseDiagnosis(diagnosis, tuple(_make_traces(fitted, found)))
+    if campaign.held_out is not None and held_out:
+        errors = _judge_held_out(found, fit, held_out, campaign, campaign.held_out)
+        judged = tuple(one.name for one in held_out)
+        diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
+    return CaseDiagnosis(diagnosis, tuple(_make_traces(fit.simulator, found)), fit.simulator.arm.patch)
 
 
-def _make_traces(fitted: FittedCase, found: Explanation) -> Iterator[Trace]:
+def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without and with the findings."""
-    case = fitted.simulator
     _, nominal, explained = found.residuals
     all_features = case.arm.feature_set.list_features()
     sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
@@ -251,24 +205,6 @@ def _make_traces(fitted: FittedCase, found: Explanation) -> Iterator[Trace]:
                 nominal[rows],
                 explained[rows],
             )
-
-
-def _held_out_simulator(
-    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
-) -> CaseSimulator | None:
-    """Build the simulator of held-out motion; None if there is none.
-
-    Raises:
-        TooLittleMotion: None of it can be compared with the campaign.
-    """
-    if campaign.held_out is None or not recordings:
-        return None
-    arm, _ = _case_simulator(recordings, campaign, patch)
-    found = build_case_simulator(arm, campaign.held_out.layout)
-    if not found.rows.size:
-        names = ", ".join(one.name for one in recordings)
-        raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
-    return found
 
 
 def _case_simulator(
@@ -295,50 +231,51 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
 
 
 def _judge_held_out(
-    found: Explanation, fitted: FittedCase, campaign: CampaignModel
+    found: Explanation,
+    fit: NuisanceFit,
+    recordings: Sequence[Recording],
+    campaign: CampaignModel,
+    sensitivities: Sensitivities,
 ) -> tuple[JointError, ...]:
-    """List the errors of channels and tool on held-out motion; none if there is none, or no such arm.
+    """List the errors of channels and tool on held-out motion; none if no such arm can be simulated.
 
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
+
+    Raises:
+        TooLittleMotion: Nothing of the motion can be compared with the campaign.
     """
-    case = fitted.held_out
-    if campaign.held_out is None or case is None:
-        return ()
+    arm, _ = _case_simulator(recordings, campaign, fit.simulator.arm.patch)
+    case = build_case_simulator(arm, sensitivities.layout)
+    if not case.rows.size:
+        names = ", ".join(one.name for one in recordings)
+        raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
     change = case.simulate(found.values)
-    if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
+    if not np.all(np.isfinite(change)):
         return ()
-    held = campaign.held_out.select(case.rows)
+    held = sensitivities.select(case.rows)
     N = held.nuisance[:, held.shared_nuisances]
-    base = fitted.held_out_residual - N @ found.nuisance
-    rows = fitted.held_out_residual, base, base - change
+    residual = case.residual() + held.nuisance @ fit.nuisance
+    base = residual - N @ found.nuisance
+    rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error(held.layout.keys, rows, sigma)
+    tool = compute_tool_error(held.layout.keys, rows, sigma, arm.feature_set.arm.params)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 
-def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
-    layout = campaign.model.sensitivities.layout
-    if case.rows.size >= MIN_FEATURE_SHARE * layout.size:
-        return
-    raise TooLittleMotion(
-        f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
-        f"they lack the motions: {', '.join(_missing_sessions(case, campaign))}"
-    )
+def _find_missing(case: CaseSimulator, campaign: CampaignModel) -> tuple[str, ...]:
+    """Return a remark on the sessions of the campaign that a case lacks.
 
-
-def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
-    """Return a note on sessions of the campaign that the case lacks."""
-    missing = _missing_sessions(case, campaign)
-    return (
-        [f"these logs have nothing comparable to the campaign's motions {', '.join(missing)}"]
-        if missing
-        else []
-    )
-
-
-def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
+    Raises:
+        TooLittleMotion: It lacks most.
+    """
     layout = campaign.model.sensitivities.layout
     every, shared = (
         {key.split("/", 1)[0] for key in keys} for keys in (layout.keys, layout.select(case.rows).keys)
     )
-    return sorted(every - shared)
+    names = ", ".join(sorted(every - shared))
+    if case.rows.size < MIN_FEATURE_SHARE * layout.size:
+        raise TooLittleMotion(
+            f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
+            f"they lack the motions: {names}"
+        )
+    return (f"these logs have nothing comparable to the campaign's motions {names}",) if names else ()

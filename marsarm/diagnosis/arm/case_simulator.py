@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.feature_set import every_motion, measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
-from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
+from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Ints
@@ -73,11 +73,7 @@ class CaseSimulator:
             return np.full(self.at.size, np.nan)
 
     def residual(self) -> Array:
-        """Subtract the nominal from the measured features.
-
-        Returns:
-            Residual in the units of the channels, shape (m,).
-        """
+        """Subtract the nominal from the measured features, in the units of the channels, shape (m,)."""
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
@@ -91,9 +87,6 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimula
     Args:
         arm: Simulator of the arm under the drive of the case.
         layout: Layout of the campaign's features, m of them.
-
-    Returns:
-        Simulator of the shared features.
     """
     number = {key: k for k, key in enumerate(arm.layout.keys)}
     rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
@@ -114,9 +107,6 @@ def resimulate(
         patch: Effects that are switched on.
         only: Predicate of the motions to simulate.
         otherwise: Change of the other motions in the units of the channels, shape (m,).
-
-    Returns:
-        Simulator with the patch and the new nominal prediction.
     """
     arm, extrapolated = case.arm.with_patch(patch), case.nominal.copy()
     simulated = arm.predict_effects((), only)
@@ -130,18 +120,16 @@ def simulate_change(
     nominal: Array,
     only: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """Simulate the change of the features by effects, only in motions that the effects can influence.
+    """Simulate the change (n,) by effects; 0 in motions that they cannot influence.
 
     Args:
         arm: Simulator of the arm, with n features.
         nominal: Prediction without effects in the units of the channels, shape (n,).
         only: Predicate of the motions to simulate.
-
-    Returns:
-        Change, shape (n,); 0 in motions that are not simulated.
     """
-    touched = AffectedMotions(effects)
-    found = arm.predict_effects(effects, lambda one: touched(one) and only(one)) - nominal
+    found = (
+        arm.predict_effects(effects, lambda one: only(one) and any(moves(e, one) for e in effects)) - nominal
+    )
     return np.where(np.isfinite(found), found, 0.0)
 
 
@@ -167,9 +155,6 @@ def fit_nuisances(
 
     Args:
         first: Simulator at nominal nuisances.
-
-    Returns:
-        Best fit, and the effects that are selected there.
     """
     whiten = build_full_whitener(model.sensitivities)
     alone = beside = _fit_alone(model, whiten, first, patch)
@@ -187,7 +172,7 @@ def fit_nuisances(
         beside = moved
         selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator.simulate)
     cost = _cost(whiten, beside, selection)
-    if beside is not alone and selection.chosen and cost < before.null_deviance:
+    if beside is not alone and selection.chosen and cost < _deviance(whiten, alone.residual):
         return beside, selection
     return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator.simulate)
 
@@ -252,7 +237,7 @@ def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> fl
     The whitener is that of the model, so that deviances of several selections can be compared.
     """
     k = sum(a.size for a in selection.departures)
-    needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
+    needed = float(chi2.isf(FALSE_ALARM / max(selection.engine.context.n_distinct, 1.0), k)) if k else 0.0
     return _deviance(whiten, fit.residual - selection.change()) + needed
 
 
@@ -262,7 +247,7 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     Random and one-sided nuisances stay 0.
     """
     equations = model.equations
-    fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
+    fit = fit_linear(equations, equations.whiten(current.residual), beside)
     found = np.zeros(len(model.sensitivities.nuisances))
     found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])

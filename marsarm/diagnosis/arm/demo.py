@@ -21,8 +21,8 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_background,
     sample_effect,
 )
-from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, simulator_digest
-from marsarm.diagnosis.arm.case import CampaignModel, diagnose_fitted_case, fit_case, load_campaign_model
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, check_cache_folder, simulator_digest
+from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -46,10 +46,11 @@ SIZES: Final = (1.0, 4.0)
 """Range of the drawn sizes, in detection limits of the selection from all hypotheses."""
 MAX_DRAWS: Final = 20
 """Most draws until the arm can complete its sessions; one in twenty effects stops it."""
+SENSITIVITIES_BEGIN: Final = 0.15
 RECORDING_BEGINS: Final = 0.8
 DIAGNOSIS_BEGINS: Final = 0.95
-"""Shares of a demonstration's time, for the progress: a campaign that is not cached takes some 200 s on two
-cores, the recording 40 s, and the diagnosis 12 s."""
+"""Shares of a demonstration's time, for the progress: a recording takes some 40 s, that of the campaign and
+that of the arm, the sensitivities of a campaign 160 s on two cores, and the diagnosis 12 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class Demo:
     """Result of a demonstration."""
 
     truth: DemoTruth
-    diagnosis: Diagnosis
+    case: CaseDiagnosis
     is_right: bool
     reason: str
     """Why it is right or wrong, as a sentence."""
@@ -94,33 +95,33 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         BadRequest: The request is wrong, or the cache cannot be written.
     """
     check_options(request)
-    campaign = load_demo_campaign(request, part_of(progress, 0.0, RECORDING_BEGINS))
+    campaign = load_demo_campaign(request, progress)
     with TemporaryDirectory() as name:
         recording = part_of(progress, RECORDING_BEGINS, DIAGNOSIS_BEGINS)
         truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
         publish(truth.digest())
         progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
-        model, diagnosis = _diagnose(Path(name), campaign, truth, request.seed)
-    is_right, reason = judge(truth, model, diagnosis)
-    return Demo(truth, diagnosis, is_right, reason)
+        case = _diagnose(Path(name), campaign, truth, request.seed)
+    return Demo(truth, case, *judge(truth, campaign.model, case.diagnosis))
 
 
 def demo_json(found: Demo) -> dict[str, Any]:
     """Return the document of a demonstration."""
     truth = {**asdict(found.truth), "sha256": found.truth.digest()}
     right = {"is_right": found.is_right, "reason": found.reason}
-    return {**right, "truth": truth, "diagnosis": to_document(found.diagnosis)}
+    return {**right, "truth": truth, "diagnosis": to_document(found.case.diagnosis)}
 
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", Path(record.__file__))[:16]
+    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", NOMINAL, Path(record.__file__))[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
-        record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
+        record_logs(RecordRequest(folder), part_of(progress, 0.0, SENSITIVITIES_BEGIN))
     logs, held_out = (sorted(of.glob("*.mcap")) for of in (folder, folder / HELD_OUT_FOLDER))
     run = select_runner(request.workers, None)
-    return load_campaign_model(logs, held_out, folder, run, part_of(progress, 0.05, 1.0))
+    sensitivities = part_of(progress, SENSITIVITIES_BEGIN, RECORDING_BEGINS)
+    return load_campaign_model(logs, held_out, folder, run, sensitivities)
 
 
 def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Progress) -> DemoTruth:
@@ -137,36 +138,28 @@ def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Prog
 
 
 def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
-    """Draw what is on in the arm.
-
-    Returns:
-        The truth, and all effects of the arm.
-    """
+    """Draw what is on in the arm; return the truth, and all effects of the arm."""
     kinds, shares = zip(*KINDS, strict=True)
     kind: Kind = kinds[int(rng.choice(len(kinds), p=shares))]
     background, salt = sample_background(rng), rng.bytes(16).hex()
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    limits = [one.family_wise_limit for one in model.limits]
-    seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+    seen = list_detectable(model, model.family_wise_limits)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
-    effect = catalogue_effect(hypothesis.key, drawn.amplitudes)
+    effect = catalogue_effect(hypothesis.key, drawn.values)
     truth = DemoTruth(
         salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
     return truth, (*background, effect)
 
 
-def _diagnose(
-    folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
-) -> tuple[DiagnosisModel, Diagnosis]:
+def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> CaseDiagnosis:
     fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
     if truth.kind == "left out":
         campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
-    case = fit_case(fitted, held_out, campaign, seed)
-    return case.model, diagnose_fitted_case(case, campaign).diagnosis
+    return diagnose_case(fitted, held_out, campaign, seed)
 
 
 def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[bool, str]:
@@ -175,46 +168,31 @@ def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tupl
     is_none = not findings and not diagnosis.remaining
     if truth.kind == "none":
         return is_none, "nothing was on" if is_none else "nothing was on, but something was reported"
-    true = model.sensitivities.index(f"{truth.place}: {truth.effect}")
+    alike = model.equivalence_class(model.sensitivities.index(f"{truth.place}: {truth.effect}"))
+    right = [one for one in findings if holds(model, one, alike)]
+    named = [one for one in findings if level(one) == "effect"]
     if truth.kind == "left out":
-        return _judge_left_out(findings, is_none, model, true)
-    if not findings:
-        return False, "the effect was not found"
-    wrong = [one for one in findings if not holds(model, one, true)]
-    if len(wrong) == len(findings):
-        return False, "the effect is in no set that was reported"
-    if any(one.effects for one in wrong):
+        located = [one for one in findings if level(one) != "none"]
+        places = {model.locations[k] for k in alike}
+        for is_wrong, what in (
+            (named, "another was named"),
+            (is_none, "nothing was reported"),
+            (not all(places & {*one.places} for one in located), "a wrong place was reported"),
+        ):
+            if is_wrong:
+                return False, f"the catalogue lacked the effect, and {what}"
+        return True, "the catalogue lacked the effect, and no other was named"
+    if not right:
+        return False, "the effect is in no set that was reported" if findings else "the effect was not found"
+    if any(one not in right for one in named):
         return False, "the effect was found, but another was named beside it"
-    found = level(next(one for one in findings if one not in wrong))
-    return True, f"the {found} was reported"
+    return True, f"the {level(right[0])} was reported"
 
 
-def _judge_left_out(
-    findings: Sequence[Finding], is_none: bool, model: DiagnosisModel, true: int
-) -> tuple[bool, str]:
-    if any(level(one) == "effect" for one in findings):
-        return False, "the catalogue lacked the effect, but another was named"
-    if is_none:
-        return False, "the catalogue lacked the effect, and nothing was reported"
-    if any(level(one) != "none" and not _has_place(model, one, true) for one in findings):
-        return False, "the catalogue lacked the effect, and a wrong place was reported"
-    return True, "the catalogue lacked the effect, and no other was named"
-
-
-def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
-    """Check that the set of a finding, at its level, holds a hypothesis.
-
-    Args:
-        true: Index of the hypothesis.
-    """
-    alike = model.equivalence_class(true)
-    if level(finding) == "effect":
-        return bool({model.sensitivities.hypotheses[k].key for k in alike} & set(finding.effects))
-    return _has_place(model, finding, true) and (
-        level(finding) != "family" or any(model.families[one] in finding.families for one in alike)
-    )
-
-
-def _has_place(model: DiagnosisModel, finding: Finding, true: int) -> bool:
-    """Check that a place of a finding is that of a hypothesis, or of one that is the same here."""
-    return any(model.locations[one] in finding.places for one in model.equivalence_class(true))
+def holds(model: DiagnosisModel, finding: Finding, alike: Sequence[int]) -> bool:
+    """Check that the set of a finding, at its level, holds one of some hypotheses."""
+    known = level(finding)
+    if known == "effect":
+        return any(model.sensitivities.hypotheses[k].key in finding.effects for k in alike)
+    is_family = known != "family" or any(model.families[k] in finding.families for k in alike)
+    return is_family and any(model.locations[k] in finding.places for k in alike)

@@ -10,16 +10,17 @@ from typing import Final
 from fsw.dictionary.params import Params
 from marsarm.common.effects import parse_effects
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.requests import load_fitting_params
+from marsarm.common.requests import load_fitting_params, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import Logs
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, Logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import list_candidates
-from sim.arm_model.load import default_arm
+from sim.arm_model.load import ArmModel
+from sim.arms import arm_named
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
 from sim.scenario.records import shorten
@@ -48,6 +49,8 @@ class DiagnoseJob:
     campaign: Path | None = None
     """Folder of the campaign that the logs repeat, with its cache; None if the logs are their own
     campaign."""
+    arm: str = NOMINAL
+    """Name of an arm of their drawing."""
     seed: int = 0
     patch: tuple[Effect, ...] = ()
     """Effects that are switched on in the simulator from the start."""
@@ -57,7 +60,12 @@ class DiagnoseJob:
 
 def flight_params(job: DiagnoseJob) -> Params:
     """Return the flight parameters of the arm: those of the job, else of its first log."""
-    return job.base or load_recording(job.logs[0]).params
+    return job.base or load_recording(job.logs[0], drawing(job)).params
+
+
+def drawing(job: DiagnoseJob) -> ArmModel:
+    """Return the drawing of the arm."""
+    return arm_named(job.arm).model
 
 
 def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
@@ -70,15 +78,18 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
     fitted = tuple(_expand_logs(request.logs, "log"))
     held_out = tuple(_expand_logs(request.held_out, "held-out log"))
     _check_different(fitted, held_out)
+    arm = select_arm(request.arm, None).model
     beside = fitted[0].parent / PARAMS_FILE
     path = request.params or (beside if beside.is_file() else None)
-    base = None if path is None else load_fitting_params(default_arm(), path, request.mismatch)
+    base = None if path is None else load_fitting_params(arm, path, request.mismatch)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
-    effects = parse_effects(request.effects, default_arm().params.tool_names)
+    effects = parse_effects(request.effects, arm.params.tool_names)
     run = select_runner(request.workers, request.cluster)
-    return DiagnoseJob(fitted, held_out, base, kinds, request.campaign, request.seed, effects, run)
+    return DiagnoseJob(
+        fitted, held_out, base, kinds, request.campaign, request.arm, request.seed, effects, run
+    )
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
@@ -152,12 +163,15 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
         BadRequest: A cached file of the campaign cannot be read.
         BadOutput: A cached file cannot be written.
     """
-    fitted = load_checked_recordings(job.logs, job.base)
+    arm = drawing(job)
+    fitted = load_checked_recordings(job.logs, job.base, arm)
     base = job.base or fitted[0].params
-    held_out_recordings = load_checked_recordings(job.held_out, base)
+    held_out_recordings = load_checked_recordings(job.held_out, base, arm)
     _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
     _check_held_out(fitted, held_out_recordings)
-    _check_motion(fitted)
+    missing = find_missing_motion(fitted)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
     logs, held_out = job.logs, job.held_out
     if job.campaign is not None:
         logs, held_out = _campaign_logs(job.campaign, fitted, held_out_recordings)
@@ -168,17 +182,11 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
         job.run,
         part_of(progress, 0.0, CAMPAIGN_SHARE),
         job.kinds,
+        job.arm,
     )
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
-    patch = (*effects_of_params(base), *job.patch)
+    patch = (*effects_of_params(base, arm.params), *job.patch)
     return diagnose_case(fitted, held_out_recordings, campaign, job.seed, patch)
-
-
-def _check_motion(recordings: Sequence[Recording]) -> None:
-    """Refuse too little motion, before the long computation."""
-    missing = find_missing_motion(recordings)
-    if missing:
-        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
 def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:

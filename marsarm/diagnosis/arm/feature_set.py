@@ -40,10 +40,10 @@ from marsarm.diagnosis.arm.rest_poses import (
     solve_rests,
     stack_readings,
 )
+from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
 from sim.effects.gears import OutputFriction
 from sim.loop import SimulationOptions
-from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 from simgap import screw_log
 
@@ -79,11 +79,9 @@ class FeatureSet:
     rests: tuple[RestFeatures, ...]
 
     @property
-    def robot(self) -> str:
-        """Name of the arm."""
-        return (
-            self.motions[0].recording if self.motions else self.rests[0].turning_points.recording
-        ).params.model.name
+    def arm(self) -> ArmModel:
+        """Drawing of the arm."""
+        return (self.motions[0].recording if self.motions else self.rests[0].turning_points.recording).arm
 
     def list_features(self) -> tuple[Feature, ...]:
         """List the features of the motions, then of the rests."""
@@ -102,7 +100,7 @@ class FeatureSet:
 
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests of all recordings, and motions of those without tracker poses."""
-    config = configure(nominal_params())
+    config = configure(recordings[0].arm.params)
     turning_points = [find_turning_points(one) for one in recordings if one.world.surface is None]
     friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
     nominal, less, more = (
@@ -119,11 +117,7 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
-    """Compute the measured features.
-
-    Returns:
-        Features in the units of their channels, shape (m,).
-    """
+    """Compute the measured features in the units of their channels, shape (m,)."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         tracked = one.turning_points.recording.tracker_poses
@@ -270,7 +264,7 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
         Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
         (m,); 0 elsewhere.
     """
-    config = configure(nominal_params())
+    config = configure(feature_set.arm.params)
     found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
     for one in feature_set.rests:
         n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, bin_means, find_segments
+from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, find_segments
 
 CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
@@ -135,15 +135,12 @@ def _segment_features(
 
 
 def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
-    """Compute the features from sensors.
+    """Compute the features (m,) from sensors, in the units of their channels.
 
     Args:
         motion: Segments and features of the recording, m of them.
         sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
             `compared_ticks`, in the units of their names.
-
-    Returns:
-        Features in the units of their channels, shape (m,).
     """
     recording, values = motion.recording, []
     touch = _touch_tick(recording)
@@ -159,7 +156,7 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
             (RESOLVER, resolver[j]),
         ):
             bins = _compared_bins(recording, segment, channel, touch)
-            values.append(bin_means(read, [(first, end) for _, first, end in bins]))
+            values.append(np.array([read[first:end].mean() for _, first, end in bins]))
     values.append(sensors["gravity_R_m_s2"].mean(axis=0))
     return np.concatenate(values)
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.case_simulator import simulate_change
 from marsarm.diagnosis.arm.feature_set import changes_readings_only, every_motion, rests_moved_by
 from marsarm.diagnosis.arm.features import MotionFeatures
@@ -48,7 +48,7 @@ def adapt_step(share: float, seen: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class JacobianColumn:
-    """Column of the sensitivities: an amplitude parameter of a hypothesis, or a nuisance."""
+    """Column of the sensitivities: a parameter of a hypothesis, or a nuisance."""
 
     hypothesis: int | None
     index: int
@@ -68,7 +68,7 @@ class OneSidedStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Perturbation:
+class Perturbation:
     """Effects of a step, and its size."""
 
     effects: tuple[Effect, ...]
@@ -76,78 +76,42 @@ class _Perturbation:
 
 
 def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
-    """List every amplitude parameter of every hypothesis in order, then the nuisances."""
+    """List every parameter of every hypothesis in order, then the nuisances."""
     sized = [
         JacobianColumn(k, at)
         for k, hypothesis in enumerate(simulator.hypotheses)
-        for at, parameter in enumerate(hypothesis.parameters)
-        if parameter.is_amplitude
+        for at in range(len(hypothesis.parameters))
     ]
     return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
 
 
-def find_equal_columns(
+def find_borrowed_slopes(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn]
 ) -> dict[int, tuple[int, float]]:
-    """Find the nuisances that equal a hypothesis or another nuisance.
+    """Find the columns that have the slope of another: of each, the other and the factor.
 
-    A hypothesis that is a factor is excluded, as its step is many sigmas of the nuisance. There the response
-    is not linear, and backlash changes sides.
-
-    Returns:
-        For each such nuisance its column, the equal column, and the typical size of that.
+    A nuisance has that of an equal hypothesis, or of an equal nuisance, and is not simulated. A hypothesis
+    that is a factor has that of its nuisance: its own step is many sigmas of it, where the response is not
+    linear and backlash changes sides. The nuisance could not explain the difference of the slopes.
     """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
+    own: dict[str, int] = {}
     for k, column in enumerate(columns):
         if column.hypothesis is not None:
             hypothesis = simulator.hypotheses[column.hypothesis]
             parameter = hypothesis.parameters[column.index]
             if parameter.unit != LOG_UNIT:
-                known.setdefault(hypothesis.name, (k, parameter.typical))
+                known.setdefault(hypothesis.name, (k, 1.0 / parameter.typical))
         elif (name := simulator.nuisance_effects[column.index].same_as) in known:
             found[k] = known[name]
         else:
-            known[name] = k, 1.0
-    return found
-
-
-def find_shared_slopes(
-    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
-) -> dict[int, tuple[int, float]]:
-    """Find the hypotheses that take their slope from a nuisance.
-
-    Small departures of both are the same effect. Slopes from different steps would differ, and the nuisance
-    could not explain the difference.
-
-    Returns:
-        For each such hypothesis its column, the nuisance's column, and its typical size in the nuisance's
-        unit.
-    """
-    same = find_equal_columns(simulator, columns)
-    own = {
-        simulator.nuisance_effects[column.index].same_as: k
-        for k, column in enumerate(columns)
-        if column.hypothesis is None and k not in same
-    }
-    found: dict[int, tuple[int, float]] = {}
+            known[name], own[name] = (k, 1.0), k
     for k, column in enumerate(columns):
-        if column.hypothesis is None:
-            continue
-        hypothesis = simulator.hypotheses[column.hypothesis]
-        if hypothesis.name in own:
+        hypothesis = simulator.hypotheses[column.hypothesis or 0]
+        if column.hypothesis is not None and hypothesis.name in own:
             found[k] = own[hypothesis.name], hypothesis.parameters[column.index].typical
     return found
-
-
-def count_sides(simulator: ArmSimulator, column: JacobianColumn) -> int:
-    """Count the sides of nominal within the bounds."""
-    return len(_perturb_both_sides(simulator, column, 1.0))
-
-
-def steps_to_rest(simulator: ArmSimulator, column: JacobianColumn) -> bool:
-    """Check that the effect needs a dynamic simulation up to the rests."""
-    return any(map(is_stepped, _typical_step(simulator, column).effects))
 
 
 def group_columns(
@@ -156,27 +120,23 @@ def group_columns(
     """Group columns that are simulated at once, one at each joint; slow groups come first."""
     count: Counter[Hashable] = Counter()
     groups: dict[Hashable, list[int]] = {}
+    slow = set()
     for k in wanted:
-        key = _group_key(simulator, columns[k])
+        effects = perturb_both_sides(simulator, columns[k], 1.0)[0].effects
+        key = _group_key(effects, columns[k])
         # effects of one kind at one joint, such as friction in two directions, would add up
-        at_joint = key, _joint(_typical_step(simulator, columns[k]))
+        at_joint = key, _joint(effects)
         groups.setdefault(k if key is None else (key, count[at_joint]), []).append(k)
         count[at_joint] += 1
-    found = sorted(groups.values(), key=lambda of: (not steps_to_rest(simulator, columns[of[0]]), -len(of)))
-    return [tuple(of) for of in found]
+        slow |= {k} if any(map(is_stepped, effects)) else set()
+    return [tuple(of) for of in sorted(groups.values(), key=lambda of: (of[0] not in slow, -len(of)))]
 
 
-def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, int | None] | None:
+def _group_key(effects: tuple[Effect, ...], column: JacobianColumn) -> tuple[str, int | None] | None:
     """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
-    whole = _typical_step(simulator, column)
-    if _joint(whole) is None:
+    if _joint(effects) is None:
         return None
-    return type(whole.effects[0]).__name__, None if column.hypothesis is None else column.index
-
-
-def step_size(simulator: ArmSimulator, column: JacobianColumn, share: float) -> float:
-    """Return the step within the bounds for a share of the typical size, upwards if there is room."""
-    return _perturb_both_sides(simulator, column, share)[0].size
+    return type(effects[0]).__name__, None if column.hypothesis is None else column.index
 
 
 def simulate_side(
@@ -194,79 +154,57 @@ def simulate_side(
         number: 0 for the first side, 1 for the second.
         shares: Step of each column as a share of its typical size.
         only: Predicate of the motions to simulate; others do not change.
-
-    Returns:
-        Step of each column.
     """
     ends = [
-        _perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
+        perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
     ]
-    if _group_key(simulator, columns[0]) is None:
-        changes = [simulate_change(simulator, ends[0].effects, nominal, only)]
-    else:
-        changes = _simulate_together(simulator, ends, nominal, only)
+    every = tuple(effect for end in ends for effect in end.effects)
+    changes = [simulate_change(simulator, every, nominal, only)]
+    if _joint(every[:1]) is not None:
+        changes = [_change_at_joint(simulator, changes[0], end.effects) for end in ends]
     return [OneSidedStep(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
 
 
-def _simulate_together(
-    simulator: ArmSimulator,
-    ends: Sequence[_Perturbation],
-    nominal: Array,
-    only: Callable[[MotionFeatures], bool],
-) -> list[Array]:
-    """Simulate once with all effects; select the motions and the rests that each joint changes."""
-    every = tuple(effect for end in ends for effect in end.effects)
-    moved = simulate_change(simulator, every, nominal, only)
+def _change_at_joint(simulator: ArmSimulator, moved: Array, effects: tuple[Effect, ...]) -> Array:
+    """Return the part of a change (m,) in the motions and the rests that the joint of an effect changes."""
+    joint = _joint(effects)
+    assert joint is not None, "only effects at joints are simulated together"
     moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
-    found = []
-    for end in ends:
-        joint = _joint(end)
-        assert joint is not None, "only effects at joints are simulated together"
-        own = moving & _features_at(simulator, joint.name.lower())
-        turns = not all(map(changes_readings_only, end.effects))
-        at_rest = rests_moved_by(simulator.feature_set, moved, joint, turns)
-        found.append(np.where(own, moved, at_rest))
-    return found
+    places, name = simulator.layout.places, joint.name.lower()
+    own = moving & np.array([place == name for place in places])[simulator.layout.place]
+    turns = not all(map(changes_readings_only, effects))
+    return np.where(own, moved, rests_moved_by(simulator.feature_set, moved, joint, turns))
 
 
-def _features_at(simulator: ArmSimulator, name: str) -> Flags:
-    """Return flags of the features at a place, (m,)."""
-    return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
-
-
-def _joint(end: _Perturbation) -> Joint | None:
-    """Return the joint of the effect; None if it has none."""
-    (effect,) = end.effects
+def _joint(effects: tuple[Effect, ...]) -> Joint | None:
+    """Return the joint of an effect; None if it has none."""
+    (effect,) = effects
     joint = getattr(effect, "joint", None)
     return None if joint is None else Joint(joint)
 
 
-def _typical_step(simulator: ArmSimulator, column: JacobianColumn) -> _Perturbation:
-    """Return a step of the typical size, upwards if there is room."""
-    return _perturb_both_sides(simulator, column, 1.0)[0]
-
-
-def _perturb_both_sides(
+def perturb_both_sides(
     simulator: ArmSimulator, column: JacobianColumn, share: float
-) -> tuple[_Perturbation, ...]:
-    """Return steps up and down, within the bounds."""
+) -> tuple[Perturbation, ...]:
+    """Return steps up and down by a share of the typical size, within the bounds: one or two."""
     found = (_perturb(simulator, column, sign * share) for sign in (1.0, -1.0))
     return tuple(end for end in found if end is not None)
 
 
-def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _Perturbation | None:
+def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> Perturbation | None:
     """Return the step of a share of the typical size; None if the bounds leave no room."""
     if column.hypothesis is None:
         one = simulator.nuisance_effects[column.index]
         if share < 0.0 and one.one_sided:
             return None
         departure = 1.0 if one.one_sided else float(np.sign(share)) * one.nuisance.sigma
-        return _Perturbation((one.effect(departure),), departure)
+        return Perturbation((one.effect(departure),), departure)
     hypothesis = simulator.hypotheses[column.hypothesis]
-    parameter, values = hypothesis.parameters[column.index], hypothesis.absent
-    absent = values[column.index]
-    values[column.index] = np.clip(absent + share * parameter.typical, parameter.least, parameter.most)
-    if values[column.index] == absent:
+    parameter = hypothesis.parameters[column.index]
+    values = np.array([one.neutral for one in hypothesis.parameters])
+    value = float(np.clip(parameter.neutral + share * parameter.typical, parameter.least, parameter.most))
+    if value == parameter.neutral:
         return None
-    size = float((values[column.index] - absent) / parameter.typical)
-    return _Perturbation(tuple(simulator.effects({hypothesis: values})), size)
+    values[column.index] = value
+    size = (value - parameter.neutral) / parameter.typical
+    return Perturbation(tuple(simulator.effects({hypothesis: values})), size)

@@ -4,10 +4,8 @@ Tracker poses are a CSV table by tick, beside a log. Segments of motion and rest
 alone, so that imported logs work too.
 """
 
-import csv
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from io import StringIO
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -26,17 +24,19 @@ from marsarm.replaying.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
+from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
-from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.toml import decode_text, describe_first_problem
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
 
-POSE_COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
-
-SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
+TRACKER_COLUMNS: Final = (
+    *("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m"),
+    *("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m"),
+)
 
 BIN_TICKS: Final = CYCLE_HZ // 4
 """Width of a bin in ticks: a quarter of a second."""
@@ -71,14 +71,15 @@ def no_tracker_poses() -> TrackerPoses:
 
 
 def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
-    """Write a CSV file: rotation vector, position, and standard deviations."""
+    """Write a CSV file: tick, rotation vector, position, and standard deviations."""
     turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow((*POSE_COLUMNS, *SIGMA_COLUMNS))
-        for k, tick in enumerate(seen.tick):
-            numbers = (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k])
-            table.writerow((int(tick), *(repr(float(number)) for number in numbers)))
+    rows = [
+        ",".join(
+            [str(int(tick)), *(repr(float(x)) for x in (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k]))]
+        )
+        for k, tick in enumerate(seen.tick)
+    ]
+    path.write_text("\n".join([",".join(TRACKER_COLUMNS), *rows, ""]), encoding="utf-8")
 
 
 def read_tracker_poses(path: Path) -> TrackerPoses:
@@ -88,22 +89,23 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
         BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
     """
     try:
-        table = csv.DictReader(StringIO(decode_text(path.read_bytes(), str(path)), newline=""))
-        rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
+        header, *rows = decode_text(path.read_bytes(), str(path)).splitlines() or [""]
     except OSError as error:
         raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
     except RobotError as error:
         raise BadTracker(str(error)) from error
-    except csv.Error as error:
-        raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
+    names = header.split(",")
+    missing = [name for name in TRACKER_COLUMNS if name not in names]
     if missing:
-        raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
-    if not rows:
+        raise BadTracker(f"{path}: has no column {', '.join(missing)}")
+    cells = [row.split(",") for row in rows if row]
+    if not cells:
         return no_tracker_poses()
     try:
-        numbers = np.array([[float(row[name]) for name in (*POSE_COLUMNS, *SIGMA_COLUMNS)] for row in rows]).T
-    except (TypeError, ValueError) as error:
-        raise BadTracker(f"{path}: something in it is no number") from error
+        table = np.array(cells).astype(float).reshape(-1, len(names))
+    except ValueError as error:
+        raise BadTracker(f"{path}: something in it is no number, or rows have different lengths") from error
+    numbers = table[:, [names.index(name) for name in TRACKER_COLUMNS]].T
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
     tick = numbers[0].astype(np.int64)
@@ -154,31 +156,29 @@ class Recording:
     """Notes on lost messages of the log."""
 
     @property
+    def arm(self) -> ArmModel:
+        """Drawing of the arm."""
+        return self.start.arm
+
+    @property
     def ticks(self) -> int:
         """Number of ticks."""
         return len(self.drive[COUNTS])
 
     def motor_rad(self) -> Array:
-        """Convert the counts of the encoders to motor angles.
-
-        Returns:
-            Motor angles on the output side [rad], shape (5, n).
-        """
-        rad: Array = self.sensors["encoder_count"].T * self.rad_per_count[:, None]
-        return rad + self.start.zero_rad[:, None]
+        """Return the motor angles by the encoders, on the output side [rad], shape (5, n)."""
+        return self._angles_rad(self.sensors["encoder_count"])
 
     def setpoint_rad(self) -> Array:
-        """Convert the set-points from counts to angles.
+        """Return the commanded motor angles, on the output side [rad], shape (5, n)."""
+        return self._angles_rad(self.drive[COUNTS])
 
-        Returns:
-            Commanded motor angles on the output side [rad], shape (5, n).
-        """
-        rad: Array = self.drive[COUNTS].T * self.rad_per_count[:, None]
-        return rad + self.start.zero_rad[:, None]
+    def _angles_rad(self, counts: NDArray[Any]) -> Array:
+        return np.asarray(counts.T * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
 
 
-def load_recording(path: Path) -> Recording:
-    """Load a log of this project, or an imported one.
+def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
+    """Load a log of this project, or an imported one, of an arm of a drawing; None for the default one.
 
     Raises:
         NotForDiagnosis: The log lacks data that a comparison needs.
@@ -208,6 +208,7 @@ def load_recording(path: Path) -> Recording:
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
         reference.zero_rad,
         np.array([j.hardstop_rad for j in joints]),
+        arm or default_arm(),
     )
     warm_C = float(np.mean(sensors["winding_C"][0]))
     name = session.name or path.stem
@@ -246,14 +247,11 @@ def _read_session(text: str, path: Path) -> _SessionHeader:
 
 
 def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
-    """Derive the world from gravity, for logs without a description: scene and tilt, no rock.
+    """Derive the scene of the nearest gravity and the tilt, for logs without a description.
 
     Args:
         gravity_R_m_s2: Mean reading of the IMU in the rover frame, shape (3,).
         path: Log, for the error.
-
-    Returns:
-        World with the scene of the nearest gravity.
 
     Raises:
         NotForDiagnosis: The IMU reads no gravity.
@@ -340,16 +338,3 @@ def find_rests(recording: Recording) -> list[int]:
     edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
     pairs = zip(edges[::2], edges[1::2], strict=True)
     return [int(end) - 1 for first, end in pairs if end - first >= CYCLE_HZ // 2]
-
-
-def bin_means(values: Array, bins: list[tuple[int, int]]) -> Array:
-    """Compute means over bins.
-
-    Args:
-        values: Values by tick in any unit, shape (n,).
-        bins: First tick, and the one after the last, of each of b bins.
-
-    Returns:
-        Means in the same unit, shape (b,).
-    """
-    return np.array([values[first:end].mean() for first, end in bins])

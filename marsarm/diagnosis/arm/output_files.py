@@ -1,7 +1,6 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,11 @@ import numpy as np
 from fsw.dictionary.digest import digest
 from fsw.dictionary.params import Params
 from marsarm.diagnosis.arm.case import CaseDiagnosis
-from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, flight_params
+from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, drawing, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.params_table import BadParams, check_params, params_toml
 from sim.scenario.effects import effect_file_text, effect_text
 from simgap import Diagnosis, to_document
@@ -76,7 +74,7 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
     return params
 
 
-def save_new_params(diagnosis: Diagnosis, base: Params, path: Path) -> None:
+def save_new_params(diagnosis: Diagnosis, base: Params, drawing: Params, path: Path) -> None:
     """Write the parameter file for --params: all values of `base` and the findings that are not nominal.
 
     Raises:
@@ -94,7 +92,7 @@ def save_new_params(diagnosis: Diagnosis, base: Params, path: Path) -> None:
         *(f"There is no flight parameter for {name}." for name in without_parameter),
     ]
     with atomic_write(path, "new-params") as file:
-        file.write(params_toml(nominal_params(), params, comments).encode())
+        file.write(params_toml(drawing, params, comments).encode())
 
 
 def save_diagnosis_files(
@@ -119,7 +117,7 @@ def save_diagnosis_files(
         (
             "new-params",
             request.new_params,
-            lambda path: save_new_params(result.diagnosis, flight_params(job), path),
+            lambda path: save_new_params(result.diagnosis, flight_params(job), drawing(job).params, path),
         ),
     )
     not_written = []
@@ -135,14 +133,11 @@ def save_diagnosis_files(
 
 def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
     digests = {
-        "logs": _files_sha256(job.logs),
-        **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
+        if paths
+    } | {
         "parameters": digest(flight_params(job)),
         "result": json_sha256(to_document(result.diagnosis)),
     }
     return Origin(command_text("marsarm diagnose", request), digests)
-
-
-def _files_sha256(paths: Sequence[Path]) -> str:
-    """Compute the SHA-256 of the digests of files, whatever their names and order."""
-    return hashlib.sha256("".join(sorted(map(file_sha256, paths))).encode()).hexdigest()

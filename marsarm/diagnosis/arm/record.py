@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
@@ -19,7 +20,6 @@ from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.header import SESSION, flight_header
 from marsarm.telemetry.recorder import Recorder
-from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, effects_of_run
 from sim.diagnosis_campaign import (
     HELD_OUT_SESSIONS,
@@ -32,7 +32,6 @@ from sim.diagnosis_campaign import (
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
-from sim.params import nominal_params
 from sim.params_table import params_toml
 from sim.plant import PlantDiverged
 from sim.scenario.records import did_you_mean
@@ -57,14 +56,11 @@ def record_campaign(
     progress: Progress,
     effects: tuple[Effect, ...] = (),
 ) -> list[Path]:
-    """Record a log of each session, without the state of the plant.
+    """Record a log of each session, without the state of the plant; none where the arm does not complete it.
 
     Args:
         reference: Joint zeros that flight software starts with.
         effects: Effects that begin with the run.
-
-    Raises:
-        SessionFailed: A motion did not complete.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -73,22 +69,26 @@ def record_campaign(
         loop = start_session(
             session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
         )
-        paths.append(_record_session(folder / f"{session.name}.mcap", session, loop, seed + number))
+        path = folder / f"{session.name}.mcap"
+        try:
+            _record_session(path, session, loop, seed + number)
+            paths.append(path)
+        except (SessionFailed, PlantDiverged):
+            path.unlink(missing_ok=True)
     return paths
 
 
-def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
+def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> None:
     rng = np.random.default_rng([seed, 7])
     header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
     rows: list[tuple[int, Pose, Array]] = []
-    with Recorder(path, header) as recorder:
+    with Recorder(path, header, params=loop.config.params) as recorder:
         for moment in run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:
                 rows += _measure_turret(loop, session, moment.record.tick, rng)
     if session.tracked:
         write_tracker_poses(path.with_suffix(".tracker.csv"), _stack_poses(rows))
-    return path
 
 
 def session_json(session: DiagnosisSession) -> str:
@@ -126,27 +126,6 @@ def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
     ]
 
 
-def check_record_request(request: RecordRequest) -> None:
-    """Refuse a request that cannot be carried out; write nothing.
-
-    Raises:
-        BadRequest: Seed, effects, arm or folder are wrong.
-        BadOutput: The folder cannot be written.
-    """
-    check_options(request)
-    arm = select_arm(request.arm, request.params, request.mismatch)
-    if arm.model.name != default_arm().name:
-        raise BadRequest(
-            f"arm {request.arm}: the diagnosis knows the drawing {default_arm().name} only; give nominal, "
-            "as-built:SEED or calibrated:SEED"
-        )
-    fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
-    _choose_sessions(request, arm)
-    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
-        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
-    check_new_path(request.out, "out")
-
-
 def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
     """Return the sessions of the campaign that a request asks for.
 
@@ -163,33 +142,44 @@ def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSes
     return chosen
 
 
-def record_logs(request: RecordRequest, progress: Progress = no_progress) -> list[Path]:
-    """Record all sessions, held-out ones in their own folder; write all logs or none.
+@dataclass(frozen=True, slots=True)
+class RecordedLogs:
+    """Recorded logs, and the names of the sessions that the arm did not complete."""
+
+    logs: tuple[Path, ...]
+    left_out: tuple[str, ...]
+
+
+def record_logs(request: RecordRequest, progress: Progress = no_progress) -> RecordedLogs:
+    """Record all sessions, held-out ones in their own folder.
 
     Raises:
-        BadRequest: The request is wrong, or the arm cannot carry out a session with these effects.
+        BadRequest: The request is wrong, or the arm completes no session with these effects.
         BadOutput: The folder cannot be written.
     """
-    check_record_request(request)
+    check_options(request)
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
-    arm = fit_effects(arm, effects)
-    begun = effects_of_run(effects)
-    wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
+    arm, begun, wanted = fit_effects(arm, effects), effects_of_run(effects), _choose_sessions(request, arm)
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
+    check_new_path(request.out, "out")
+    reference, paths, left_out = true_reference(arm), [], []
     try:
         with atomic_path(request.out.resolve()) as part:
             part.mkdir(parents=True, exist_ok=True)
             comments = ["Flight parameters of these logs; all others are nominal."]
-            (part / PARAMS_FILE).write_text(params_toml(nominal_params(), arm.params, comments))
+            (part / PARAMS_FILE).write_text(params_toml(arm.model.params, arm.params, comments))
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
                 folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
                 seed = request.seed + number
                 made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
                 paths += [request.out / log.relative_to(part) for log in made]
-    except (SessionFailed, PlantDiverged) as error:
-        raise BadRequest(f"effect: {error}; with smaller effects it may complete") from error
+                left_out += [] if made else [session.name]
+            if not paths:
+                raise BadRequest("effect: the arm completes no session; with smaller effects it may")
     except OSError as error:
         raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
     progress(len(wanted), len(wanted), "recorded")
-    return paths
+    return RecordedLogs(tuple(paths), tuple(left_out))

@@ -23,6 +23,7 @@ class DiagnoseRequest:
             "LOG",
         ),
     ] = ()
+    arm: ArmOption = "nominal"
     params: ParamsOption = None
     mismatch: MismatchOption = False
     catalogue: Annotated[
@@ -60,6 +61,7 @@ class DemoRequest:
 
     seed: SeedOption = 0
     workers: WorkersOption = None
+    report: ReportOption = None
 
 
 @dataclass(frozen=True, slots=True)

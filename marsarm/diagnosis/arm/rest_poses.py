@@ -20,17 +20,18 @@ from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_pos
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
 from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments, no_tracker_poses
+from sim.arm_model.load import ArmModel
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
 from sim.effects.environment import Ambient, Numerics, StructureTemperature
 from sim.effects.gears import GearHysteresis
 from sim.effects.structure import LinkBending, LinkCreep
 from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
-from sim.params import nominal_params
 from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance
+from sim.setting import World
 from sim.tracker import turret_pose
-from sim.world import World, build
+from sim.world import build
 from simgap import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4
@@ -83,14 +84,7 @@ def find_turning_points(recording: Recording) -> TurningPoints:
 
 
 def read_resolvers(turning_points: TurningPoints) -> Array:
-    """Compute the recorded resolvers minus motor angles at the rests.
-
-    Args:
-        turning_points: Turning points of a recording with r rests.
-
-    Returns:
-        Differences in rad, shape (5, r).
-    """
+    """Compute the recorded resolvers minus motor angles at the rests [rad], shape (5, r)."""
     recording = turning_points.recording
     ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
     difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
@@ -99,13 +93,16 @@ def read_resolvers(turning_points: TurningPoints) -> Array:
 
 
 def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
-    """Solve the equilibria of each recording, for the nominal arm with these effects."""
+    """Solve the equilibria of each recording, for the drawing of its arm with these effects."""
     creep = next((effect for effect in effects if isinstance(effect, LinkCreep)), None)
     if creep is not None:
         return _solve_creep(turning_points, creep, [effect for effect in effects if effect is not creep])
     if any(map(is_stepped, effects)):
         return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
-    hardware, params = nominal_hardware(), nominal_params()
+    if not turning_points:
+        return []
+    arm = turning_points[0].recording.arm
+    hardware, params = nominal_hardware(arm.description), arm.params
     for effect in effects:
         before = hardware.counter_zero_rad
         hardware = effect.on_hardware(hardware)
@@ -145,7 +142,7 @@ def _solve_creep(
 
 
 def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
-    """Compute the share of its whole bending that a creeping link has at each time.
+    """Compute the share (k,) of its whole bending that a creeping link has; 0 without a load.
 
     The angle a follows creep_s a' = whole - a from 0 at time 0. The load, and with it the whole angle, is
     constant up to the first time and linear between times.
@@ -154,9 +151,6 @@ def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
         time_s: Times from the first cycle [s], ascending, shape (k,).
         angle_rad: Whole rotation by the bending at each time [rad], shape (3, k).
         creep_s: Time constant [s].
-
-    Returns:
-        Shares, without a unit, shape (k,); 0 where there is no load.
     """
     largest = angle_rad[:, int(np.argmax(np.sum(angle_rad**2, axis=0)))]
     whole = largest @ angle_rad
@@ -187,12 +181,12 @@ def _solve_statics(
     turning_points: TurningPoints, config: Config, hardware: Hardware, effects: Sequence[Effect]
 ) -> RestPoses:
     recording = turning_points.recording
-    gravity = recording.world.gravity_N_m_s2
+    gravity, drawing = recording.world.gravity_N_m_s2, recording.arm.description
     hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
-    counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
+    counter_error_rad = nominal_hardware(drawing).counter_zero_rad - hardware.counter_zero_rad
     motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
-    motor += scale_shift_rad(hardware, turning_points.motor_rad, recording.start.hardstop_rad)
-    plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
+    motor += scale_shift_rad(hardware, turning_points.motor_rad, recording.start.hardstop_rad, drawing)
+    plant = _plant_with(recording.arm, recording.world, tuple(effects)) if hardware.each_cycle else None
     half_backlash_rad = config.half_backlash_rad
     load = settle_output(config.arm, motor, gravity).torque_Nm
     gear, driven = np.zeros(5), motor[:, 0]
@@ -215,9 +209,9 @@ def _solve_statics(
 
 
 @lru_cache(maxsize=4)
-def _plant_with(world: World, effects: tuple[Effect, ...]) -> Plant:
+def _plant_with(arm: ArmModel, world: World, effects: tuple[Effect, ...]) -> Plant:
     """Build the plant with effects; recordings of a campaign often share a world."""
-    spec = build(world)
+    spec = build(world, arm)
     for effect in effects:
         effect.on_model(spec)
     return Plant(spec.compile())

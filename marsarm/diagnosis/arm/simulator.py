@@ -22,7 +22,7 @@ from marsarm.diagnosis.problem import (
 )
 from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
-from sim.effects.effect import EachMove, Effect, ParameterSpec
+from sim.effects.effect import EachMove, Effect
 from sim.effects.environment import Ambient, ContactStiffness, StructureTemperature, SurfacePosition
 from sim.effects.geometry import (
     Expansion,
@@ -90,7 +90,7 @@ class ArmSimulator:
         Args:
             nuisance: Departures from nominal in the units of the nuisances, shape (q,); None for none.
         """
-        found = [make_effect(self.catalogue_entry[one], one, values) for one, values in settings.items()]
+        found = [make_effect(self.catalogue_entry[one], values) for one, values in settings.items()]
         if nuisance is None:
             return found
         pairs = zip(self.nuisance_effects, nuisance, strict=True)
@@ -99,13 +99,10 @@ class ArmSimulator:
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
     ) -> Array:
-        """Predict the features with the patch and these effects.
+        """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
 
         Args:
             effects: Effects that are switched on beside the patch.
-
-        Returns:
-            Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
 
         Raises:
             PlantDiverged: MuJoCo counted a warning.
@@ -126,92 +123,79 @@ def build_simulator(
         sigma: Noise floor in the units of the channels, shape (m,).
         kinds: Classes of the candidate effects by name; None for the catalogue.
         patch: Effects that are always on.
-
-    Returns:
-        Simulator with all candidate effects and nuisances.
     """
-    entries = {to_hypothesis(one): one for one in list_candidates(kinds)}
+    entries = {to_hypothesis(one): one for one in list_candidates(kinds, feature_set.arm.params.tool_names)}
     return ArmSimulator(
-        feature_set, build_layout(feature_set, sigma), entries, tuple(list_nuisance_effects()), options, patch
+        feature_set,
+        build_layout(feature_set, sigma),
+        entries,
+        tuple(list_nuisance_effects(feature_set.arm)),
+        options,
+        patch,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class AffectedMotions:
-    """Predicate of the motions that effects can influence: at a joint if it moves, geometry never."""
-
-    effects: tuple[Effect, ...]
-
-    def __call__(self, one: MotionFeatures) -> bool:
-        """Check that any of the effects influences the motion."""
-        return any(self._shows(effect, one) for effect in self.effects)
-
-    def _shows(self, effect: Effect, one: MotionFeatures) -> bool:
-        if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
-            return False  # no motion of a campaign reaches a hardstop
-        joint = getattr(effect, "joint", None)
-        return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+def moves(effect: Effect, one: MotionFeatures) -> bool:
+    """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
+    if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
+        return False  # no motion of a campaign reaches a hardstop
+    joint = getattr(effect, "joint", None)
+    return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
-def list_candidates(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:
-    """Yield the candidate causes of the catalogue: no per-move disturbance, and nothing that logs record.
+def list_candidates(
+    kinds: Mapping[str, type[Effect]] | None, tools: Sequence[str] | None = None
+) -> Iterator[catalogue.EffectHypothesis]:
+    """Yield the candidate causes at an arm with these tools; None for those of the default arm.
+
+    They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
 
     An offset of the sensor of the structure looks like warming of the arm.
     """
     recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
-    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, recorded))
+    return (one for one in catalogue.hypotheses(kinds, tools) if not issubclass(one.kind, recorded))
 
 
 def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:
-    """Convert an entry of the catalogue to a hypothesis; array parameters keep their defaults.
+    """Convert an entry of the catalogue to a hypothesis; arrays keep their defaults.
 
     A factor with neutral value 1 is given by its logarithm, which makes it symmetric.
     """
-    parameters = [p for p in (*one.amplitudes, *one.shape_parameters) if p.spec is not None and p.count == 1]
-    return Hypothesis(
-        effect_name(one.kind),
-        effect_place_text(one.kind, dict(one.place)) or "arm",
-        tuple(_to_parameter(p, p.spec) for p in parameters if p.spec is not None),
-    )
+    place = effect_place_text(one.kind, dict(one.place)) or "arm"
+    return Hypothesis(effect_name(one.kind), place, tuple(_list_parameters(one)))
 
 
-def is_factor(size: ParameterSpec) -> bool:
-    """Check that a parameter multiplies something and cannot be 0."""
-    return size.neutral == 1.0 and size.low > 0.0
+def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
+    for parameter in one.amplitudes:
+        size = parameter.spec
+        if size is None or size.neutral is None or parameter.count != 1:
+            continue
+        if size.neutral == 1.0 and size.low > 0.0:
+            ends = float(np.log(size.low)), float(np.log(size.high))
+            yield Parameter(parameter.field, LOG_UNIT, *ends, float(np.log1p(size.typical)), 0.0)
+        else:
+            yield Parameter(parameter.field, size.unit, size.low, size.high, size.typical, size.neutral)
 
 
-def _to_parameter(parameter: catalogue.ParameterField, size: ParameterSpec) -> Parameter:
-    if is_factor(size):
-        ends = float(np.log(size.low)), float(np.log(size.high))
-        return Parameter(parameter.field, LOG_UNIT, *ends, float(np.log1p(size.typical)), 0.0)
-    typical = float(parameter.default) if size.neutral is None else size.typical
-    return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
-
-
-def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
-    """Create the effect of a hypothesis.
+def make_effect(made: catalogue.EffectHypothesis, values: Array) -> Effect:
+    """Create an effect.
 
     Args:
-        hypothesis: Hypothesis with p parameters.
-        values: Values of the parameters in the units of the diagnosis, shape (p,).
-
-    Returns:
-        Effect with these values.
+        values: Values of its parameters in the units of the diagnosis, shape (n,).
     """
-    named = zip(hypothesis.parameters, values, strict=True)
-    return made.effect(**{p.name: _effect_value(made, p.name, float(v)) for p, v in named})
+    pairs = zip(_list_parameters(made), values.tolist(), strict=True)
+    return made.effect(**{p.name: float(np.exp(v)) if p.unit == LOG_UNIT else v for p, v in pairs})
 
 
-def catalogue_effect(key: str, amplitudes: Array) -> Effect:
-    """Create an effect of the catalogue.
+def catalogue_effect(key: str, values: Array) -> Effect:
+    """Create an effect of the catalogue from the key of its hypothesis.
 
     Args:
-        key: Key of its hypothesis.
-        amplitudes: Values of the amplitude parameters in the units of the diagnosis, shape (n,).
+        values: Values of its parameters in the units of the diagnosis, shape (n,).
     """
-    made = next(one for one in list_candidates(None) if to_hypothesis(one).key == key)
-    hypothesis = to_hypothesis(made)
-    return make_effect(made, hypothesis, hypothesis.fill(amplitudes))
+    words = key.split(":")[0].split(".")  # a tool is a word of its place, whatever the arm
+    made = next(one for one in list_candidates(None, words) if to_hypothesis(one).key == key)
+    return make_effect(made, values)
 
 
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
@@ -219,9 +203,6 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
 
     Args:
         sigma: Noise floor in the units of the channels, shape (m,).
-
-    Returns:
-        Layout of the m features.
     """
     features = feature_set.list_features()
     named = [feature_channel(feature) for feature in features]
@@ -249,12 +230,3 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
 def _name_indices(names: tuple[str, ...], of: list[str]) -> Ints:
     number = {name: k for k, name in enumerate(names)}
     return np.array([number[name] for name in of], np.intp)
-
-
-def _effect_value(made: catalogue.EffectHypothesis, field: str, value: float) -> float:
-    """Convert a value to the effect's own: a factor for a logarithm, an integer where it has one."""
-    parameter = next(p for p in (*made.amplitudes, *made.shape_parameters) if p.field == field)
-    if parameter.spec is not None and is_factor(parameter.spec):
-        return float(np.exp(value))
-    whole = isinstance(parameter.default, int) and not isinstance(parameter.default, bool)
-    return round(value) if whole else value

@@ -1,13 +1,14 @@
-// Player of a run: plots, event reports, time line and controls around the scene of scene.js.
+// Player of a run: clock, time line, event reports, keys and controls around scene and plots.
+"use strict";
 
-const byId = (id) => document.getElementById(id);
 const SLOWEST_S = 1 / 24; // longer frames than those of a film do not look smooth
-const COARSEST = 2.5; // in pixels of the screen: a link, 0.1 m, is still 7 pixels wide in the first view
-const MARGIN = { left: 40, right: 6, top: 6, bottom: 16 }; // around a plot, for numbers of five digits
-const DARK = matchMedia("(prefers-color-scheme: dark)");
+const COARSENESS = [1, 1.4, 2]; // in pixels of the screen: a link, 0.1 m, is still 9 pixels wide in the first view
+const PATIENCE_S = 0.6; // between two changes of the coarseness, and before a picture that rests is drawn finely
+const CONTACT_S = 20; // before and after a contact the camera is near the tool
+const STEP_S = 5;
 const SEVERITY_CLASS = (severity) => (severity >= 5 ? "bad" : severity >= 4 ? "warn" : "");
-
-// ---- data ------------------------------------------------------------------------------------------------------------
+const SWITCHES = { ghost: "g", trail: "t" };
+const tell = (id, text) => tellIn(byId(id), text);
 
 /** Unpack the arrays of the page: one gzip stream, in which `run.arrays` gives type, start and length of each. */
 async function unpack(run) {
@@ -18,91 +19,12 @@ async function unpack(run) {
   return Object.fromEntries(run.arrays.map(([name, type, at, length]) => [name, new types[type](bytes, at, length)]));
 }
 
-// ---- plots, events ---------------------------------------------------------------------------------------------------------
-
-const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
-/** Get a canvas ready for drawing in CSS pixels, and return its context, width and height. */
-function sheet(canvas) {
-  const ratio = window.devicePixelRatio || 1, { clientWidth: width, clientHeight: height } = canvas;
-  Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
-  const context = canvas.getContext("2d");
-  context.scale(ratio, ratio);
-  return [context, width, height];
-}
-
-class Plot {
-  constructor(plot, arrays, player) {
-    Object.assign(this, { plot, player, series: plot.series.map((name) => arrays[name]) });
-    const figure = document.createElement("figure"), caption = document.createElement("figcaption");
-    caption.append(Object.assign(document.createElement("strong"), { textContent: plot.title + ", " + plot.unit }));
-    plot.labels.forEach((label, i) => {
-      const item = Object.assign(document.createElement("span"), { textContent: label });
-      item.dataset.colour = i;
-      caption.append(item);
-    });
-    this.caption = caption;
-    this.canvas = document.createElement("canvas");
-    this.cursor = document.createElement("div");
-    this.cursor.className = "cursor";
-    const frame = document.createElement("div");
-    frame.append(this.canvas, this.cursor);
-    figure.append(caption, frame);
-    byId("plots").append(figure);
-    this.canvas.addEventListener("pointerdown", (e) => player.seek(player.start + ((e.offsetX - this.left) / this.width) * player.span));
-  }
-
-  layOut() {
-    const colours = this.player.run.looks.curves[DARK.matches ? "dark" : "light"], { time, count } = this.player.motion;
-    this.caption.querySelectorAll("span").forEach((item) => { item.style.color = colours[item.dataset.colour]; });
-    const [context, width, height] = sheet(this.canvas);
-    let low = Infinity, high = -Infinity;
-    for (const values of this.series) for (const value of values) if (Number.isFinite(value)) { low = Math.min(low, value); high = Math.max(high, value); }
-    if (low > high) [low, high] = [0, 0]; // no value is finite
-    if (low === high) [low, high] = [low - 1, high + 1];
-    const right = width - MARGIN.right, base = height - MARGIN.bottom, { left, top } = MARGIN;
-    const x = (t) => left + ((t - this.player.start) / this.player.span) * (right - left);
-    const y = (v) => top + ((high - v) / (high - low)) * (base - top);
-    const line = (...points) => { context.beginPath(); points.forEach(([px, py]) => context.lineTo(px, py)); context.stroke(); };
-    Object.assign(context, { strokeStyle: style("--rule"), fillStyle: style("--faint"), font: "11px system-ui, sans-serif" });
-    context.strokeRect(left - 0.5, top - 0.5, right - left + 1, base - top + 1);
-    const digits = Math.max(0, 2 - Math.floor(Math.log10(high - low)));
-    const levels = [high, low].concat(low < 0 && high > 0 && Math.min(y(0) - top, base - y(0)) > 14 ? [0] : []);
-    context.textAlign = "right";
-    for (const level of levels) {
-      context.fillText(level ? level.toFixed(digits) : "0", left - 4, Math.min(Math.max(y(level) + 4, top + 8), base));
-      line([left, y(level)], [right, y(level)]);
-    }
-    context.textAlign = "center";
-    for (const tick of ticksBetween(this.player.start, this.player.end)) {
-      line([x(tick), base], [x(tick), base + 3]);
-      context.fillText(tick + " s", Math.min(x(tick), right - 12), height - 1);
-    }
-    this.series.forEach((values, i) => {
-      Object.assign(context, { strokeStyle: colours[i % colours.length], lineWidth: 1.3 });
-      line(...Array.from({ length: count }, (_, k) => [x(time[k]), y(values[k])]));
-    });
-    Object.assign(this, { left, width: right - left });
-    Object.assign(this.cursor.style, { top: top + "px", height: base - top + "px" });
-  }
-
-  mark(share) { this.cursor.style.transform = `translateX(${Math.round(this.left + share * this.width)}px)`; }
-}
-
-/** Return the round times between two, at most six. */
-function ticksBetween(start, end) {
-  const least = (end - start) / 5, power = 10 ** Math.floor(Math.log10(least));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= least), first = Math.ceil(start / step);
-  const digits = Math.max(0, -Math.floor(Math.log10(step)));
-  return Array.from({ length: Math.floor(end / step) - first + 1 }, (_, k) => ((first + k) * step).toFixed(digits));
-}
-
 function fillEvents(player) {
-  player.rows = player.run.events.map(([time, severity, text]) => {
-    const item = document.createElement("li"), button = Object.assign(document.createElement("button"), { type: "button" });
-    button.className = SEVERITY_CLASS(severity);
-    button.append(Object.assign(document.createElement("time"), { textContent: time.toFixed(1) + " s" }), text);
+  player.rows = player.run.events.map(([time, severity, text], k) => {
+    const item = element("li"), button = element("button", { type: "button", className: SEVERITY_CLASS(severity) });
+    button.append(element("time", { textContent: time.toFixed(1) + " s" }), text);
     button.addEventListener("click", () => player.seek(time));
+    button.addEventListener("dblclick", () => player.show(time, player.nextEvent(k)));
     item.append(button);
     byId("events").append(item);
     return [time, button];
@@ -112,14 +34,15 @@ function fillEvents(player) {
 function drawMarks(player) {
   const [context, width, height] = sheet(byId("marks"));
   const colour = { "": style("--faint"), warn: style("--warn"), bad: style("--bad") };
+  // the thumb of the slider is 16 px wide, and its centre stands at the time
+  const x = (time) => 8 + ((time - player.start) / player.span) * (width - 16);
+  context.fillStyle = style("--range");
+  context.fillRect(x(player.range[0]), 0, x(player.range[1]) - x(player.range[0]), height);
   for (const [time, severity] of player.run.events) {
     context.fillStyle = colour[SEVERITY_CLASS(severity)];
-    // the thumb of the slider is 16 px wide, and its centre stands at the time
-    context.fillRect(8 + ((time - player.start) / player.span) * (width - 16) - 1, severity >= 4 ? 0 : 4, 2, height);
+    context.fillRect(x(time) - 1, severity >= 4 ? 0 : 4, 2, height);
   }
 }
-
-// ---- player ------------------------------------------------------------------------------------------------------------
 
 class Player {
   constructor(run, arrays) {
@@ -127,15 +50,20 @@ class Player {
     const { time, count } = this.motion;
     [this.start, this.end, this.time] = [time[0], time[count - 1], time[0]];
     this.span = Math.max(this.end - this.start, 1e-3);
+    this.range = [this.start, this.start + this.span];
     this.truth = arrays.true ? "true" : "believed";
     this.painter = new Painter(byId("scene"), run, arrays);
     this.orbit = new Orbit(byId("scene"), run.target);
     this.plots = run.plots.map((plot) => new Plot(plot, arrays, this));
-    this.modeOf = run.modes;
     this.toolError = arrays["tool error"];
+    this.contacts = Array.from(time).filter((_, k) => this.motion.sizeOfForce([k, 0]) > run.looks.arrow.least_N);
+    Object.assign(this, { level: 0, calm: 0, pace: SLOWEST_S / 2 });
     this.wire();
     fillEvents(this);
     this.layOut();
+    this.readLink();
+    window.addEventListener("hashchange", () => this.readLink());
+    if (!location.hash && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.toggle();
   }
 
   wire() {
@@ -145,22 +73,41 @@ class Player {
     byId("play").addEventListener("click", () => this.toggle());
     byId("slider").addEventListener("input", () => this.seek(this.start + byId("slider").value * this.span));
     byId("magnify").max = Math.log(magnification);
-    for (const id of ["magnify", "ghost", "trail", "follow"]) byId(id).addEventListener("input", again);
+    for (const id of ["magnify", ...Object.keys(SWITCHES)]) byId(id).addEventListener("input", again);
+    byId("camera").addEventListener("input", () => { this.orbit.isFree = false; again(); });
     for (const name of ["pointermove", "wheel"]) byId("scene").addEventListener(name, again);
     if (this.truth === "believed") byId("ghost").closest("label").hidden = true;
+    byId("link").addEventListener("click", () => this.copyLink());
+    byId("all").addEventListener("click", () => this.show());
     window.addEventListener("resize", () => this.layOut());
     DARK.addEventListener("change", () => this.layOut());
-    document.addEventListener("keydown", (e) => {
-      if (e.target.matches("input, select, button")) return;
-      if (e.key === " ") { e.preventDefault(); this.toggle(); }
-      const step = { ArrowLeft: -5, ArrowRight: 5 }[e.key];
-      if (step) this.seek(this.time + step);
-    });
+    document.addEventListener("keydown", (e) => this.press(e));
+  }
+
+  press(e) {
+    if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches("select, input[type=range]")) return;
+    if (e.key === " " && e.target.matches("button, input")) return; // it presses that one
+    const event = this.rows.filter(([time]) => time > this.time + 1e-3)[0], before = this.rows.filter(([time]) => time < this.time - 0.5).pop();
+    const actions = {
+      " ": () => this.toggle(),
+      ArrowLeft: () => this.seek(this.time - STEP_S), ArrowRight: () => this.seek(this.time + STEP_S),
+      Home: () => this.seek(this.start), End: () => this.seek(this.end),
+      n: () => event && this.seek(event[0]), p: () => before && this.seek(before[0]),
+      "+": () => this.zoom(0.5), "-": () => this.zoom(2), 0: () => this.show(),
+      f: () => { byId("camera").value = byId("camera").value === "tool" ? "all" : "tool"; this.orbit.isFree = false; },
+      d: () => { byId("magnify").value = this.factor > 1 ? 0 : Math.log(20); },
+    };
+    for (const [id, key] of Object.entries(SWITCHES)) actions[key] = () => byId(id).click();
+    if (!actions[e.key]) return;
+    e.preventDefault();
+    actions[e.key]();
+    this.isStale = true;
   }
 
   layOut() {
     this.plots.forEach((plot) => plot.layOut());
     drawMarks(this);
+    byId("all").hidden = this.range[0] === this.start && this.range[1] >= this.end;
     this.isStale = true;
   }
 
@@ -170,12 +117,62 @@ class Player {
   toggle() {
     if (!this.playing && this.time >= this.end) this.seek(this.start);
     this.playing = !this.playing;
-    byId("play").textContent = this.playing ? "Pause" : "Play";
+    tell("play", this.playing ? "Pause" : "Play");
   }
 
   seek(time) {
     this.time = Math.min(Math.max(time, this.start), this.end);
     this.isStale = true;
+  }
+
+  /** Show the values at a time under the pointer; those at the time of the scene if it is null. */
+  point(time) {
+    this.pointed = time;
+    this.isStale = true;
+  }
+
+  /** Show a range of time in the plots; all of it without one. */
+  show(start = this.start, end = this.start + this.span) {
+    const half = Math.max(end - start, 4 * this.span / this.motion.count) / 2, middle = (start + end) / 2;
+    this.range = [Math.max(middle - half, this.start), Math.min(middle + half, this.start + this.span)];
+    this.layOut();
+  }
+
+  zoom(factor) {
+    const [start, end] = this.range;
+    this.show(this.time + factor * (start - this.time), this.time + factor * (end - this.time));
+  }
+
+  nextEvent(k) {
+    return (this.run.events.find(([time]) => time > this.run.events[k][0]) ?? [this.end])[0];
+  }
+
+  /** Return the rows of a range of time, with one before and one after. */
+  rowsBetween(start, end) { return [this.motion.at(start)[0], Math.min(this.motion.at(end)[0] + 1, this.motion.count - 1)]; }
+
+  /** Move to the moment and the view that the address names. */
+  readLink() {
+    const given = new URLSearchParams(location.hash.slice(1)), number = (name) => Number(given.get(name));
+    if (!given.has("t") || !Number.isFinite(number("t"))) return;
+    if (this.playing) this.toggle();
+    this.seek(number("t"));
+    if (number("x") >= 1) byId("magnify").value = Math.log(number("x"));
+    if (byId("camera").querySelector(`[value="${CSS.escape(given.get("camera") ?? "")}"]`)) byId("camera").value = given.get("camera");
+    this.approach(Infinity);
+  }
+
+  /** Write the moment and the view into the address, and copy it. */
+  async copyLink() {
+    if (this.playing) this.toggle();
+    const link = `#t=${this.time.toFixed(2)}&x=${this.factor.toFixed(1)}&camera=${byId("camera").value}`;
+    history.replaceState(null, "", link);
+    try {
+      await navigator.clipboard.writeText(location.href);
+      tell("link", "Link copied");
+    } catch {
+      tell("link", "Link is in the address bar");
+    }
+    setTimeout(() => tell("link", "Link to this moment"), 2000);
   }
 
   /** Advance by wall time in seconds at the chosen speed. */
@@ -185,40 +182,43 @@ class Player {
     if (this.time >= this.end) this.toggle();
   }
 
+  /** Move the camera for a wall time; by itself it is near the tool around each contact. */
+  approach(wall) {
+    const wanted = byId("camera").value, ahead = CONTACT_S;
+    const isNear = wanted === "tool" || (wanted === "auto" && this.contacts.some((time) => Math.abs(time - this.time) < ahead));
+    const tool = isNear ? this.motion.tool(this.truth, this.motion.at(this.time), this.factor) : null;
+    if (this.orbit.approach(tool, wall)) this.isStale = true;
+  }
+
   /** Draw with fewer pixels while a slow machine plays, and with all when it rests. */
   adapt(wall) {
     const { painter } = this;
-    this.pace = 0.8 * (this.pace ?? wall) + 0.2 * wall;
-    if (this.playing && this.pace > SLOWEST_S) painter.coarseness = Math.min(painter.coarseness * 1.05, COARSEST);
-    if (!this.playing && painter.coarseness > 1) { painter.coarseness = 1; this.isStale = true; }
+    this.pace = 0.9 * this.pace + 0.1 * Math.min(wall, 1);
+    this.calm = this.isStale || this.playing ? 0 : this.calm + wall;
+    this.waited = (this.waited ?? 0) + wall;
+    if (this.playing && this.waited > PATIENCE_S) {
+      if (this.pace > SLOWEST_S) this.level = Math.min(this.level + 1, COARSENESS.length - 1);
+      else if (this.pace < SLOWEST_S / 3) this.level = Math.max(this.level - 1, 0);
+      this.waited = 0;
+    }
+    // without a graphics processor there are no smooth edges: a picture that rests gets four times the pixels
+    const wanted = this.calm > PATIENCE_S ? (painter.isSoftware ? 0.5 : 1) : COARSENESS[this.level];
+    if (painter.coarseness === wanted || (wanted > painter.coarseness && !this.isStale)) return;
+    Object.assign(painter, { coarseness: wanted });
+    this.isStale = true;
   }
 
   draw() {
     const { motion, painter, factor } = this, place = motion.at(this.time), tool = motion.tool(this.truth, place, factor);
-    const matrices = (which) => painter.bodies.map((_, body) => matrixOf(...motion.pose(which, body, place, factor)));
-    if (byId("follow").checked) this.orbit.target = tool;
-    painter.begin((aspect) => this.orbit.view(aspect));
-    // what stands in front comes first: what it hides is not shaded
-    matrices(this.truth).forEach((matrix, body) => painter.draw(painter.bodies[body], matrix));
-    painter.draw(painter.still, matrixOf([0, 0, 0], [0, 0, 0, 1]));
+    const models = (which) => this.run.carriers.flatMap((_, body) => matrixOf(...motion.pose(which, body, place, factor)));
+    painter.drawScene((aspect) => this.orbit.view(aspect), models(this.truth));
     if (byId("trail").checked) this.drawTrail(place[0], factor);
-    const force = motion.forceAt(place), size = Math.hypot(...force);
-    if (size > this.run.looks.arrow.least_N) this.drawArrow(tool, force, size);
-    if (this.truth === "true" && byId("ghost").checked) painter.drawGhost(matrices("believed"));
+    if (this.truth === "true" && byId("ghost").checked) painter.drawOutline(models("believed"));
+    const size = motion.sizeOfForce(place);
+    if (size > this.run.looks.arrow.least_N) painter.drawForce(tool, motion.forceAt(place), size);
     this.tell(place, size);
     this.isStale = false;
     this.drawn += 1;
-  }
-
-  drawArrow(tool, force, size) {
-    const { shortest_m: shortest, longest_m: longest, m_per_N: scale } = this.run.looks.arrow;
-    const length = Math.min(shortest + scale * size, longest), x = force.map((v) => v / size);
-    const y = unit(cross(Math.abs(x[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0], x)), z = cross(x, y);
-    const columns = [[x, length], [y, 1], [z, 1]].flatMap(([axis, s]) => [...axis.map((v) => v * s), 0]);
-    const { gl } = this.painter;
-    gl.disable(gl.DEPTH_TEST); // the arrow begins inside the tool
-    this.painter.draw(this.painter.arrow, [...columns, ...tool, 1], [...this.run.looks.rgb.force, 1], 0);
-    gl.enable(gl.DEPTH_TEST);
   }
 
   /** Draw the trail of the present tool. Its points are computed and uploaded again only for another factor. */
@@ -239,23 +239,34 @@ class Player {
   }
 
   tell([frame], force) {
-    const share = (this.time - this.start) / this.span;
-    byId("slider").value = share;
+    byId("slider").value = (this.time - this.start) / this.span;
     tell("clock", this.time.toFixed(1) + " of " + this.end.toFixed(1) + " s");
     tell("factor", this.factor.toFixed(this.factor < 10 ? 1 : 0));
     const error = this.toolError ? ", tool error " + this.toolError[frame].toFixed(1) + " mm" : "";
-    tell("readout", this.modeOf[frame] + (this.motion.offsets.true ? ", contact " + force.toFixed(1) + " N" : "") + error);
-    this.plots.forEach((plot) => plot.mark(share));
-    const next = this.rows.findIndex(([time]) => time > this.time), present = (next < 0 ? this.rows.length : next) - 1;
-    if (present === this.present) return;
+    const scale = this.factor > 1.05 ? `, deflection × ${this.factor.toFixed(0)}` : "";
+    tell("readout", this.run.modes[frame] + (this.motion.offsets.true ? ", contact " + force.toFixed(1) + " N" : "") + error + scale);
+    const time = this.pointed ?? this.time, [row, share] = this.motion.at(time);
+    this.plots.forEach((plot) => plot.mark(time, share > 0.5 ? row + 1 : row));
+    tell("at", "Values at " + time.toFixed(1) + " s" + (this.pointed == null ? "" : ", under the pointer"));
+    const next = this.rows.findIndex(([start]) => start > this.time + 1e-6), present = (next < 0 ? this.rows.length : next) - 1;
+    if (present !== this.present) this.markEvent(present);
+  }
+
+  /** Mark the present event, and bring it into view in its list. */
+  markEvent(present) {
     this.rows[this.present]?.[1].classList.remove("now");
-    this.rows[present]?.[1].classList.add("now");
+    const button = this.rows[present]?.[1], list = byId("events");
+    if (button) {
+      button.classList.add("now");
+      list.scrollTop = button.offsetTop - list.offsetTop - (list.clientHeight - button.offsetHeight) / 2;
+    }
     this.present = present;
   }
 
   loop(now, last) {
     const wall = (now - last) / 1000;
     this.advance(wall);
+    this.approach(wall);
     this.adapt(wall);
     if (this.isStale) this.draw();
     requestAnimationFrame((next) => this.loop(next, now));
@@ -264,16 +275,11 @@ class Player {
 
 function describe(run) {
   for (const [name, value] of run.facts) {
-    const row = document.createElement("div");
-    row.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value, title: value }));
+    const row = element("div");
+    row.append(element("dt", { textContent: name }), element("dd", { textContent: value, title: value }));
     byId("facts").append(row);
   }
-  for (const note of run.notes) byId("notes").append(Object.assign(document.createElement("li"), { textContent: note }));
-}
-
-/** Write a text where it has changed. */
-function tell(id, text) {
-  if (byId(id).textContent !== text) byId(id).textContent = text;
+  for (const note of run.notes) byId("notes").append(element("li", { textContent: note }));
 }
 
 async function main() {

@@ -13,7 +13,6 @@ import numpy as np
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.actuation import CurrentScale, GainError
 from simgap.effects.effect import READING_HOOKS, Effect
-from simgap.report.sentences import quantity
 from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
@@ -33,6 +32,7 @@ from simgap.selection.verdict import (
     size_intervals,
     unexplained_dependence,
 )
+from simgap.units import quantity
 
 MIN_CLOSURE: Final = 0.5
 """Least share of what can be explained at a joint for which effects are called its causes: half."""

@@ -13,6 +13,7 @@ from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
 from simgap.effects.effect import Effect, JointEffect
 from simgap.logs import Logs, Motion
+from simgap.report.user_units import convert_errors
 from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.result import Comparison, Limit
@@ -75,14 +76,10 @@ def compare(
     model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
     changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
-        model,
-        present,
-        changes,
-        seed=seed,
-        meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text)),
+        model, present, changes, seed=seed, meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text))
     )
     sure, sets, rejected = select_sure(selection, None)
-    found = assemble(robot, model, sure, sets, model)
+    found = convert_errors(robot, assemble(robot, model, sure, sets, model))
     limits = list_limits(sure, changes[: len(base)])
     progress(1.0, "done")
     return Comparison(

@@ -16,9 +16,10 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation, unbound
 from simgap.files.columns import hint_at
-from simgap.logs import Logs, Motion
+from simgap.logs import Logs, Motion, Usable
+from simgap.report.user_units import convert_errors
 from simgap.residuals.encoder_residuals import why_refused
-from simgap.residuals.known_effects import Change, KnownResiduals
+from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
 from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Base, Diagnosis, Rejected
@@ -52,8 +53,8 @@ def diagnose(
         motions: Motions that are fitted.
         held_out: Motions that only judge.
         effects: Effects of one's own, which join the catalogue.
-        start: Effects of an earlier result with their sizes. They are part of the model; base parameters are
-            fitted from there, and changes of the others may be found.
+        start: Effects of an earlier result with their sizes, (n_sizes,) in the units of their names. They
+            are part of the model; base parameters are fitted from there, and changes of others may be found.
         base_only: Fit the base parameters, and look for no effect; this takes a twentieth of the time.
         audit: Audit of all these motions; the samples that it refuses take no part.
         seed: Seed of the folds: the same seed gives the same bits.
@@ -72,18 +73,13 @@ def diagnose(
         names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
     check_motions(robot, motions, held_out)
-    kinds = [one for one in list_kinds(robot, motions, usable) if one.has_base or not base_only]
-    if not kinds:
-        raise RobotError(
-            "the logs have no command and no torque, so that they show no base parameter; diagnose with the "
-            "whole catalogue"
-        )
+    kinds = _list_kinds(robot, motions, usable, base_only)
     logs = Logs(tuple(motions))
     given = dict(start or {})
     known = [] if base_only else [*catalogue(robot, logs), *effects]
     known += list_variations(robot, logs, known)
     check_names(known)
-    known = replace_known(known, given, base_effects(robot, logs))
+    known = _replace_known(known, given, base_effects(robot, logs))
     parts = []
     steps = None
     if cache is not None and not base_only:
@@ -93,9 +89,9 @@ def diagnose(
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))
             acting = {one: size for one, size in given.items() if kind.shows(one)}
-            fitted = know(kind.make(motions, False), acting)
+            fitted = _know(kind.make(motions, False), acting)
             # may refuse: before the long work
-            judge = know(kind.make(held_out, True), acting) if held_out else fitted
+            judge = _know(kind.make(held_out, True), acting) if held_out else fitted
             shown, rejected = choose_shown(robot, kind, known)
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
             selection = select_effects(
@@ -105,11 +101,11 @@ def diagnose(
             fitted = refer_to(fitted, base, sizes)
             judge = refer_to(judge, base, sizes) if held_out else fitted
             selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
-            part = add_start(assemble(robot, fitted, selection, sets, judge), acting)
+            part = _add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
     return replace(
-        join_parts(parts),
+        convert_errors(robot, join_parts(parts)),
         seed=seed,
         is_base_only=base_only,
         refused=() if audit is None else audit.refused,
@@ -117,6 +113,19 @@ def diagnose(
         fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
     )
+
+
+def _list_kinds(
+    robot: Robot, motions: Sequence[Motion], usable: Usable | None, base_only: bool
+) -> list[ResidualKind]:
+    """List the kinds of residual that logs allow, or refuse logs without one that has base parameters."""
+    kinds = [one for one in list_kinds(robot, motions, usable) if one.has_base or not base_only]
+    if not kinds:
+        raise RobotError(
+            "the logs have no command and no torque, so that they show no base parameter; diagnose with the "
+            "whole catalogue"
+        )
+    return kinds
 
 
 def list_variations(robot: Robot, logs: Logs, known: Sequence[Effect]) -> list[Effect]:
@@ -164,12 +173,12 @@ def choose_shown(
     return [effect for effect, reason in reasons if not reason], rejected
 
 
-def know(model: ResidualModel, known: Mapping[Effect, Array]) -> ResidualModel:
+def _know(model: ResidualModel, known: Mapping[Effect, Array]) -> ResidualModel:
     """Return residuals about known effects; the same if there are none."""
     return KnownResiduals(model, known) if known else model
 
 
-def replace_known(
+def _replace_known(
     effects: Sequence[Effect], start: Mapping[Effect, Array], base: Sequence[Effect]
 ) -> list[Effect]:
     """Replace effects of an earlier result, but for base parameters, by their changes, which compete."""
@@ -179,12 +188,7 @@ def replace_known(
     return [*(one for one in effects if one.key not in keys), *(changes if effects else ())]
 
 
-def changes_of(start: Mapping[Effect, Array]) -> list[Change]:
-    """Return the changes that known effects may have."""
-    return [Change(one.place, one, tuple(size.tolist())) for one, size in start.items()]
-
-
-def add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
+def _add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
     """Add the effects of an earlier result to one that counts from it."""
     if not start:
         return part
@@ -197,7 +201,7 @@ def add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
         total[one.key] = one, np.clip(known + size, *bounds)
     base = []
     for each in part.base:
-        place = next((key for key, (one, _) in total.items() if is_base(one, each)), "")
+        place = next((key for key, (one, _) in total.items() if _is_base(one, each)), "")
         by = float(before[place][0]) if place in before else 0.0
         low, high = each.interval
         base.append(
@@ -213,7 +217,7 @@ def add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
     )
 
 
-def is_base(effect: Effect, one: Base) -> bool:
+def _is_base(effect: Effect, one: Base) -> bool:
     """Return whether an effect has a base parameter."""
     return effect.place == one.place and [size.name for size in effect.sizes] == [one.name]
 
@@ -302,11 +306,7 @@ def end_sentence(text: str) -> str:
 
 
 def check_names(effects: Sequence[Effect]) -> None:
-    """Refuse two effects of one name at one place.
-
-    Raises:
-        RobotError: Two have the same key.
-    """
+    """Refuse two effects of one name at one place; RobotError if two have the same key."""
     twice = _find_repeated([effect.key for effect in effects])
     if twice is not None:
         raise RobotError(f"effects: two have the key {twice!r}; give yours another name, and each file once")

@@ -207,8 +207,10 @@ class Diagnosis:
         """Write the page, with interactive traces of these motions; see `simgap.report`."""
         from simgap.report.page import save_diagnosis_page
         from simgap.report.traces import trace_motions
+        from simgap.report.user_units import convert_trace
 
-        save_diagnosis_page(self, trace_motions(robot, motions, self), Path(path))
+        traces = [convert_trace(robot, one) for one in trace_motions(robot, motions, self)]
+        save_diagnosis_page(self, traces, Path(path))
 
 
 @dataclass(frozen=True, slots=True)

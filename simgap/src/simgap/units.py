@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
+from math import isfinite
 from typing import Final
 
 
@@ -119,3 +120,20 @@ def find_unit(name: str, *quantities: Quantity) -> Unit:
     near = get_close_matches(name, fitting, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"write one of {', '.join(fitting)}"
     raise ValueError(f"{name!r} is no unit of {' or '.join(quantities)}; {hint}")
+
+
+SMALL_UNITS: Final = {
+    "rad": ("mrad", 1e3),
+    "m": ("mm", 1e3),
+    "rad/s": ("mrad/s", 1e3),
+    "m/s": ("mm/s", 1e3),
+}
+"""Units in which errors of a robot are small numbers, and their factors."""
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with its unit, small angles and lengths in thousandths."""
+    if not isfinite(value):
+        return "not known"
+    small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
+    return f"{float(f'{value * factor:.3g}'):.7g} {small}"  # without the exponent of 2.04e+03

@@ -38,10 +38,7 @@ ROBOTS = {
     "empty_split.toml": ("time_step_s", 'split = "split.toml"\ntime_step_s'),
 }
 """Text of the good robot file, and what replaces its first copy there."""
-EFFECTS = {
-    "raises.py": "raise ValueError('no')\n",
-    "exits.py": "raise SystemExit(0)\n",
-}
+EFFECTS = {"raises.py": "raise ValueError('no')\n", "exits.py": "raise SystemExit(0)\n"}
 EFFECT = """
 from dataclasses import dataclass
 from simgap.effects.effect import Family, Size
@@ -205,8 +202,8 @@ DIAGNOSE = {
     "robot.toml log.parquet --patch a.html --report a.html": "this is the file of report too",
     # effects
     "robot.toml log.parquet --effects pipe.py": "no such file",
-    "robot.toml log.parquet --effects raises.py": "it cannot be loaded, ValueError: no",
-    "robot.toml log.parquet --effects exits.py": "it cannot be loaded, SystemExit: 0",
+    "robot.toml log.parquet --effects raises.py": "cannot be run: ValueError: no",
+    "robot.toml log.parquet --effects exits.py": "cannot be run: SystemExit: 0",
     "robot.toml log.parquet --effects word.py": "low, high and typical have to be numbers",
     "robot.toml log.parquet --effects boom.py --effects boom.py": "two have the key 'shoulder: boom'",
 }

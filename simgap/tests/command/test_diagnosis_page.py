@@ -58,7 +58,7 @@ def test_the_page_opens_with_the_four_lines_then_the_origin(tmp_path):
     text = text_of(tmp_path)
     verdict = re.search(r'<dl class="verdict">(.*?)</dl>', text, re.S)[1]
     assert re.findall("<dt>(.*?)</dt>", verdict) == ["Where", "What", "How far", "Next"]
-    assert "<dd>Lift.</dd>" in verdict
+    assert "<dd>lift.</dd>" in verdict
     assert text.index(verdict) < text.index('<dl class="origin">') < text.index("<h2>Which effects</h2>")
     assert "simgap diagnose" in text
 

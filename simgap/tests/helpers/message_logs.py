@@ -71,8 +71,8 @@ def write_mcap(path: Path, messages: list[tuple[str, int, dict]], **options) -> 
     return path
 
 
-def write_bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:
-    """Write a bag of ROS 1 for a file, of ROS 2 in SQLite for a folder."""
+def write_bag(path: Path, messages: list[tuple[str, int, dict]], is_packed: bool = False) -> Path:
+    """Write a bag of ROS 1 for a file, packed by bzip2 on request, of ROS 2 in SQLite for a folder."""
     is_ros1 = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     seq = {"seq": 0} if is_ros1 else {}
@@ -81,6 +81,8 @@ def write_bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:
     )
     encode = store.serialize_ros1 if is_ros1 else store.serialize_cdr
     writer = Writer1(path) if is_ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    if is_packed:
+        writer.set_compression(Writer1.CompressionFormat.BZ2)
     with writer:
         topics = dict.fromkeys(topic for topic, _, _ in messages)
         connections = {one: writer.add_connection(one, JOINT_STATE, typestore=store) for one in topics}

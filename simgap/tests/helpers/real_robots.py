@@ -1,11 +1,14 @@
 """Models of real robots, and the logs that were measured on them."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simgap.loading import load
-from simgap.logs import Logs
+from simgap.logs import Logs, Motion
 from simgap.robot import Robot
 
 ROBOTS = ("so101", "kr300", "pendulum", "ur10")
@@ -39,3 +42,19 @@ def load_real(folder: Path, name: str) -> tuple[Robot, Logs]:
     """Return a robot with all its measured logs."""
     robot = Robot.from_toml(robot_path(name))
     return robot, load(robot, [folder / one for one in LOGS[name]])
+
+
+def exchange_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...]:
+    """Give each motion the commands of another one: a cycle through all motions in random order."""
+    order = np.random.default_rng(seed).permutation(len(motions))
+    other = dict(zip(order.tolist(), np.roll(order, 1).tolist(), strict=True))
+    return tuple(
+        replace(
+            motion,
+            joints={
+                name: replace(log, command=motions[other[k]].joints[name].command)
+                for name, log in motion.joints.items()
+            },
+        )
+        for k, motion in enumerate(motions)
+    )

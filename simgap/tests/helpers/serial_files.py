@@ -42,9 +42,9 @@ def rows(count=300, seed=3):
     return np.column_stack([np.degrees(poses.joint_rad.T), poses.X_TM.p.T * 1e3, angles, air])
 
 
-def text(numbers):
+def text(numbers, rotation=("rx", "ry", "rz")):
     """Format the table with semicolons and decimal commas."""
-    head = ";".join((*JOINTS, "x", "y", "z", "rx", "ry", "rz", "air"))
+    head = ";".join((*JOINTS, "x", "y", "z", *rotation, "air"))
     lines = [";".join(f"{value:.9g}".replace(".", ",") for value in row) for row in numbers]
     return "\n".join([head, *lines, ""])
 

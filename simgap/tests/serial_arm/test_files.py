@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.real_robots import repository_file
 from helpers.serial_files import MAPPING, rows, text
 from helpers.serial_synthetic import built_arm, drawn_arm
 from simgap.common.errors import RobotError
+from simgap.common.toml import toml_text
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_mapping, series_from_table
 from simgap.serial_arm.model import UPRIGHT_B_m_s2
 
@@ -72,14 +74,21 @@ def test_an_arm_without_gravity_in_its_file_stands_upright(tmp_path):
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (
-            ('unit = "mm"', 'unit = "mn"'),
-            "mapping.toml: position.unit: 'mn' is no unit of length; did you",
-        ),
+        (('unit = "mm"', 'unit = "mn"'), "mapping.toml: position.unit: 'mn' is no unit of length; did you"),
         (('unit = "mm"', 'unit = "deg"'), "mapping.toml: position.unit: 'deg' is no unit of length"),
         (('unit = "deg"', 'unit = "count"'), "joints.unit: 'count' needs a range"),
         (('["x", "y", "z"]', '["x", "y"]'), "position: columns: there are 2; give three"),
-        (('order = "XYZ"', 'order = "RPY"'), "rotation.order: should be 'XYZ'"),
+        (('order = "XYZ"', 'order = "RPY"'), "rotation: order: should be three axes as XYZ, ZYZ or xyz, not"),
+        (('order = "XYZ"', 'order = "XXY"'), "rotation: order: should be three axes"),
+        (('order = "XYZ"', ""), "rotation: order: should be three axes"),
+        (('order = "XYZ"', 'form = "rotation vector"\norder = "XYZ"'), "order: should be left out"),
+        (('order = "XYZ"', 'form = "quaternion"\norder = "wxyz"'), "columns: there are 3; a rotation as"),
+        (('order = "XYZ"', 'form = "matrice"'), "rotation.form: should be 'euler', 'rotation vector', 'quat"),
+        (
+            ('rz"]\nunit = "deg"\norder = "XYZ"', 'rz", "w"]\norder = "wzyx"\nform = "quaternion"'),
+            "rotation: order: should be wxyz or xyzw, not 'wzyx'",
+        ),
+        (('rz"]\nunit = "deg"\norder = "XYZ"', 'rz"]\norder = "XYZ"'), "unit: '' is no unit of angle"),
         (("[position]", "[place]"), "place: is not known"),
         (('[position]\ncolumns = ["x", "y", "z"]\nunit = "mm"', ""), "position: is missing"),
     ],
@@ -156,3 +165,53 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
     said = bad_table(tmp_path, text(rows(3)).replace("joint2", "joint3", 1))
     assert "has no column 'joint2'" in said
     assert "did you mean 'joint" in said
+
+
+FORMS = {
+    ("euler", "ZYZ"): lambda R: R.as_euler("ZYZ", degrees=True),
+    ("euler", "xzy"): lambda R: R.as_euler("xzy", degrees=True),
+    ("rotation vector", ""): lambda R: np.degrees(R.as_rotvec()),
+    ("quaternion", "wxyz"): lambda R: -R.as_quat(scalar_first=True),  # either sign is the same rotation
+    ("quaternion", "xyzw"): lambda R: R.as_quat(),
+    ("matrix", ""): lambda R: R.as_matrix().reshape(-1, 9),
+}
+POSED = Rotation.from_euler("XYZ", rows(5)[:, 6:9], degrees=True)
+
+
+def series_in_form(folder, form, columns):
+    """Read the series of a table whose rotations have this form, with its order, and these columns."""
+    heads = tuple(f"r{k}" for k in range(columns.shape[1]))
+    table = {"columns": list(heads), "unit": "deg" if columns.shape[1] == 3 else ""}
+    table |= dict(zip(("form", "order"), form, strict=True))
+    old = MAPPING[MAPPING.index("[rotation]") : MAPPING.index("\n[air]")]
+    mapping = MAPPING.replace(old, toml_text({"rotation": table}))
+    numbers = rows(5)
+    poses = text(np.column_stack([numbers[:, :6], columns, numbers[:, -1]]), heads)
+    return series_from_table(
+        written(folder, "poses.csv", poses), read_mapping(written(folder, "m.toml", mapping))
+    )
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_rotation_is_the_same_in_every_form(tmp_path, form):
+    read = series_in_form(tmp_path, form, FORMS[form](POSED))
+    np.testing.assert_allclose(np.moveaxis(read.X_TM.R, -1, 0), POSED.as_matrix(), atol=1e-8)
+
+
+QUATERNION, MATRIX = ("quaternion", "wxyz"), ("matrix", "")
+
+
+@pytest.mark.parametrize("form", [QUATERNION, MATRIX])
+def test_numbers_rounded_to_two_decimals_are_a_rotation(tmp_path, form):
+    read = series_in_form(tmp_path, form, np.round(FORMS[form](POSED), 2))
+    np.testing.assert_allclose(np.moveaxis(read.X_TM.R, -1, 0), POSED.as_matrix(), atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("form", "factor"), [(QUATERNION, 0.0), (QUATERNION, 1.02), (MATRIX, -1.0), (MATRIX, 1.02)]
+)
+def test_numbers_that_are_no_rotation_are_named_by_their_row(tmp_path, form, factor):
+    columns = FORMS[form](POSED)
+    columns[2] *= factor
+    with pytest.raises(RobotError, match=r"poses.csv: row 3, columns r0, .*: are no rotation as a "):
+        series_in_form(tmp_path, form, columns)

@@ -156,10 +156,7 @@ def test_without_a_parameter_the_fit_is_that_of_a_model_without_it():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "mapping", "held_out_mm"),
-    [
-        ("series_a_grid.csv", "series_a.toml", 0.12),
-        ("series_c_random_poses.csv", "series_c.toml", 0.10),
-    ],
+    [("series_a_grid.csv", "series_a.toml", 0.12), ("series_c_random_poses.csv", "series_c.toml", 0.10)],
 )
 def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table, mapping, held_out_mm):
     arm = read_arm(repository_file("models/robots/ur10/arm.toml"))

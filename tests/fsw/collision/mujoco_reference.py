@@ -7,7 +7,8 @@ import numpy as np
 
 from fsw.collision.geometry import SURFACE
 from sim.plant import Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from tests.fsw.rig import beside_the_rover
 
 NAMES = {"shoulder_bracket_2": "shoulder_bracket"}

@@ -12,7 +12,8 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from tests.fsw.collision.mujoco_reference import part_of
 from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, find_violation, in_limits
 

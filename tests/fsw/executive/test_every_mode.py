@@ -1,8 +1,9 @@
-"""Every command in every mode, at rest or moving: accepted, or refused with a reason and nothing changed."""
+"""Modes: every event and every command in every mode, and what protection does to them."""
 
 from itertools import product
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from fsw.dictionary.commands import (
@@ -19,12 +20,25 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
-from fsw.executive.context import EVENT_OF, next_mode
+from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.evrs import (
+    CommandAborted,
+    CommandAccepted,
+    CommandCompleted,
+    CommandRefused,
+    FaultResponse,
+)
+from fsw.dictionary.faults import ContactLost, GravityImplausible, NoContact, OverTemperature, SensorNotFinite
+from fsw.executive.context import EVENT_OF, TRANSITIONS, ModeEvent, next_mode
+from fsw.executive.protection import MoveOutcome, apply_decision
+from fsw.motion.move import Phase
+from fsw.protect.responses import StandingFault, decide
+from fsw.state import Sequence, last_setpoint
 from sim.scenario.rehearsal import COMMAND_EVENTS
 from tests.fsw.executive import lab
+from tests.fsw.executive.faults.lab import moving
 from tests.fsw.executive.lab import COMMANDS, RIGS, TOUCHED, TOUCHING
+from tests.fsw.rig import config_of, facing
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 NO_MOVES = [kind for kind, events in COMMAND_EVENTS.items() if not events]
@@ -102,3 +116,124 @@ def test_every_command_in_every_situation(make_rig, kind):
         assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs
         if kind in EVENT_OF:
             assert rig.state.mode is next_mode(before.mode, EVENT_OF[kind])
+
+
+NO = None
+STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS = Mode
+# columns in the order of ModeEvent: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
+# CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, STOP, STOP_STOWED, DONE_STOWED, PRESS, DONE_RELEASED, CLEAR_PRESSED
+TABLE = {
+    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO),
+    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO),
+    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, DEPL, STOW, STOW, NO, NO, NO),
+    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, GUARD, NO, NO, PRESS, NO, NO),
+    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, GUARD, NO, NO, NO, NO, NO),
+    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO, NO, NO, NO, PRESS),
+    Mode.PRELOAD: (NO, NO, NO, NO, PRESS, FAULT, NO, NO, NO, PRESS, NO, NO, PRESS, GUARD, NO),
+}
+MOVES = {ModeEvent.UNSTOW, ModeEvent.MOVE_FREE, ModeEvent.MOVE_GUARDED, ModeEvent.MOVE_BACK, ModeEvent.PRESS}
+CLEARING = {ModeEvent.CLEAR, ModeEvent.CLEAR_STOWED, ModeEvent.CLEAR_TOUCHING, ModeEvent.CLEAR_PRESSED}
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("event", ModeEvent)
+def test_every_event_in_every_mode(mode, event):
+    assert next_mode(mode, event) is TABLE[mode][event]
+
+
+def test_any_mode_can_fault_and_only_a_cleared_fault_leaves_it():
+    assert all(next_mode(mode, ModeEvent.FAULT) is Mode.FAULTED for mode in Mode)
+    ways_out = {event for event in ModeEvent if next_mode(Mode.FAULTED, event) not in (None, Mode.FAULTED)}
+    assert ways_out == CLEARING
+    assert all(
+        next_mode(mode, event) is None for mode in Mode for event in CLEARING if mode is not Mode.FAULTED
+    )
+
+
+def test_a_stowed_arm_moves_only_by_unstowing_and_only_a_stowed_arm_unstows():
+    assert {event for event in MOVES if next_mode(Mode.STOWED, event) is not None} == {ModeEvent.UNSTOW}
+    assert {mode for mode in Mode if next_mode(mode, ModeEvent.UNSTOW) is not None} == {Mode.STOWED}
+
+
+def test_exactly_the_modes_in_which_an_arm_moves_can_be_stopped_and_every_move_ends_somewhere():
+    moving = {next_mode(mode, event) for mode in Mode for event in MOVES} - {None}
+    assert all(next_mode(mode, ModeEvent.DONE) is not None for mode in moving)
+    assert {mode for mode in Mode if next_mode(mode, ModeEvent.STOP) is not None} == moving
+
+
+def test_every_mode_is_left_by_some_event_and_reached_by_another():
+    for mode in Mode:
+        assert any(start is mode and end is not mode for (start, _), end in TRANSITIONS.items())
+        assert any(start is not mode and end is mode for (start, _), end in TRANSITIONS.items())
+
+
+CONFIG = config_of()
+START = facing(CONFIG, "apxs")
+RESPONDED = FaultResponse("BRAKE_AND_REFUSE")
+NO_NUMBER = {"current_A": [np.nan] * 5}
+NO_GRAVITY = {"gravity_R_m_s2": [0.0, 0.0, 0.0]}
+
+
+def respond(rig, before, *found):
+    joints, last_rad = rig.state.joints, last_setpoint(rig.state)
+    decision = decide(CONFIG.protection, before.mode, before.fault, found, joints.motor_rad, last_rad)
+    return apply_decision(CONFIG, before, decision, joints)
+
+
+@pytest.mark.parametrize("mode", [mode for mode in Mode if (mode, ModeEvent.STOP) in TRANSITIONS])
+def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mode):
+    rig = moving()
+    sequence, lost = Sequence("CalibrateAll", ()), ContactLost("drill")
+    after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
+    assert (after.mode, after.sequence, after.fault) == (mode, None, None)
+    assert after.move.plan.stopped
+    assert after.move.plan.end_mode is TRANSITIONS[mode, ModeEvent.STOP]
+    assert after.evrs == (lost, FaultResponse("STOP_AND_BRAKE"), CommandAborted("CalibrateAll"))
+
+
+def test_power_off_is_a_brake_without_power():
+    rig = moving()
+    before = MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ())
+    braked = respond(rig, before, NoContact(0.1))
+    after = respond(rig, before, OverTemperature(Joint.WRIST, 100.0, 90.0))
+    assert braked.move.plan.active.all()
+    assert not after.move.plan.active.any()
+    assert after.move.phase is braked.move.phase is Phase.BRAKE
+    assert after.mode is Mode.FAULTED
+    assert after.evrs[-1] == FaultResponse("POWER_OFF")
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_only_a_fault_brakes_the_move_and_where_it_happened_is_remembered(mode):
+    rig = moving()
+    before, found = (
+        MoveOutcome(mode, rig.state.move, None, None, ()),
+        (NoContact(0.1), CommandCompleted("Stop")),
+    )
+    after = respond(rig, before, *found)
+    assert after.mode is Mode.FAULTED
+    assert after.move.phase is Phase.BRAKE
+    assert after.fault == StandingFault(mode, frozenset({(NoContact, None), (CommandCompleted, None)}))
+    assert after.evrs == (*found, RESPONDED)
+    calm = respond(rig, before, found[1])
+    assert (calm.mode, calm.move, calm.fault, calm.evrs) == (mode, rig.state.move, None, found[1:])
+
+
+def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():
+    rig = moving()
+    for _ in range(10):
+        rig.cycle(**NO_NUMBER)
+        rig.cycle(**NO_GRAVITY)
+        rig.cycle(winding_C=[np.inf] * 5)
+    kinds = [type(evr) for evr in rig.evrs]
+    for kind in (GravityImplausible, FaultResponse, CommandAborted):
+        assert kinds.count(kind) == 1
+    # once for each sensor
+    unreadable = [evr.sensor for evr in rig.evrs if isinstance(evr, SensorNotFinite)]
+    assert len(unreadable) == len(set(unreadable)) == 2
+    assert rig.outputs.drive.power_on.any() is np.False_
+    rig.evrs.clear()
+    rig.cycle(ClearFault())
+    rig.cycle(**NO_GRAVITY)
+    assert any(isinstance(evr, GravityImplausible) for evr in rig.evrs)
+    assert RESPONDED in rig.evrs

@@ -13,14 +13,15 @@ from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_ki
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import tool_index
-from validation.kinematics_samples import Near, draw_vectors
-from validation.kinematics_trials import (
+from validation.kinematics import (
     DEFLECTED_M,
     RIGID_M,
     SAME_RAD,
+    Near,
     Trial,
     arm_of,
     claimed_roots,
+    draw_vectors,
     find_regular,
     root_distances,
     root_errors,
@@ -76,13 +77,13 @@ def near_double_roots(name: str, gravity: str, tool: str, n: int) -> SolvedTarge
 
 
 def assert_poses_found(solved: SolvedTargets) -> None:
-    """Assert that each regular pose is among the roots of its target, and valid if inside the limits."""
+    """Assert that each regular pose is among its roots, and each that is found valid inside the limits."""
     distance = root_distances(solved.result, solved.q)
-    clear = find_regular(solved.trial, solved.q)
+    found, clear = distance.min(axis=0) < SAME_RAD, find_regular(solved.trial, solved.q)
     assert clear.any()
-    lost = np.flatnonzero(clear & ~(distance.min(axis=0) < SAME_RAD))
+    lost = np.flatnonzero(clear & ~found)
     assert not lost.size, [(solved.q[:, k].tolist(), solved.sigma[k]) for k in lost[:3]]
-    at = np.flatnonzero(clear & (limit_excess(solved.trial.arm, solved.q).max(axis=0) < -INSIDE_RAD))
+    at = np.flatnonzero(found & (limit_excess(solved.trial.arm, solved.q).max(axis=0) < -INSIDE_RAD))
     assert (solved.result.verdict[distance.argmin(axis=0)[at], at] == BranchVerdict.VALID).all()
 
 

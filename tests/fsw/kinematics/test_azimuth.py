@@ -8,7 +8,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import to_shoulder_frame
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from validation.kinematics_trials import skew_tool
+from validation.kinematics import skew_tool
 
 N = 1000
 DRAWING = config_of().arm

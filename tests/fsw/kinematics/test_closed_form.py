@@ -14,8 +14,7 @@ from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from helpers.marks import slow_but
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS, tool_index
-from validation.kinematics_samples import draw_vectors
-from validation.kinematics_trials import Trial, skew_tool
+from validation.kinematics import Trial, draw_vectors, skew_tool
 
 N = 2000
 ARM = config_of().arm

@@ -38,7 +38,7 @@ from tests.fsw.kinematics.lab import (
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import TOOLS, tool_index
-from validation.kinematics_trials import (
+from validation.kinematics import (
     CLEAR_OF_FOLDS,
     SAME_RAD,
     Trial,
@@ -138,16 +138,6 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
     over = limit_excess(arm, wrap_into_limits(arm, found.output_rad[:, near])).max(axis=0)
     assert (over > 0).all()
     np.testing.assert_allclose(solved.result.excess[guessed][near], over, rtol=0, atol=0.1)
-
-
-@pytest.mark.parametrize("seed", slow_but(range(6), 0, 3))
-@pytest.mark.parametrize("gravity", GRAVITIES)
-def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_among_them(seed, gravity):
-    solved = random_poses(f"skew:{seed}", gravity, "drill", 150)
-    assert_roots_meet(solved, solved.tolerance)
-    assert_poses_found(solved)
-    if gravity == "rigid":
-        assert_consistent(solved.trial.arm, solved.result)
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from fsw.motion.plan import Compensation, Plan, plan_poses
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from sim.arm_check import sweep_poses
 from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
-from sim.world import World
+from sim.setting import World
 from tests.fsw.rig import (
     MARS_R_m_s2,
     Rig,

@@ -1,4 +1,4 @@
-"""Preloads: the tool stays in place while the overdrive rises, and while it is released."""
+"""Presses: the force rises, is corrected by what is felt, and is let go."""
 
 from dataclasses import replace
 
@@ -7,11 +7,20 @@ import pytest
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Preloaded, PreloadMissed
-from fsw.kinematics.chain import tool_pose
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ForceEstimated, Preloaded, PreloadMissed
+from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.motion.force_fit import MIN_CORRECTION_N
-from fsw.motion.preload import PRIOR_RATIO_STD, anchor_contact, locate_by_resolvers, model_contact
+from fsw.motion.force_fit import MIN_CORRECTION_N, MIN_RATIO_STD, ForceFit, estimate_force_ratio, report_miss
+from fsw.motion.move import Phase
+from fsw.motion.plan import Refusal
+from fsw.motion.preload import (
+    PRIOR_RATIO_STD,
+    anchor_contact,
+    locate_by_resolvers,
+    model_contact,
+    plan_preload,
+)
+from helpers.marks import slow_but
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig, made_once
 
@@ -173,3 +182,159 @@ def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_
     assert rig.state.mode is Mode.GUARDED
     rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     assert rig.state.mode is Mode.RETRACTING
+
+
+FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
+
+
+def pressed(
+    stiffness: float, friction: float = 1.0, offset_Nm: float = 0.0, across=(0.0, 0.0), force_N: float = 200.0
+):
+    """Return a rig after a preload, with the motor currents of an arm of another stiffness.
+
+    Args:
+        stiffness: True stiffness over modelled stiffness.
+        friction: True friction over the friction measured at the hardstops.
+        offset_Nm: Error of every current, as a torque.
+        across: Forces along the tool's y and z axes per newton of the model.
+        force_N: Commanded force.
+    """
+    rig = guarded_in_contact()
+    joints = rig.state.joints
+    reference = replace(joints.reference, friction_Nm=FRICTION_NM)
+    rig.state = replace(rig.state, joints=replace(joints, reference=reference))
+    press(rig, force_N, stiffness, friction, offset_Nm, across)
+    return rig
+
+
+def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, across=(0.0, 0.0)) -> None:
+    rig.cycle(Preload("apxs", force_N), **TOUCHED)
+    while rig.outputs.joint.busy:
+        rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
+
+
+def force_events(rig, least: int = 1) -> list[ForceEstimated]:
+    """Return the events with the estimated force, one for each leg."""
+    found = [evr for evr in rig.evrs if isinstance(evr, ForceEstimated)]
+    assert len(found) >= least
+    return found
+
+
+def preloads(rig) -> list[float]:
+    return [evr.force_N for evr in rig.evrs if isinstance(evr, Preloaded)]
+
+
+def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -> np.ndarray:
+    state, config = rig.state, rig.config
+    move = state.move
+    if move.phase is not Phase.RUN:
+        return np.full(5, 1e-9 * state.tick)
+    of_model = move.plan.preload_change.torque_per_N * state.preload.model_N
+    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
+    # the estimated load contains the estimated reaction already
+    extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
+    resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
+    torque = resisting - state.load.torque_Nm - extra + offset_Nm
+    return torque / config.torque_constant_Nm_A + 1e-9 * state.tick
+
+
+def levers_across(rig) -> np.ndarray:
+    """Compute the loads (5, 2) by unit forces along the tool's y and z axes."""
+    arm, state = rig.config.arm, rig.state
+    frames = forward(arm, state.joints.output_rad)
+    X_RT = tool_pose(arm, frames, state.preload.tool)
+    return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
+
+
+@pytest.mark.parametrize("stiffness", slow_but([0.8, 0.9, 1.15], 0.8))
+@pytest.mark.parametrize(("friction", "offset_Nm"), slow_but([(1.0, 0.0), (1.05, 5.0)], (1.05, 5.0)))
+def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, offset_Nm):
+    rig = pressed(stiffness, friction, offset_Nm)
+    for event in force_events(rig):
+        assert event.along == pytest.approx(stiffness, abs=0.03)
+    assert rig.state.preload.model_N * stiffness == pytest.approx(200.0, rel=0.04)
+    assert preloads(rig) == [pytest.approx(200.0, abs=MIN_CORRECTION_N)]
+
+
+@pytest.mark.parametrize("stiffness", slow_but([0.8, 1.15], 1.15))
+def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
+    rig = pressed(stiffness, force_N=100.0)
+    for force_N in (200.0, 300.0, 150.0):
+        press(rig, force_N, stiffness)
+        assert rig.state.preload.model_N * stiffness == pytest.approx(force_N, rel=0.04)
+    assert preloads(rig) == [
+        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 300.0, 150.0)
+    ]
+
+
+def test_an_arm_as_stiff_as_believed_is_pressed_once():
+    rig = pressed(1.0)
+    assert [event.along for event in force_events(rig)] == [pytest.approx(1.0, abs=0.01)] * 2
+    assert rig.state.preload.model_N == pytest.approx(200.0, abs=MIN_CORRECTION_N)
+
+
+@pytest.mark.parametrize("across", [(0.15, 0.0), pytest.param((0.0, -0.2), marks=pytest.mark.slow)])
+def test_a_force_across_is_told_from_the_one_along(across):
+    rig = pressed(0.85, across=across)
+    for event in force_events(rig):
+        assert event.along == pytest.approx(0.85, abs=0.03)
+        assert event.across == pytest.approx(np.hypot(*across), abs=0.05)
+
+
+def fit_of(force_N, turns_from_N=(0.0,) * 5):
+    """Estimate the ratio of a press to 300 N of the model, in which the arm applies `force_N(model_N)`.
+
+    Args:
+        force_N: True force by that of the model.
+        turns_from_N: Force of the model from which each motor turns.
+    """
+    rig = guarded_in_contact()
+    config, joints = rig.config, rig.state.joints
+    preload = model_contact(config, joints, "apxs")
+    per_N = plan_preload(config, joints, preload, 300.0)[1].torque_per_N
+    fit, turns, turns_from_N = ForceFit(preload), np.ones(5), np.array(turns_from_N)
+    for model_N in np.linspace(20.0, 300.0, 1000):
+        fit = fit.add_cycle(model_N, 10.0, per_N * force_N(model_N), turns, turns_from_N <= model_N)
+    return estimate_force_ratio(config, fit, joints, preload)
+
+
+@pytest.mark.parametrize(("share", "is_plausible"), [(0.2, False), (0.8, True), (3.0, False)])
+def test_what_cannot_be_is_not_believed(share, is_plausible):
+    assert (fit_of(lambda model_N: share * model_N) is not None) == is_plausible
+
+
+def test_a_force_that_stands_still_while_a_backlash_is_crossed_is_not_counted():
+    ratio = fit_of(lambda model_N: min(model_N, 150.0) + max(model_N - 200.0, 0.0))
+    assert ratio.along == pytest.approx((300.0 - 50.0 - 20.0) / (300.0 - 20.0), abs=0.03)
+
+
+def test_motors_that_turn_only_from_a_later_force_count_from_there():
+    never, late = (fit_of(lambda model_N: 0.8 * model_N, (n, 0, n, n, n)) for n in (400.0, 60.0))
+    assert late.along == pytest.approx(0.8, abs=0.03)
+    assert late.std < 0.7 * never.std
+
+
+def test_nothing_felt_tells_nothing():
+    rig = guarded_in_contact()
+    preload = model_contact(rig.config, rig.state.joints, "apxs")
+    assert estimate_force_ratio(rig.config, ForceFit(preload), rig.state.joints, preload) is None
+
+
+UNKNOWN = "motor currents show the force to 11 N only"
+
+
+@pytest.mark.parametrize(
+    ("target_N", "std", "reason"),
+    [
+        *((target_N, MIN_RATIO_STD, None) for target_N in (105.0, 95.0)),
+        *((target_N, MIN_RATIO_STD, "out of reach") for target_N in (120.0, 80.0)),
+        (100.0, 0.09, None),
+        (100.0, 0.11, UNKNOWN),
+    ],
+)
+def test_a_press_that_ends_more_than_a_tenth_off_or_is_not_known_to_a_tenth_says_why(target_N, std, reason):
+    rig = guarded_in_contact()
+    contact = model_contact(rig.config, rig.state.joints, "apxs")
+    preload = replace(contact, model_N=100.0, force_ratio_std=std)
+    events = report_miss(target_N, preload, None if target_N == 100.0 else Refusal("out of reach"))
+    assert events == (() if reason is None else (PreloadMissed("apxs", 100.0, target_N, reason),))

@@ -30,7 +30,7 @@ from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.initialisation import true_reference
 from sim.loop import hardware_rng
 from sim.record import frame_body
-from sim.world import World
+from sim.setting import World
 
 MODEL = load_error_model()
 NOMINAL = arm_named("nominal")

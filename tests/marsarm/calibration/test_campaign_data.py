@@ -55,7 +55,9 @@ def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
         holes = [None, *t["p_y_m"].to_pylist()[1:]]
         return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
 
-    with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
+    with pytest.raises(
+        BadData, match=r"'p_x_m' has 'one'.*\n.*p_y_m: no number in 1 rows, the first is 0"
+    ):
         read_campaign(table(tmp_path, damaged))
 
 
@@ -113,10 +115,7 @@ BAD = {
     "swapped": (lambda: posed(inverse), "The frames are swapped"),
     "rnav": (lambda: posed(lambda X: Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
     "quaternion": (lambda: posed(lambda X: Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
-    "one row off": (
-        lambda: posed(lambda X: Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))),
-        "one row too low",
-    ),
+    "one row off": (lambda: posed(lambda X: Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))), "one row too low"),
 }
 
 

@@ -219,7 +219,7 @@ CASES = {
     "place --effect boom.py:Boom --no-picture": "boom.py:13: TypeError",
     "place --effect no_code.py:Boom": "no_code.py:1: cannot be run: SyntaxError",
     "place --effect exits.py:Boom": "exits.py:1: cannot be run: SystemExit",
-    "place --effect pipe.py:Boom": "is not a regular file",
+    "place --effect pipe.py:Boom": "no such file",
     # logs
     "log info nosuch.mcap": "cannot be read (No such file or directory)",
     "log info empty.mcap": "an empty file",
@@ -247,13 +247,13 @@ CASES = {
     "diagnose run.mcap": "log run.mcap",
     "diagnose run.mcap --catalogue nosuch": "is not known",
     # tables
-    "calibrate --data nosuch.csv": "cannot be read (No such file or directory)",
-    "calibrate --data bytes.csv": "columns missing",
-    "calibrate --data ragged.csv": "cannot be read as a table: a row has 1 columns, the first has 2",
-    "calibrate --data cut.parquet": "it is damaged, cut short or of another format",
+    "calibrate --data nosuch.csv": "there is no such log",
+    "calibrate --data bytes.csv": "line 2 is not text in UTF-8",
+    "calibrate --data ragged.csv": "columns missing",
+    "calibrate --data cut.parquet": "cannot be read: Parquet file size",
     "calibrate --data utf16.csv": "is not text in UTF-8; save it as UTF-8",
-    "ik --batch cut.npz --out b.npz": "is not a NumPy .npz file",
-    "ik --batch cut.parquet --out b.npz": "it is damaged, cut short or of another format",
+    "ik --batch cut.npz --out b.npz": "is no NumPy .npz file",
+    "ik --batch cut.parquet --out b.npz": "cannot be read: Parquet file size",
     "log import few.csv empty.toml out.mcap": "channels: is missing",
     # outputs
     "view none.mcap": "none.mcap",

@@ -60,7 +60,7 @@ def undecided(made, campaign):
 
 def sized(made, campaign, one, times):
     """Return the amplitudes (k,) of a hypothesis at a multiple of its limit."""
-    return np.where(made.owner == one, times * campaign.limits[one].limit, 0.0)
+    return np.where(made.owner == one, times * campaign.limits[one], 0.0)
 
 
 def _strange(made):

@@ -50,7 +50,7 @@ def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None
     rng = np.random.default_rng(4)
     for h in (3, int(np.flatnonzero(np.bincount(WORLD.owner) == 2)[0])):
         hypothesis = SENSITIVITIES.hypotheses[h]
-        a = rng.uniform(1.0, 3.0, len(hypothesis.amplitudes))
+        a = rng.uniform(1.0, 3.0, len(hypothesis.parameters))
         change = rng.normal(size=WORLD.layout.size)
         simulated = SENSITIVITIES.with_simulated(h, a, change)
         for one in (simulated, simulated.linearised(h, a)):

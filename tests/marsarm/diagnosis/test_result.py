@@ -24,7 +24,7 @@ def test_every_diagnosis_is_a_document_and_a_page(results, tmp_path):
         document = to_document(one)
         assert json.loads(json.dumps(document, allow_nan=False)) == document
         save_diagnosis_page(one, (), tmp_path / "page.html")
-        assert document["lines"][0].split(": ")[1] in (tmp_path / "page.html").read_text()
+        assert document["lines"][0].split(": ", 1)[1][1:] in (tmp_path / "page.html").read_text()
 
 
 def test_an_effect_has_its_interval_and_its_sets(results):

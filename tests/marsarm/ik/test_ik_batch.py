@@ -1,19 +1,30 @@
-"""Inverse kinematics of many targets, from a file into a file."""
+"""Batches of inverse kinematics: answered, or refused with the row."""
 
+import io
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from contextlib import suppress
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import select_targets
+from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
 from marsarm.ik.solve import BATCH_SIZE
 from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES
 from sim.frames import approach_from, random_targets
-from tests.marsarm.command import marsarm
-from tests.marsarm.ik.batch import expected, save, solved
+from simgap.common.errors import BadRequest
+from tests.marsarm.command import ROOT, marsarm
+from tests.marsarm.ik.batch import P_M, A, expected, save, solved
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".parquet"])
@@ -97,3 +108,139 @@ def test_an_output_through_a_link_replaces_the_file_and_not_the_link(tmp_path):
     solved(tmp_path / "in.npz", tmp_path / "link.npz")
     assert (tmp_path / "link.npz").is_symlink()
     assert (tmp_path / "real.npz").stat().st_size > 1000
+
+
+def changed(values, row, component, value):
+    values = values.copy()
+    values[row, component] = value
+    return values
+
+
+def one_without(name):
+    columns = {column: P_M[:, 0] for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if column != name}
+    return pa.table(columns)
+
+
+def one_with(name, values):
+    columns = {column: np.ones(4) for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS)}
+    return pa.table(columns | {name: values})
+
+
+ARRAYS = {
+    "NaN position": (changed(P_M, 2, 1, np.nan), A, "row 2 (the first is 0): position_m: 9 nan 0"),
+    "infinite approach": (P_M, changed(A, 1, 0, np.inf), "row 1 (the first is 0): approach: inf"),
+    "zero approach": (P_M, changed(A, 0, 2, 0.0), "row 0 (the first is 0): approach: 0 0 0 has no direction"),
+    "far away": (changed(P_M, 3, 0, 1e300), A, "row 3 (the first is 0): position_m: 1e+300"),
+    "lying": (P_M.T, A, "it must hold position_m, approach, each of shape (n, 3); it has position_m[0]"),
+    "flat": (P_M[0], A[0], "it must hold position_m, approach, each of shape (n, 3); it has position_m"),
+    "not as many": (P_M, A[:2], "there are 4 positions and 2 approaches"),
+    "empty": (P_M[:0], A[:0], "has no rows"),
+    "objects": (P_M.astype(object), A, "Object arrays cannot be loaded"),
+    "text": (P_M.astype(str), A, "needs numbers"),
+    "complex": (P_M + 1j, A, "array 'position_m' is complex128"),
+}
+TABLES = {
+    "a column missing": (
+        one_without("approach_y"),
+        "it must hold position_x_m, position_y_m",
+    ),
+    "text": (one_with("position_x_m", ["1"] * 4), "column 'position_x_m' has '1' in row 1"),
+    "lists": (one_with("approach_z", [[1.0]] * 4), "approach_z[0]"),
+    "null": (one_with("position_z_m", [1.0, None, 1.0, 1.0]), "row 1 (the first is 0): position_x_m"),
+    "zero approach": (
+        pa.table(dict.fromkeys(POSITION_COLUMNS, np.ones(2)) | dict.fromkeys(APPROACH_COLUMNS, np.zeros(2))),
+        "approach_x, approach_y, approach_z: 0 0 0 has no direction",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", [*ARRAYS, *(f"column: {name}" for name in TABLES)])
+def test_bad_numbers_are_named_with_their_row_and_nothing_is_written(tmp_path, case):
+    if case in ARRAYS:
+        path, (*arrays, said) = tmp_path / "in.npz", ARRAYS[case]
+        save(path, *arrays)
+    else:
+        path, (table, said) = tmp_path / "in.parquet", TABLES[case.removeprefix("column: ")]
+        parquet.write_table(table, path)
+    with pytest.raises(BadRequest) as refused:
+        solved(path, tmp_path / f"out{path.suffix}")
+    assert said in str(refused.value)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def no_numpy(path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("position_m", "abc")
+        archive.writestr("approach.npy", "abc")
+
+
+def enormous(path) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (10**15, 3)}
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("position_m.npy", header.getvalue())
+        archive.writestr("approach.npy", header.getvalue())
+
+
+def one_array(path) -> None:
+    with path.open("wb") as file:
+        np.save(file, P_M)
+
+
+def other_names(path) -> None:
+    np.savez(path, position=P_M, approach=A)
+
+
+FOREIGN = {
+    "text": ("in.npz", lambda path: path.write_text("hello"), "is no NumPy .npz file"),
+    "one array": ("in.npz", one_array, "is no NumPy .npz file"),
+    "another zip": ("in.npz", no_numpy, "cannot be read"),
+    "more than there is memory": ("in.npz", enormous, "is too large for the memory"),
+    "other names": (
+        "in.npz",
+        other_names,
+        "each of shape (n, 3); it has position[",
+    ),
+    "another kind": ("in.csv", lambda path: path.touch(), "its name must end in .npz or .parquet"),
+}
+
+
+@pytest.mark.parametrize("case", FOREIGN)
+def test_a_foreign_file_is_refused(tmp_path, case):
+    name, make, said = FOREIGN[case]
+    make(tmp_path / name)
+    with pytest.raises(BadRequest) as refused:
+        read_targets(tmp_path / name, "rnav")
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
+def test_a_file_that_is_torn_or_overwritten_anywhere_is_refused_or_read_but_never_crashes(tmp_path, suffix):
+    path = tmp_path / f"in{suffix}"
+    save(path)
+    whole = path.read_bytes()
+    for at in np.linspace(0, len(whole) - 1, 60).astype(int):
+        path.write_bytes(whole[:at])
+        with pytest.raises(BadRequest):
+            read_targets(path, "rnav")
+        path.write_bytes(whole[:at] + bytes(40) + whole[at + 40 :])
+        with suppress(BadRequest):
+            assert len(read_targets(path, "rnav")) == len(P_M)
+
+
+def test_a_kill_leaves_nothing_behind(tmp_path):
+    count = 50_000
+    save(tmp_path / "in.npz", np.tile(P_M[0], (count, 1)), np.tile(A[0], (count, 1)))
+    command = "from marsarm.__main__ import start; start()"
+    run = subprocess.Popen(
+        [sys.executable, "-c", command, "ik", "--batch", "in.npz", "--out", "out.npz"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    while run.poll() is None and not list(tmp_path.glob(".*.part")):
+        time.sleep(0.01)
+    run.send_signal(signal.SIGTERM)
+    assert run.wait(60) == 128 + signal.SIGTERM
+    assert [path.name for path in tmp_path.iterdir()] == ["in.npz"]

@@ -12,7 +12,7 @@ from marsarm.ik.request import IkRequest, ModelRequest
 from marsarm.ik.solve import ik_document, solve
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
-from sim.world import World
+from sim.setting import World
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 from tests.tools import TOOLS

@@ -113,8 +113,8 @@ def test_shadow_is_darker_than_the_ground_beside_it(model, data):
     under_the_box = np.array([-1.0, 0.0, 0.4]) + sun * 0.4 / -sun[2] + [0.05, 0.0, 0.0]
     open_ground = np.array([0.0, -2.0, 0.0])
 
-    shaded = rays.brightness(data, under_the_box[None] * [1, 1, 0], up)
-    lit = rays.brightness(data, open_ground[None], up)
+    shaded, _ = rays.brightness(data, under_the_box[None] * [1, 1, 0], up)
+    lit, _ = rays.brightness(data, open_ground[None], up)
 
     assert np.all(shaded < 0.7 * lit)
 
@@ -167,11 +167,7 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
 
 
 @pytest.mark.parametrize(
-    ("path", "complaint"),
-    [
-        ("file.txt/scene.png", "there is no folder"),
-        ("scene", r"must end in \.png"),
-    ],
+    ("path", "complaint"), [("file.txt/scene.png", "there is no folder"), ("scene", r"must end in \.png")]
 )
 def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
     (tmp_path / "file.txt").touch()

@@ -1,4 +1,4 @@
-"""Pictures of the rover, tilted on a slope with a level horizon, and level."""
+"""The scene of a tilted rover, and triangles of shapes."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from marsarm.render.picture import PictureResult
-from marsarm.render.rays import Rays
+from marsarm.render.rays import Rays, triangulate
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs import execution
-from marsarm.runs.execution import DrawnPoses, save_artifacts
+from marsarm.runs.execution import DrawnPoses, save_pictures
 from marsarm.runs.request import RunFiles
 from sim.arm_model.load import default_arm
-from sim.world import Scene, Surface, World, build
+from sim.setting import Scene, Surface, World
+from sim.world import build
 from simgap.common.progress import no_progress
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
@@ -77,14 +78,22 @@ def test_rover_arm_and_rock_stay_together_on_the_slope(
         return np.array([data.body(name).xpos - data.body("rover").xpos for name in named])
 
     np.testing.assert_allclose(of_rover(data), of_rover(before) @ turn.T, atol=1e-9)
-    top = data.geom("slope").xpos + axes_of_slope(data)[:, 2] * model.geom("slope").size[1]
-    under = (data.body("rover").xpos - top) @ axes_of_slope(data)[:, 2]
-    assert under == pytest.approx(-level.geom("ground").pos[2], abs=1e-9)
-    np.testing.assert_allclose(axes_of_slope(data), turn, atol=1e-9)
+    around = np.array([[0.0, 0.0], [2.0, 0.5], [-1.2, 1.1], [0.5, -2.2]])
+    under_level = np.column_stack([around, np.full(4, level.geom("ground").pos[2])])
+    on_slope = data.body("rover").xpos + (under_level - before.body("rover").xpos) @ turn.T
+    up, slope = np.array([0.0, 0.0, 1.0]), model.geom("slope").id
+    below_sky_m = [mujoco.mj_rayMesh(model, data, slope, point + 50.0 * up, -up, None) for point in on_slope]
+    np.testing.assert_allclose(below_sky_m, 50.0, atol=1e-5)
 
 
-def axes_of_slope(data: mujoco.MjData) -> np.ndarray:
-    return data.geom("slope").xmat.reshape(3, 3)
+def test_a_hill_has_no_edge_where_its_slope_ends_or_where_it_meets_the_plain() -> None:
+    model, data = drawn(tilted(0.0, 30.0))
+    down = np.array([0.0, 0.0, -1.0])
+    x_m = np.linspace(-9.0, 9.0, 181)
+    sky = np.column_stack([x_m, np.full_like(x_m, 3.5), np.full_like(x_m, 50.0)])
+    geom = np.zeros(1, np.int32)
+    from_sky_m = [mujoco.mj_ray(model, data, eye, down, None, True, -1, geom, None) for eye in sky]
+    assert np.abs(np.diff(from_sky_m)).max() < 0.1 * np.tan(np.radians(50.0))
 
 
 def test_a_level_rover_is_drawn_as_ever() -> None:
@@ -104,6 +113,60 @@ def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(execution, "save_picture", save)
     world = tilted(10.0, -5.0)
     drawn = DrawnPoses(best=np.zeros(build(world).compile().nq))
-    save_artifacts(RunFiles(picture=tmp_path / "x.png"), world, default_arm(), drawn, (), no_progress)
+    save_pictures(RunFiles(picture=tmp_path / "x.png"), world, default_arm(), drawn, no_progress)
     (model,) = pictures
     np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)
+
+
+MODEL = """
+<mujoco>
+  <asset><mesh name="corner" vertex="0 0 0  1 0 0  0 1 0  0 0 1"/></asset>
+  <worldbody>
+    <geom name="sphere" size="0.2"/>
+    <geom name="capsule" type="capsule" size="0.1 0.3"/>
+    <geom name="cylinder" type="cylinder" size="0.1 0.3"/>
+    <geom name="ellipsoid" type="ellipsoid" size="0.1 0.2 0.3"/>
+    <geom name="box" type="box" size="0.1 0.2 0.3"/>
+    <geom name="mesh" type="mesh" mesh="corner"/>
+    <geom name="plane" type="plane" size="2 3 1"/>
+  </worldbody>
+</mujoco>
+"""
+VOLUMES = {
+    "sphere": 4 / 3 * np.pi * 0.2**3,
+    "capsule": 4 / 3 * np.pi * 0.1**3 + 0.6 * np.pi * 0.1**2,
+    "cylinder": 0.6 * np.pi * 0.1**2,
+    "ellipsoid": 4 / 3 * np.pi * 0.1 * 0.2 * 0.3,
+    "box": 0.2 * 0.4 * 0.6,
+    "mesh": 1 / 6,
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return mujoco.MjModel.from_xml_string(MODEL)
+
+
+@pytest.mark.parametrize("name", VOLUMES)
+def test_the_triangles_of_a_solid_enclose_its_volume_and_face_outward(model, name):
+    found = triangulate(model, model.geom(name).id)
+    a, b, c = found.vertices_m.astype(float)[found.faces].transpose(1, 0, 2)
+    volume = np.sum(a * np.cross(b, c)) / 6
+    assert volume == pytest.approx(VOLUMES[name], rel=0.07)
+    edges = np.sort(
+        _same_place(found)[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1
+    )
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert (count == 2).all(), "each edge of a closed surface belongs to two triangles"
+
+
+def test_a_plane_has_its_size_and_faces_up(model):
+    found = triangulate(model, model.geom("plane").id)
+    assert np.ptp(found.vertices_m, axis=0).tolist() == [4.0, 6.0, 0.0]
+    a, b, c = found.vertices_m[found.faces].transpose(1, 0, 2)
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+
+
+def _same_place(found):
+    """Return a number for the place of each vertex; vertices at sharp edges are there twice."""
+    return np.unique(found.vertices_m.round(6) + 0.0, axis=0, return_inverse=True)[1].ravel()

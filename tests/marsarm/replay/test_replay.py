@@ -131,16 +131,6 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
     assert "CyclesSkipped" in [evr.name for evr in read_log(log).evrs]
 
 
-@pytest.mark.slow
-def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
-    log = tmp_path / "run.mcap"
-    run_scenario(RunRequest("bit-exchange", files=RunFiles(log)), no_progress)
-    found = replayed(tmp_path, log=log).differences
-    assert found.identical
-    assert found.tolerance == 0.0
-    assert found.ticks[0] > 7000
-
-
 def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):
     (no_number,) = (one for one in RUNS if one.name == "no-number")
     loop, log = no_number.loop(), tmp_path / "run.mcap"

@@ -11,7 +11,7 @@ from sim.arms import arm_named
 from sim.loop import ClosedLoop
 from sim.scenario.data import Done, GravityHeld, Scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
-from sim.world import World
+from sim.setting import World
 from simgap.common.progress import no_progress
 from tests.sim import lab
 

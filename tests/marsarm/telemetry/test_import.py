@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pyarrow import parquet
 from typer.testing import CliRunner
 
@@ -22,11 +20,9 @@ from marsarm.telemetry.import_table import ImportedLog, convert_table, import_ta
 from marsarm.telemetry.read import Log, read_log
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import no_progress
-from validation.fuzz_inputs import import_once, random_case
 
 DOC = Path(__file__).parents[3] / "docs" / "logs.md"
 GRID_S = np.arange(4) / 64
-TRIES = 400
 N_CYCLES = 64
 
 
@@ -129,9 +125,10 @@ def test_units_are_converted_to_those_of_a_log(
     assert values(made) == pytest.approx(np.full(4, kept), rel=1e-15, abs=1e-15)
 
 
-@given(st.lists(st.floats(width=64), min_size=4, max_size=4))
-def test_what_needs_no_change_keeps_every_bit(mapped: Any, bits: list[float]) -> None:
-    assert values(mapped(SPEED, a=np.array(bits))).tobytes() == np.array(bits).tobytes()
+def test_what_needs_no_change_keeps_every_bit(mapped: Any) -> None:
+    some = np.random.default_rng(1).bytes(8 * 2000)
+    a = np.concatenate([np.frombuffer(some, float), [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7e308]])
+    assert values(mapped(SPEED, t=np.arange(a.size) / 64, a=a)).tobytes() == a.tobytes()
 
 
 def test_counts_stay_whole_and_are_rounded_only_where_a_factor_asks_for_it(mapped: Any) -> None:
@@ -352,9 +349,3 @@ def test_the_tracker_s_table_of_the_page_becomes_a_log(real_data: Path, tmp_path
     rounded = real_data / "ur10-tracker" / "series_c_random_poses.csv"
     with pytest.raises(RobotError, match=r"row 1, column 'Timestamp': '2,02011E\+13' is no time"):
         convert_table(rounded, tmp_path / "m.toml")
-
-
-@pytest.mark.slow
-def test_odd_tables_are_imported_or_refused_and_nothing_else_happens() -> None:
-    outcomes = [import_once(random_case(np.random.default_rng(seed))) for seed in range(TRIES)]
-    assert 0.02 * TRIES < sum(outcomes) < TRIES

@@ -123,11 +123,7 @@ WRONG = {
     "a flag for a number": ("SetParam", {"name": "a", "value": True}, "SetParam.value: True is no float"),
     "text for a number": ("SetParam", {"name": "a", "value": "1"}, "SetParam.value: '1' is no float"),
     "a number for text": ("SetParam", {"name": 1, "value": 1.0}, "SetParam.name: 1 is no str"),
-    "a number beyond all floats": (
-        "SetParam",
-        {"name": "a", "value": 10**400},
-        "SetParam.value: 1000",
-    ),
+    "a number beyond all floats": ("SetParam", {"name": "a", "value": 10**400}, "SetParam.value: 1000"),
     "nothing": ("SetParam", {"name": "a"}, "SetParam.value is missing"),
     "too few": ("MoveJoints", {"angle_rad": [1.0, 2.0]}, "has 2 items, 5 would be right"),
     "no list": ("MoveJoints", {"angle_rad": 1.0}, "MoveJoints.angle_rad: 1.0 is no list"),

@@ -1,11 +1,25 @@
-"""`marsarm log ...` as a user meets it."""
+"""The verbs of logs: info, plot, recover and export."""
 
+import csv
 import json
+from math import prod
+from pathlib import Path
+from typing import Any
 
+import matplotlib.figure
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from marsarm.telemetry import inspection as log_figure
+from marsarm.telemetry.export import export, index_suffixes
+from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.mcap_columns import read_records
-from marsarm.telemetry.read import read_log
+from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.tables import channels_document, info_document
+from sim.record import CycleRecord
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from validation.speed import record_log
 
@@ -101,3 +115,161 @@ def test_brackets_are_printed_as_they_are(folder):
     assert "float64[5]" in found.stdout
     drawn = marsarm(folder, "log", "plot", "run[bold].mcap", "/joint.motor_rad", "--out", "a[bold].png")
     assert "a[bold].png" in drawn.stdout
+
+
+HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
+"""A signalling NaN with a payload; as an integer a large one, as a flag true."""
+
+
+@pytest.fixture(scope="module")
+def log(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Log:
+    hostile = make.packet_of(CycleRecord, lambda size: (HOSTILE * size)[:size], tick=40)
+    cycles = [*map(make.cycle_at, range(40)), hostile]
+    return read_log(make.record(tmp_path_factory.mktemp("log") / "run.mcap", cycles))
+
+
+def assert_same_bits(log: Log, topic: str, path: Path) -> None:
+    table = pq.read_table(path)
+    assert table["time_ns"].to_numpy().tolist() == log.time_ns[topic].tolist()
+    for field in log[topic].dtype.names or ():
+        values = log[topic][field].reshape(len(log[topic]), prod(log[topic][field].shape[1:]))
+        for k, end in enumerate(index_suffixes(log[topic][field].shape[1:])):
+            column = f"{field}{end}" if field != "tick" else "packet.tick"
+            assert table[column].null_count == 0
+            read = table[column].to_numpy()
+            assert (read.dtype, read.tobytes()) == (values.dtype, values[:, k].tobytes()), column
+
+
+def test_parquet_keeps_every_bit_of_every_topic(log: Log, tmp_path: Path) -> None:
+    files = export(log, tmp_path / "tables", [], no_progress)
+    assert files.keys() == log.time_ns.keys()
+    for topic in log.packets:
+        assert_same_bits(log, topic, files[topic])
+
+
+def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
+    (path,) = export(log, tmp_path / "joint.parquet", ["/joint"], no_progress).values()
+    schema = pq.read_schema(path)
+    assert json.loads(schema.metadata[b"marsarm.header"]) == dict(log.header)
+    assert schema.metadata[b"marsarm.topic"] == b"/joint"
+    assert schema.field("motor_rate_rad_s[3]").metadata == {b"unit": b"rad/s"}
+    assert schema.field("mode").metadata is None
+    assert b"marsarm.truth" not in schema.metadata
+
+
+def test_the_truth_stays_marked(log: Log, tmp_path: Path) -> None:
+    (path,) = export(log, tmp_path / "truth.parquet", ["/truth"], no_progress).values()
+    assert b"marsarm.truth" in pq.read_schema(path).metadata
+
+
+def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:
+    (path,) = export(log, tmp_path / "sensors.csv", ["/sensors"], no_progress).values()
+    with path.open(newline="") as file:
+        names, *rows = csv.reader(file)
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    for k in range(5):
+        due = log["/sensors"]["resolver_rad"][:, k]
+        assert np.array_equal([float(word) for word in columns[f"resolver_rad[{k}]"]], due, equal_nan=True)
+        counts = log["/sensors"]["encoder_count"][:, k].tolist()
+        assert [int(word) for word in columns[f"encoder_count[{k}]"]] == counts
+    assert set(columns["switch_closed[0]"]) <= {"0", "1"}
+
+
+def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
+    files = export(log, tmp_path / "tables", ["/evr", "/command"], no_progress)
+    evrs = pq.read_table(files["/evr"]).to_pylist()
+    assert (evrs[0]["name"], evrs[0]["severity"]) == ("Booted", "ACTIVITY_HI")
+    assert json.loads(evrs[0]["fields_json"]) == {"params_sha256": "ééé"}
+    assert pq.read_table(files["/command"])["name"].to_pylist()[:2] == ["Stop", "GuardedMove"]
+
+
+@pytest.mark.parametrize(
+    ("out", "topics", "why"),
+    [
+        ("all.parquet", [], "one file holds one table, and 7 topics are selected; name one with --topic"),
+        ("run.txt", ["/joint"], "no such"),
+        ("nowhere/joint.csv", ["/joint"], "there is no folder"),
+        ("nowhere/tables", [], "there is no folder"),
+        ("file.txt", [], "must end in .parquet or .csv, or be a folder"),
+    ],
+)
+def test_where_nothing_can_be_written_nothing_is(
+    log: Log, tmp_path: Path, out: str, topics: list[str], why: str
+) -> None:
+    (tmp_path / "file.txt").write_text("mine")
+    if why == "no such":
+        with pytest.raises(BadRequest, match="has no topic /jiont; it has /command, /drive"):
+            export(log, tmp_path / out, ["/jiont"], no_progress)
+    else:
+        with pytest.raises(BadOutput, match=why):
+            export(log, tmp_path / out, topics, no_progress)
+    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_a_log_in_numbers(log: Log) -> None:
+    info = info_document(log)
+    assert (info["cycles"], info["first_s"], info["duration_s"]) == (41, 0.0, 41 / 64)
+    assert [one["topic"] for one in info["topics"] if one["truth"]] == ["/truth"]
+    assert info["evrs"] == {"ACTIVITY_HI": 82}
+    assert next(one for one in info["topics"] if one["topic"] == "/joint")["rate_hz"] == 64.0
+
+
+def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
+    chosen = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
+    rad, flags = channels_document(log, chosen)["channels"]
+    assert (rad["channel"], rad["type"], rad["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
+    finite = log["/joint"]["motor_rad"][np.isfinite(log["/joint"]["motor_rad"])]
+    assert (rad["min"], rad["max"]) == (finite.min(), finite.max())
+    assert rad["not_finite"] >= 5
+    assert (flags["min"], flags["max"]) == (0, 1)
+    every = sum(len(packets.dtype.names or ()) for packets in log.packets.values())
+    assert len(select_channels(log)) == every
+
+
+def test_a_pattern_that_matches_nothing_is_refused(log: Log) -> None:
+    with pytest.raises(
+        BadRequest, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log info"
+    ):
+        select_channels(log, ["/joint/mode", "/joint/moter"])
+
+
+matplotlib.use("agg")
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """Return a function that draws channels, and returns the log and the panels."""
+    log = read_log(record_log(tmp_path / "run.mcap", 130, 0.0))
+
+    def draw(*globs):
+        figures = []
+
+        def keep(path, size, dpi, draw_on):
+            figure = matplotlib.figure.Figure(figsize=size)
+            draw_on(figure)
+            figures.append(figure)
+
+        monkeypatch.setattr(log_figure, "save_figure", keep)
+        log_figure.save_log_figure(select_channels(log, globs), log.evrs, tmp_path / "p.png")
+        return log, figures[0].axes
+
+    return draw
+
+
+def test_modes_are_called_by_name(drawn):
+    _, (axes,) = drawn("/joint.mode")
+    assert "DEPLOYED" in [label.get_text() for label in axes.get_yticklabels()]
+
+
+def test_too_many_lines_to_name_are_reported(drawn):
+    _, (axes,) = drawn("/truth.R_RT")
+    assert "lines are too many to name; /truth.R_RT[0,0" in axes.get_title(loc="left")
+    _, (axes,) = drawn("/joint.motor_rad")
+    assert axes.get_title(loc="left") == "/joint.motor_rad"
+    assert len(axes.get_legend().get_texts()) == 5
+
+
+def test_every_event_is_named_or_counted(drawn):
+    log, (axes,) = drawn("/joint.mode")
+    named = len(axes.texts)
+    assert axes.get_title(loc="right") == f"{len(log.evrs) - named} more events, not named"

@@ -25,9 +25,6 @@ from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
 from tests.marsarm.command import largest_file
 from tests.marsarm.telemetry.conftest import cycle_at
-from validation import broken_logs
-from validation.broken_logs import Kill
-from validation.campaigns import Context
 
 ROOT = Path(__file__).parents[3]
 
@@ -251,34 +248,6 @@ def test_the_summary_is_that_of_the_messages(make: Any, tmp_path: Path) -> None:
     assert (told.message_start_time, told.message_end_time) == (min(times_ns), max(times_ns))
     assert (told.schema_count, told.channel_count) == (len(summary.schemas), len(summary.channels))
     assert (told.chunk_count, told.metadata_count, len(summary.metadata_indexes)) == (31, 2, 2)
-
-
-@pytest.mark.slow
-def test_killed_process_groups_leave_nothing_wrong() -> None:
-    done = python(
-        "import json; from validation.campaigns import Context; from validation.broken_logs import killed;"
-        "print(json.dumps(killed(Context(3), 5)))"
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "in_bounds"),
-    [
-        ([Kill("cut short", 1.1), Kill("closed"), Kill("cut short", 0.1)], True),
-        ([Kill("cut short", 1.3), Kill("cut short", 0.1)], False),
-        ([Kill("wrong: not what the run was"), Kill("cut short", 0.1)], False),
-        ([Kill("closed"), Kill("cut short", 0.1)], False),
-    ],
-    ids=["all is well", "too much is lost", "a log is wrong", "too few logs were open"],
-)
-def test_a_campaign_of_kills_ends_with_its_verdict(
-    outcomes: list[Kill], in_bounds: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(broken_logs, "kill_runs", lambda number, seed: outcomes)
-    assert broken_logs.killed(Context(), 2)["in_bounds"] is in_bounds
 
 
 PARAMS = arm_named("nominal").params

@@ -10,7 +10,7 @@ from marsarm.telemetry.errors import LogDamaged, LostMessages
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
-from validation.broken_logs import CUT_EVERY, flip_bits, is_part, original, truncate_file
+from validation.broken_logs import CUT_EVERY, change_records, flip_bits, is_part, original, truncate_file
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
@@ -145,3 +145,8 @@ def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
     found = truncate_file(original(data), CUT_EVERY // 4, tmp_path)
     assert found["wrong"] == []
     assert found["read"]["cut"] > 5
+
+
+def test_records_that_do_not_fit_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
+    found = change_records(original(data[: int(0.6 * len(data))]), 60, 6, tmp_path)
+    assert (found["wrong"], found["read"].keys()) == ([], {"read", "refused"})

@@ -18,7 +18,7 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.robot_description import draw_scene
 from sim.arms import arm_named
 from sim.record import CycleRecord
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from simgap.files.decoding import BadMessage, make_decoder
 from tests.tools import TOOLS
 

@@ -1,6 +1,9 @@
-"""A reader returns bit for bit the cycles that the recorder wrote."""
+"""What goes into a log comes back: packets, times, topics and the header."""
 
-from dataclasses import fields, is_dataclass, replace
+import hashlib
+import json
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from numpy.typing import NDArray
 
+from fsw.dictionary.commands import MoveJoint, Stop
+from fsw.dictionary.enums import Joint
+from marsarm.telemetry.header import commands_header, flight_header, model_digest, run_header
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.topics import topics_in
+from sim.arms import arm_named
+from sim.effects.gears import CoulombFriction
+from sim.effects.geometry import Warming
+from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
+from sim.setting import World
 
 HOSTILE_BYTES = [b"\x00", b"\xff", b"\x00\x00\x00\x00\x00\x00\x00\x80", b"\x01\x00\x00\x00\x00\x00\xf0\x7f"]
 """Bits of zero; of NaN and -1; of the least integer and -0.0; of a signalling NaN."""
@@ -105,3 +118,98 @@ def test_a_run_that_ends_in_an_exception_leaves_a_whole_log(make: Any, tmp_path:
         make.record(path, [make.cycle_at(0), replace(make.cycle_at(1), commands=(object(),))])
     assert len(read_log(path)["/sensors"]) == 1
     assert not read_log(path).truncated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    angle_rad: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outputs:
+    arm: Arm
+    spare_arm: Arm | None
+    alive: bool
+    events: tuple[Arm, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cycle:
+    tick: int
+    outputs: Outputs
+
+
+def test_each_dataclass_in_a_cycle_is_a_topic_and_so_are_plain_fields_beside_them() -> None:
+    assert [(t.name, t.path, t.field_names) for t in topics_in(Cycle)] == [
+        ("/outputs", "outputs", ("alive",)),
+        ("/arm", "outputs.arm", ("angle_rad",)),
+        ("/spare_arm", "outputs.spare_arm", ("angle_rad",)),
+    ]
+
+
+def test_the_topics_of_our_cycle_have_names_of_their_own() -> None:
+    names = [topic.name for topic in topics_in(CycleRecord)]
+    assert {"/sensors", "/drive", "/joint", "/tool", "/truth"} <= set(names)
+    assert len(set(names)) == len(names)
+    assert not {"/evr", "/command"} & set(names)
+
+
+KEYS = {
+    *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request", "effects"),
+    *("params", "params_sha256", "mjcf_sha256", "commands", "commands_sha256", "boot"),
+}
+
+
+def loop_of(name: str = "nominal", world: World | None = None) -> ClosedLoop:
+    arm = arm_named(name)
+    return ClosedLoop(Setup(arm, world or World(), arm.params.poses.stowed_rad, 3))
+
+
+@cache
+def nominal() -> ClosedLoop:
+    """Return a loop that no test may advance."""
+    return loop_of()
+
+
+def test_a_header_holds_everything_as_text():
+    header = run_header(nominal(), "nominal", 3, {"tool": "apxs"}, (Stop(),))
+    assert header.keys() == KEYS
+    assert all(isinstance(value, str) for value in header.values())
+    assert json.loads(header["boot"])["mode"] == "STOWED"
+    assert header["params_sha256"] == nominal().config.params_sha256
+    assert json.loads(header["cpu"])[-1].startswith("OpenBLAS ")
+    assert (header["seed"], json.loads(header["request"])) == ("3", {"tool": "apxs"})
+
+
+def test_a_header_names_the_effects_that_were_switched_on():
+    effects = (CoulombFriction(Joint.ELBOW, 25.0), Warming(10.0))
+    header = run_header(nominal(), "nominal", 3, {}, (), effects)
+    assert json.loads(header["effects"]) == [
+        "coulomb-friction:elbow:torque_Nm=25.0",
+        "warming:warming_K=10.0",
+    ]
+
+
+def test_the_flight_header_has_nothing_of_the_plant():
+    """The flight header has no arm, seed, request, effects or digest of the model."""
+    flown = flight_header(nominal(), (Stop(),))
+    assert KEYS - flown.keys() == {"arm", "seed", "request", "effects", "mjcf_sha256"}
+
+
+def test_the_plants_digest_knows_the_world_and_the_arm():
+    loops = (nominal(), loop_of(world=World(tilt_roll_rad=1e-9)), loop_of("as-built:1"))
+    assert len({model_digest(loop.plant.model) for loop in loops}) == 3
+
+
+def test_a_digest_is_that_of_the_commands_as_written():
+    header = commands_header((MoveJoint(Joint.WRIST, 0.1),))
+    written = [{"type": "MoveJoint", "fields": {"joint": "WRIST", "angle_rad": 0.1, "backlash": "on"}}]
+    assert json.loads(header["commands"]) == written
+    assert header["commands_sha256"] == hashlib.sha256(header["commands"].encode()).hexdigest()
+
+
+def test_a_run_under_way_has_no_header_any_more():
+    loop = loop_of()
+    loop.cycle()
+    with pytest.raises(ValueError, match="the run is at tick 1"):
+        run_header(loop, "nominal", 3, {}, ())

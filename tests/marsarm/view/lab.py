@@ -7,7 +7,7 @@ from fsw.dictionary.types import joints5
 from sim.arms import BuiltArm, arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim.lab import true_reference
 
 START_DEG = (10.0, -60.0, 100.0, -40.0, 60.0)

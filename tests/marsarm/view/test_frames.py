@@ -21,7 +21,8 @@ from sim.effects.geometry import ToolOffset
 from sim.effects.structure import StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadRequest
 from tests.marsarm.view.lab import ARM, COMMANDS, TILTED, records_of, start_loop
 from tests.replay.remake import FOLDER

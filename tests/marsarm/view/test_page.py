@@ -133,6 +133,41 @@ def test_a_page_plays_from_a_file_at_every_speed(run, tmp_path):
 
 
 @needs_chromium
+def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
+    page = tmp_path / "run.html"
+    save_page(run, page)
+    with Browser() as browser:
+        browser.open(page.as_uri() + "#t=2&x=20&camera=tool", 1400, 900)
+        assert browser.evaluate("[player.playing, player.time, Math.round(player.factor)]") == [False, 2, 20]
+        assert browser.evaluate("player.orbit.distance") == pytest.approx(1.3)
+        shown = browser.evaluate("""(() => { const plot = player.plots[0];
+          player.show(1, 3); player.point(1.5); player.draw(); plot.choose(2, true);
+          return [player.range, plot.shown, plot.labels[0].value.textContent]; })()""")
+        angle_deg = np.degrees(run.frames.between(run.frames.samples.believed_rad[0], 1.5))
+        assert shown[:2] == [[1, 3], [False, False, True, False, False]]
+        assert float(shown[2]) == pytest.approx(angle_deg, abs=0.1)
+        last = len(run.events) - 1
+        seen = browser.evaluate(f"""(() => {{ player.seek(player.end); player.draw();
+          const list = byId("events").getBoundingClientRect();
+          const button = player.rows[{last}][1].getBoundingClientRect();
+          return button.top >= list.top && button.bottom <= list.bottom + 1; }})()""")
+        assert seen, "the present event is in view"
+        assert browser.problems == []
+
+
+@needs_node
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"), [(0, 10, ["0", "5", "10"]), (-0.3, 0.3, ["-0.2", "0.0", "0.2"])]
+)
+def test_the_scale_of_a_plot_has_round_numbers_and_no_negative_zero(low, high, ticks):
+    plots = files("marsarm.view").joinpath("page", "plots.js").read_text(encoding="utf-8")
+    browser = "const matchMedia = () => ({});"
+    script = f"{browser} {plots} console.log(JSON.stringify(ticksBetween({low}, {high}, 3)));"
+    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == ticks
+
+
+@needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [400, 1400])

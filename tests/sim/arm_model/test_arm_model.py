@@ -19,7 +19,8 @@ from sim.effects.effect import params_with_effects
 from sim.params import nominal_params, params_over
 from sim.params_table import read_params_toml
 from sim.plant import Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 
 NAMES = arm_names()
 

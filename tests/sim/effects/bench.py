@@ -10,7 +10,8 @@ from fsw.dictionary.enums import Joint
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, Hardware, apply_cycle_effects, apply_effects, nominal_hardware
 from sim.plant import ALL_ACTUATORS, Plant
-from sim.world import World, build
+from sim.setting import World
+from sim.world import build
 from tests.sim import lab
 
 Array = lab.Array

@@ -10,7 +10,7 @@ from sim.effects.effect import Effect
 from sim.effects.environment import ContactStiffness, Numerics, SurfacePosition
 from sim.frames import P_NR_M
 from sim.plant import Plant
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import tool_index

@@ -75,7 +75,7 @@ def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, expected: str) -> 
             "from sim.effects.effect import Effect\nclass Dent(Effect):\n    pass",
             r"is no dataclass; write @dataclass\(frozen=True, slots=True\)",
         ),
-        (None, r"dent\.py: cannot be read \(No such file or directory\)"),
+        (None, r"dent\.py: no such file; give the path"),
     ],
 )
 def test_a_file_that_is_no_effect_is_refused(tmp_path, text, expected):

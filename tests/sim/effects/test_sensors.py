@@ -19,7 +19,7 @@ from sim.effects.sensors import (
     ResolverScale,
 )
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 from tests.sim import lab
 from tests.sim.effects import bench
 

@@ -29,7 +29,7 @@ from sim.scenario.data import (
 )
 from sim.scenario.judge import CheckResult, Ending, Snapshot, Trace, evaluate_checks, note_snapshot
 from sim.sequence import Outcome
-from sim.world import Surface, World
+from sim.setting import Surface, World
 from tests.tools import TOOL_SWITCHES, TOOLS
 
 STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])

@@ -1,23 +1,19 @@
 """Effects of the user's own, from a Python file."""
 
-import hashlib
-import importlib.util
 import inspect
 import math
-import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from simgap.common.errors import RobotError
+from simgap.common.modules import load_module
 from simgap.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, JointEffect, Size, joint_scales
 from simgap.logs import Logs
 from simgap.robot import Robot
 
 T = TypeVar("T")
-MODULE_PREFIX: Final = "own_effects_"
 
 
 def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
@@ -49,31 +45,6 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
                 f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name"
             )
     return effects
-
-
-def user_files() -> set[str]:
-    """Return the files of all effects that were loaded, by the names that a traceback gives them."""
-    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
-
-
-def load_module(path: Path) -> ModuleType:
-    """Run a file of the user as a module, which `sys.modules` has under a name of its own.
-
-    Raises:
-        RobotError: There is no such Python file, or it fails.
-    """
-    if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name
-        raise RobotError(f"{path}: no such file; give a Python file with effects")
-    # dataclasses look up their module by its name; the digest keeps files of one name apart
-    name = f"{MODULE_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise RobotError(f"{path}: not a Python file; its name has to end in .py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    loader = spec.loader
-    _run(str(path), "it cannot be loaded", lambda: loader.exec_module(module))
-    return module
 
 
 def _everywhere(module: ModuleType, robot: Robot, logs: Logs) -> tuple[Effect, ...]:

@@ -264,11 +264,7 @@ def joint_cells(one: JointSummary) -> tuple[str, ...]:
 
 
 def save_check_page(report: CheckReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Write the page; BadOutput if the file cannot be written."""
     digests = {**report.digests, "result": json_sha256(check_json(report))}
     origin = Origin(command_text("simgap check", report.request), digests)
     count = len(report.audit.remarks)

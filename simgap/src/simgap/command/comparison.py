@@ -19,11 +19,7 @@ STEPS = 1000
 
 
 def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> Comparison:
-    """Read both logs and compare them.
-
-    Raises:
-        RobotError: A file is wrong, or the check refuses a log.
-    """
+    """Read both logs and compare them; RobotError if a file is wrong, or the check refuses a log."""
     check_options(request)
     robot = Robot.from_toml(request.robot)
     whole = replace(

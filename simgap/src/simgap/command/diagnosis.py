@@ -36,6 +36,7 @@ from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, trace_motions
+from simgap.report.user_units import convert_trace
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors
@@ -275,7 +276,10 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         raise
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
     patch = None if request.patch is None else make_patch(robot, *result.of_model())
-    traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
+    traces: tuple[Trace, ...] = ()
+    if request.report is not None:
+        made = trace_motions(robot, _shown(logs), result, found.usable)
+        traces = tuple(convert_trace(robot, one) for one in made)
     return RobotDiagnosis(request, result, traces, patch, digests)
 
 
@@ -333,11 +337,7 @@ def print_lines(diagnosis: Diagnosis) -> None:
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> None:
-    """Write the files of a request.
-
-    Raises:
-        BadOutput: a file cannot be written.
-    """
+    """Write the files of a request; BadOutput if a file cannot be written."""
     if made.request.report is not None:
         save_page_of(made, made.request.report)
     folder = made.request.patch
@@ -355,11 +355,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
 
 
 def save_page_of(made: RobotDiagnosis, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Write the page; BadOutput if the file cannot be written."""
     digests = {**made.digests, "result": json_sha256(diagnosis_json(made))}
     origin = Origin(command_text("simgap diagnose", made.request), digests)
     save_diagnosis_page(made.diagnosis, made.traces, path, origin)

@@ -1,6 +1,5 @@
 """Public names of a package: its `__init__.pyi` lists them, and each is imported when it is first used."""
 
-import ast
 import sys
 from functools import cache
 from importlib import import_module
@@ -11,6 +10,8 @@ from typing import Any
 @cache
 def list_names(package: str) -> dict[str, str]:
     """Return the module of each name that the `__init__.pyi` of a package lists."""
+    import ast  # commands ask for no name
+
     path = Path(sys.modules[package].__path__[0], "__init__.pyi")
     imports = [
         node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)

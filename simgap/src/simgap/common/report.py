@@ -109,9 +109,7 @@ def _console_table(part: ReportTable, title: str) -> Table:
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]
         is_number = k > 0 and all(NUMBER.fullmatch(cell) for cell in cells)
         made.add_column(
-            part.head[k] if part.head else "",
-            justify="right" if is_number else "left",
-            no_wrap=part.is_whole,
+            part.head[k] if part.head else "", justify="right" if is_number else "left", no_wrap=part.is_whole
         )
     for row in part.rows:
         made.add_row(*row)
@@ -124,11 +122,7 @@ def file_lines(files: Mapping[str, Path | str | None]) -> list[str]:
 
 
 def save_report_page(page: ReportPage, path: Path) -> None:
-    """Write the page of a report.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Write the page of a report; BadOutput if the file cannot be written."""
     save_page(page.title, "", page.requirements, page.origin, [_html(part) for part in page.parts], path)
 
 

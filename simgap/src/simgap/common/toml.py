@@ -47,20 +47,12 @@ def decode_text(data: bytes, name: str) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        RobotError: It cannot be read, or is no TOML.
-    """
+    """Read a TOML file; RobotError if it cannot be read, or is no TOML."""
     return parse_toml(read_text(path), str(path))
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Parse a text as TOML.
-
-    Raises:
-        RobotError: It is no TOML, or holds what Python cannot print.
-    """
+    """Parse a text as TOML; RobotError if it is no TOML, or holds what Python cannot print."""
     try:
         table = tomllib.loads(text)
         repr(table)  # a hexadecimal number is read with any number of digits

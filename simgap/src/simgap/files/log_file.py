@@ -51,20 +51,12 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
 
 
 def list_columns(path: Path, csv_table: CsvTable | None = None) -> tuple[ColumnInfo, ...]:
-    """List what is in a log.
-
-    Raises:
-        RobotError: the file cannot be read, or has no rows.
-    """
+    """List what is in a log; RobotError if the file cannot be read, or has no rows."""
     return open_whole(path, csv_table).describe()
 
 
 def open_whole(path: Path, csv_table: CsvTable | None = None) -> LogFile:
-    """Open a log with all of its columns.
-
-    Raises:
-        RobotError: the file cannot be read, or has no rows.
-    """
+    """Open a log with all of its columns; RobotError if the file cannot be read, or has no rows."""
     return _open(path, None, (), csv_table or CsvTable())
 
 

@@ -374,11 +374,7 @@ class SerialFile(Record):
 
 
 def read_robot_file(path: Path) -> RobotFile | SerialFile:
-    """Read a robot file.
-
-    Raises:
-        RobotError: it cannot be read, or a key or a value is wrong.
-    """
+    """Read a robot file; RobotError if it cannot be read, or a key or a value is wrong."""
     content = read_toml(path)
     if "serial_arm" in content:
         return parse_record(SerialFile, content, path)

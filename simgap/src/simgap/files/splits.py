@@ -53,11 +53,7 @@ class Member:
 
 
 def read_split(path: Path) -> SplitFile:
-    """Read a split file.
-
-    Raises:
-        RobotError: it cannot be read, or a key or a value is wrong.
-    """
+    """Read a split file; RobotError if it cannot be read, or a key or a value is wrong."""
     return parse_record(SplitFile, read_toml(path), path)
 
 

@@ -58,11 +58,7 @@ class _Form:
 
 
 def read_whole(path: Path) -> bytes:
-    """Read a file of text, which may be packed by gzip.
-
-    Raises:
-        RobotError: it is too large, or damaged.
-    """
+    """Read a file of text, which may be packed by gzip; RobotError if it is too large, or damaged."""
     check_size(path, 0 if path.stat().st_size <= MAX_BYTES else MAX_BYTES)
     if path.suffix.lower() != ".gz":
         return path.read_bytes()

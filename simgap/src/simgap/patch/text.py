@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.catalogue.own_effects import load_module
 from simgap.common.errors import RobotError
+from simgap.common.modules import load_module
 from simgap.effects.effect import Effect
 from simgap.robot import ControlMode, Robot, RobotJoint
 

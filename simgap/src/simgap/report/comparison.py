@@ -6,8 +6,9 @@ from typing import Any
 from simgap.common.report import to_json
 from simgap.report.details import finding_lines
 from simgap.report.document import to_document
-from simgap.report.sentences import quantity, verdict_lines
+from simgap.report.sentences import verdict_lines
 from simgap.result import Comparison, Limit
+from simgap.units import quantity
 
 FORMAT = "comparison 1"
 """Name and version of the document."""

@@ -14,11 +14,11 @@ from simgap.report.sentences import (
     level,
     list_differing,
     percent,
-    quantity,
     rank_findings,
     regime_words,
 )
-from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+from simgap.result import Base, Diagnosis, Finding, JointError, Rejected, Remainder
+from simgap.units import quantity
 
 GAINS: Final = {
     "gain_ratio": "the gain",
@@ -43,16 +43,17 @@ def detail_lines(diagnosis: Diagnosis) -> list[str]:
 
 def finding_lines(diagnosis: Diagnosis) -> list[str]:
     """Return sentences of each finding, of what remains, is not named, and cannot be known."""
+    return [*finding_sentences(rank_findings(diagnosis)), *rest_lines(diagnosis)]
+
+
+def rest_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return sentences of what remains, is not named, and cannot be known."""
     errors = map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
-    rejected = [
-        f"{_capital(one.effect)} at {one.place} is not named: {one.reason}." for one in diagnosis.rejected
-    ]
     base = [base_sentence(one) for one in list_differing(diagnosis)]
     return [
-        *finding_sentences(rank_findings(diagnosis)),
         *errors,
         *remainder_sentences(diagnosis.remaining, diagnosis.is_base_only),
-        *_shorten(rejected, "effect that is not named", "effects that are not named"),
+        *_shorten(rejected_sentences(diagnosis.rejected), "refusal of a name", "refusals of names"),
         *_shorten(base, "base parameter that differs", "base parameters that differ"),
         *bound_sentences(diagnosis.base),
         *unknown_sentences(diagnosis.base),
@@ -122,6 +123,18 @@ def remainder_sentences(remaining: Sequence[Remainder], is_base_only: bool = Fal
     ]
     cause = "Base parameters do not explain" if is_base_only else "No effect explains"
     return [f"{cause} what remains: {'; '.join(parts)}."] if parts else []
+
+
+def rejected_sentences(rejected: Sequence[Rejected]) -> list[str]:
+    """Return a sentence for the effects of a place that are not named for the same reason."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for one in rejected:
+        groups.setdefault((one.place, one.reason.removeprefix(f"{one.place}: ")), []).append(one.effect)
+    return [
+        f"{_capital(join_words(names, 'and', len(names)))} at {place} "
+        f"{'is' if len(names) == 1 else 'are'} not named: {reason}."
+        for (place, reason), names in groups.items()
+    ]
 
 
 def bound_sentences(base: Sequence[Base]) -> list[str]:

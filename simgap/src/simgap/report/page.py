@@ -7,7 +7,7 @@ import html
 import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from math import floor, isfinite, log10
+from math import degrees, floor, isfinite, log10
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,20 +16,22 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.checks.records import COARSE_RAD
 from simgap.common.page import Origin, heading, paragraph, save_page, table
-from simgap.report.details import finding_lines
+from simgap.report.details import rest_lines
 from simgap.report.sentences import (
-    SMALL_UNITS,
+    FAMILY_WORDS,
+    NOT_LOCATED,
     has_floor,
+    join_words,
     level,
     percent,
-    quantity,
     rank_findings,
     verdict_lines,
     verdict_word,
 )
 from simgap.report.traces import Trace, choose_traces, thin
-from simgap.result import Diagnosis, JointError
+from simgap.result import Diagnosis, Finding, JointError
 from simgap.robot import SLIDE_m_rad
+from simgap.units import SMALL_UNITS, quantity
 
 SERIES: Final = {
     "measured": "measured",
@@ -44,7 +46,11 @@ BARS: Final = {
     "base": "base parameters fitted",
     "explained": "with the findings",
 }
-LEAST_SPANS: Final = {"rad": COARSE_RAD, "m": SLIDE_m_rad * COARSE_RAD}
+LEAST_SPANS: Final = {
+    "rad": COARSE_RAD,
+    "deg": degrees(COARSE_RAD),
+    "m": SLIDE_m_rad * COARSE_RAD,
+}
 """Least ranges of positions that fill a figure, by unit: a joint that moves less looks idle, as it is."""
 STEPS: Final = 16
 """Steps of usual encoders, of 12 bits, in LEAST_SPANS; no error smaller than a step fills a figure."""
@@ -232,22 +238,33 @@ def _numbers(values: Array, digits: int) -> list[float | None]:
 
 
 def _finding_part(diagnosis: Diagnosis) -> list[str]:
-    if not (lines := finding_lines(diagnosis)):
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in rest_lines(diagnosis))
+    rows = [_finding_row(one) for one in rank_findings(diagnosis)]
+    if not (rows or items):
         return []
-    items = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
-    rows = [
-        (
-            one.place,
-            one.effect,
-            one.text,
-            percent(one.share) if isfinite(one.share) else "not known",
-            ", ".join(one.effects) or "none of these",
-        )
-        for one in rank_findings(diagnosis)
-        if level(one) == "effect"
+    head = ("place", "effect", "size, and with 90 % probability", "own share", "not excluded at 5 %")
+    return [
+        heading("Which effects"),
+        *([table(head, rows)] if rows else []),
+        *([f"<ul>{items}</ul>"] if items else []),
     ]
-    head = ("place", "effect", "size", "own share", "effects not excluded at 5 %")
-    return [heading("Which effects"), f"<ul>{items}</ul>", *([table(head, rows)] if rows else [])]
+
+
+def _finding_row(one: Finding) -> tuple[str, ...]:
+    """Return the cells of a finding, at the level at which it is known."""
+    place = join_words(one.places or (one.place,), "or")
+    known = level(one)
+    members = {
+        "effect": one.effects,
+        "family": tuple(FAMILY_WORDS[family] for family in one.families),
+    }.get(known, ())
+    if known != "effect":
+        what = join_words(members, "or") or "something"
+        return NOT_LOCATED if known == "none" else place, what, "", "", ", ".join(members) or "not known"
+    sizes = zip(one.size_names, one.interval, strict=True)
+    intervals = ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in sizes)
+    share = percent(one.share) if isfinite(one.share) else "not known"
+    return place, one.effect, f"{one.text}; {intervals}", share, ", ".join(one.effects)
 
 
 def _base_part(diagnosis: Diagnosis) -> list[str]:
@@ -333,5 +350,5 @@ def save_diagnosis_page(
         BadOutput: the file cannot be written.
     """
     parted = (line.partition(": ") for line in verdict_lines(diagnosis))
-    verdict = {name: f"{text[0].upper()}{text[1:]}" for name, _, text in parted}
+    verdict = {name: text for name, _, text in parted}
     save_page(page_title(diagnosis), verdict, (), origin, page_parts(diagnosis, traces), path)

@@ -8,16 +8,10 @@ from typing import Final
 
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+from simgap.units import quantity
 
 MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
-SMALL_UNITS: Final = {
-    "rad": ("mrad", 1e3),
-    "m": ("mm", 1e3),
-    "rad/s": ("mrad/s", 1e3),
-    "m/s": ("mm/s", 1e3),
-}
-"""Units in which errors of a robot are small numbers, and their factors."""
 NOT_LOCATED: Final = "something that is not located"
 MUCH: Final = 2.0
 """Error over noise from which the first line says what is left: half of it or more is no noise."""
@@ -89,14 +83,6 @@ def regime_words(regime: str) -> str:
     )
 
 
-def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit, small angles and lengths in thousandths."""
-    if not isfinite(value):
-        return "not known"
-    small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
-    return f"{value * factor:.3g} {small}"
-
-
 def percent(share: float) -> str:
     """Return a share as text."""
     return f"{100 * share:.0f} %"
@@ -161,12 +147,20 @@ def _much_left(errors: Sequence[JointError]) -> str:
 
 def rank_findings(diagnosis: Diagnosis) -> list[Finding]:
     """Return the findings, first that which explains the most of the largest error."""
-    errors = {one.joint: one.base for one in diagnosis.errors}
-    largest = max(errors.values(), default=0.0)
+    largest: dict[str, float] = {}
+    for one in diagnosis.errors:
+        largest[one.kind] = max(largest.get(one.kind, 0.0), one.base)
+    errors = {
+        (one.joint, one.kind or diagnosis.kinds[0]): one.base / (largest[one.kind] or 1.0)
+        for one in diagnosis.errors
+    }
+    effects = (effect.key for effect in diagnosis.effects)
+    kinds = dict(zip(effects, diagnosis.effect_kinds, strict=False))
 
     def weight(one: Finding) -> float:
         share = one.share if isfinite(one.share) else 0.0
-        return share * errors.get(one.place, largest)
+        kind = kinds.get(f"{one.place}: {one.effect}", diagnosis.kinds[0])
+        return share * errors.get((one.place, kind), 1.0)
 
     return sorted(diagnosis.findings, key=weight, reverse=True)
 

@@ -88,11 +88,7 @@ class EncoderResiduals:
             raise RobotError(f"robot {robot.name}: no log has a second encoder that moves")
         states = [
             State(
-                one.time_s,
-                one.q_rad,
-                one.v_rad_s,
-                _load_Nm(robot, one, self.low_pass),
-                one.temperature_degC,
+                one.time_s, one.q_rad, one.v_rad_s, _load_Nm(robot, one, self.low_pass), one.temperature_degC
             )
             for one in filtered
         ]

@@ -66,6 +66,15 @@ class Change(Effect):
         return self.effect.overrides(*hooks)
 
 
+def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
+    """Return the changes that known effects may have.
+
+    Args:
+        known: Effects with their sizes, (n_sizes,) in the units of their names.
+    """
+    return [Change(one.place, one, tuple(size.tolist())) for one, size in known.items()]
+
+
 class KnownResiduals:
     """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
 
@@ -77,7 +86,7 @@ class KnownResiduals:
         """Keep the residuals.
 
         Args:
-            known: Known effects and their sizes.
+            known: Known effects and their sizes, (n_sizes,) in the units of their names.
             is_changed: Whether a `Change` acts in each motion, (n_motions,); None: in all of them.
         """
         self.raw, self.known, self.is_changed = raw, dict(known), is_changed

@@ -204,11 +204,7 @@ def _refine(robot: Robot) -> Robot:
 
 
 def _cut(
-    robot: Robot,
-    motions: Sequence[Motion],
-    spacing_s: float,
-    keep: Usable | None,
-    most_periods: float,
+    robot: Robot, motions: Sequence[Motion], spacing_s: float, keep: Usable | None, most_periods: float
 ) -> list[Window]:
     """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
     windows = [one for motion in motions for one in cut_windows(robot, motion, None, spacing_s, keep)]

@@ -224,21 +224,23 @@ def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array
     """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
     A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
-    changes in sizes together do to the residual is not known where it is STEP times less than what they do
-    alone, and the step does not go there.
+    changes in sizes do to the other motions is not known where it is STEP times less than what each alone
+    does to all motions, and the step does not go there.
     """
     model, free = context.model, fit.columns
     sizes = context.union.sizes_at(free)
     low, high = np.array([size.low for size in sizes]), np.array([size.high for size in sizes])
     prior = np.array([size.prior_std for size in sizes]) ** -2.0
-    weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
-    weight /= context.scales[model.joint_of[fit.rows]]
-    a, at = fit.jacobian * weight[:, None], fit.sizes[free]
-    slope, curvature = half_loss_derivatives(fit.residuals * weight)
+    scale = context.scales[model.joint_of[fit.rows]]
+    slope, curvature = half_loss_derivatives(fit.residuals / scale)
+    a, at = fit.jacobian / scale[:, None], fit.sizes[free]
+    unit = np.sqrt(np.maximum(curvature @ a**2 + prior, 1e-300))
+    is_other = ~np.isin(model.motion_of[fit.rows], sorted(fold))
+    a, slope, curvature = a[is_other], slope[is_other], curvature[is_other]
     gradient = a.T @ slope + prior * at
     go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
     normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
-    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    unit = unit[go]
     inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
     at[go] -= inverse @ (gradient[go] / unit) / unit
     found = fit.sizes.copy()

@@ -146,8 +146,8 @@ def list_again(
         is_open = context.joint_of(one.effect) in {*open_joints, ALL_JOINTS}
         if one.gain >= MIN_SHARE and is_open and one.effect.key not in known:
             # its base parameters were fitted with it, and go with it
-            is_own = context.sharing.joint_of_column == context.joint_of(one.effect)
-            again.append(replace(one, start=np.where(is_own & (one.start != 0.0), one.start, present.sizes)))
+            is_own = context.sharing.list_fitted(context.joint_of(one.effect)) & (one.start != 0.0)
+            again.append(replace(one, start=np.where(is_own, one.start, present.sizes)))
     return again
 
 

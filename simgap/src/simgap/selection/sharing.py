@@ -45,6 +45,10 @@ class Sharing:
             return False
         return any(joints <= set(group) for group in self.groups)
 
+    def list_fitted(self, joint: int) -> Flags:
+        """List the sizes that the residuals of a joint, or of ALL_JOINTS, decide: flags, (n_sizes,)."""
+        return np.asarray((self.joint_of_column == joint) | (joint == ALL_JOINTS))
+
     def plan(self, points: Sequence[Point]) -> list[list[int]]:
         """Distribute points over few candidates; list the points of each, at most one of each joint."""
         same = np.union1d(self.mixing, np.flatnonzero(self.joint_of_column == ALL_JOINTS))

@@ -11,8 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.report.sentences import quantity
-from simgap.residuals.noise import count_independent, cut_rows
+from simgap.residuals.noise import Blocks, count_independent, cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
 from simgap.selection.chance import alternative_p
@@ -35,6 +34,7 @@ from simgap.selection.selection import (
     start_refit,
 )
 from simgap.selection.sharing import ALL_JOINTS
+from simgap.units import quantity
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""
@@ -143,8 +143,8 @@ def start_competitor(
 
     Beside it, the other sizes of its joint are those without the findings, or those of that refit.
     """
-    union, joint = context.union, context.joint_of(score.effect)
-    is_mine = (context.sharing.joint_of_column == joint) | (joint == ALL_JOINTS)
+    union = context.union
+    is_mine = context.sharing.list_fitted(context.joint_of(score.effect))
     own, gone = union.columns([score.effect]), union.columns(layer)
     starts = [without.sizes.copy(), np.where(is_mine & (score.start != 0.0), score.start, without.sizes)]
     for start in starts:
@@ -261,7 +261,9 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
     first, second = found.alternatives[:2]
     rows = simulate(context, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], "comparison")
     model = context.model
-    difference = (rows[0] - rows[1]) / context.scales[model.joint_of]
+    # elsewhere they differ by what was fitted in place of other findings
+    here = np.isin(model.joint_of, joints_of(context, found.effect))
+    difference = np.where(here, rows[0] - rows[1], 0.0) / context.scales[model.joint_of]
     motion = _strongest(difference, model.motion_of, len(model.motions))
     joint = _strongest(difference, model.joint_of, len(model.joints))
     inside = (model.motion_of == motion) & (model.joint_of == joint)
@@ -270,9 +272,13 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
     n = count_independent(model, np.flatnonzero(inside), left)
     if change * np.sqrt(n) < 2.0 * norm.ppf(1.0 - EXCLUDED) * float(np.sqrt(np.mean(left**2))):
         return ""
+    name, part = model.motions[motion], ""
+    if isinstance(model, Blocks):
+        name, time_s = model.parents[motion], model.time_s[inside]
+        part = f" from {time_s.min():.3g} to {time_s.max():.3g} s"
     return (
-        f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
-        f'"{second.effect.name}" differ by {quantity(change, model.units[joint])} (RMS)'
+        f'more motions like "{name}"{part}: there {model.joints[joint]} shows "{first.effect.name}" and '
+        f'"{second.effect.name}" to differ by {quantity(change, model.units[joint])} (RMS)'
     )
 
 

@@ -1,6 +1,7 @@
 """Files of a serial arm: its TOML file, read and written, and tables of measured poses with their mapping."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
@@ -101,7 +102,16 @@ def _set_fields(record: Any) -> dict[str, Any]:
 
 MIN_STALE_ROWS: Final = 3
 """Number of identical measurements in a row, with a moving arm, that proves that the target was lost."""
-Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+COLUMNS: Final = {"euler": 3, "rotation vector": 3, "quaternion": 4, "matrix": 9}
+"""Columns of each form of a rotation."""
+EULER_ORDER: Final = re.compile(r"(?!.*(.)\1)([XYZ]{3}|[xyz]{3})")
+"""Three axes, none the same as the one before it."""
+QUATERNION_ORDERS: Final = ("wxyz", "xyzw")
+ROUNDING: Final = 0.005
+"""Largest root mean square by which quaternions and matrices may differ from the nearest rotation.
+
+Numbers rounded to two decimals differ by at most this from a rotation, so from the nearest one, too.
+"""
 
 
 class TableColumns(Record):
@@ -118,9 +128,69 @@ class TableColumns(Record):
 
 
 class RotationColumns(TableColumns):
-    """Three Euler angles of the target; capital letters mean intrinsic rotations."""
+    """Rotation of the target in the frame of the tracker."""
 
-    order: Order
+    form: Literal["euler", "rotation vector", "quaternion", "matrix"] = "euler"
+    """The nine columns of a matrix are its rows, one after the other."""
+    unit: str = ""
+    """Unit of angles and of rotation vectors; quaternions and matrices have none."""
+    order: str = ""
+    """Axes of Euler angles, capital letters for intrinsic rotations; of a quaternion, wxyz or xyzw."""
+
+    @model_validator(mode="after")
+    def _check_form(self) -> "RotationColumns":
+        count, there = COLUMNS[self.form], len(self.columns)
+        if there != count:
+            raise ValueError(f"columns: there are {there}; a rotation as {self.form} has {count}")
+        match self.form:
+            case "euler":
+                is_order, right = bool(EULER_ORDER.fullmatch(self.order)), "three axes as XYZ, ZYZ or xyz"
+            case "quaternion":
+                is_order, right = self.order in QUATERNION_ORDERS, "wxyz or xyzw"
+            case _:
+                is_order, right = not self.order, f"left out for form = {self.form!r}"
+        if not is_order:
+            raise ValueError(f"order: should be {right}, not {self.order!r}")
+        if self.unit and self.form in ("quaternion", "matrix"):
+            raise ValueError(f"unit: a {self.form} has none; leave it out")
+        return self
+
+    def convert(self, quantity: Quantity) -> Unit:
+        """Return the unit; an error names those that there are."""
+        return Unit(quantity, 1.0) if self.form in ("quaternion", "matrix") else super().convert(quantity)
+
+    def rotations(self, value: Array) -> tuple[Array, Integers]:
+        """Convert the values of the columns to rotation matrices.
+
+        Args:
+            value: Angles, rotation vectors [rad], quaternions or matrices, (columns, n).
+
+        Returns:
+            The matrices, (3, 3, n), and the indices of the rows that are no rotation.
+        """
+        rows = value.T
+        if self.form == "euler":
+            return _stacked(Rotation.from_euler(self.order, rows)), np.array([], int)
+        if self.form == "rotation vector":
+            return _stacked(Rotation.from_rotvec(rows)), np.array([], int)
+        if self.form == "quaternion":
+            scalar_first = self.order == "wxyz"
+            usable = np.any(rows != 0.0, axis=1)
+            turned = Rotation.from_quat(
+                np.where(usable[:, None], rows, (0.5, 0.5, 0.5, 0.5)), scalar_first=scalar_first
+            )
+            nearest = turned.as_quat(scalar_first=scalar_first)
+        else:
+            square = rows.reshape(-1, 3, 3)
+            usable = np.linalg.det(square) > 0.0
+            turned = Rotation.from_matrix(np.where(usable[:, None, None], square, np.eye(3)))
+            nearest = turned.as_matrix().reshape(-1, 9)
+        error = np.sqrt(np.mean((nearest - rows) ** 2, axis=1))
+        return _stacked(turned), np.flatnonzero(~usable | (error > ROUNDING))
+
+
+def _stacked(rotations: Rotation) -> Array:
+    return np.asarray(np.moveaxis(rotations.as_matrix(), 0, -1))
 
 
 class TimeColumn(Record):
@@ -145,7 +215,7 @@ class TrackerMapping(Record):
     """Column of time; None if the rows are in the order of time."""
     air: TableColumns | None = None
 
-    @field_validator("position", "rotation")
+    @field_validator("position")
     @classmethod
     def _check_count(cls, given: TableColumns) -> TableColumns:
         if len(given.columns) != 3:
@@ -217,10 +287,15 @@ def series_from_table(path: Path, mapping: TrackerMapping) -> PoseSeries:
     log = open_log(path, list(dict.fromkeys(numbers)), texts, mapping.csv)
     order = _order(log, time)
     values = {name: _values(log, one, QUANTITIES[name], order) for name, one in given.items()}
-    joints, position, angles = values["joints"], values["position"], values["rotation"]
+    joints, position = values["joints"], values["position"]
     row = np.arange(1, joints.shape[1] + 1) if order is None else order + 1
-    _check_stale(path, row, joints, np.concatenate([position, angles]))
-    R = np.moveaxis(Rotation.from_euler(mapping.rotation.order, angles.T).as_matrix(), 0, -1)
+    _check_stale(path, row, joints, np.concatenate([position, values["rotation"]]))
+    R, wrong = mapping.rotation.rotations(values["rotation"])
+    if wrong.size:
+        raise RobotError(
+            f"{path}: row {row[wrong[0]]}, columns {', '.join(mapping.rotation.columns)}: are no rotation "
+            f"as a {mapping.rotation.form}; see that columns and order are right"
+        )
     air = values["air"][0] if "air" in values else None
     return PoseSeries(str(path), joints, move_directions(joints), Pose(R, position), air, row)
 

@@ -52,11 +52,7 @@ class Window:
 
 
 def cut_windows(
-    robot: Robot,
-    motion: Motion,
-    window_s: float | None,
-    spacing_s: float,
-    keep: Usable | None = None,
+    robot: Robot, motion: Motion, window_s: float | None, spacing_s: float, keep: Usable | None = None
 ) -> list[Window]:
     """Cut a motion into windows.
 

@@ -1,16 +1,27 @@
-"""Contact where there should be none, none where there should be some, and too much force."""
+"""Contact, wanted and not: guarded moves, approaches, wild readings."""
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, FaultResponse
-from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, NoContact
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, FaultResponse
+from fsw.dictionary.faults import (
+    ContactInFreeSpace,
+    ContactLost,
+    Fault,
+    NoContact,
+    PreloadOutside,
+    UnexpectedContact,
+)
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
 from helpers.marks import slow_but
 from tests.fsw.executive.faults.lab import (
+    BOUNDS,
     CONFIG,
     REFUSED,
     START,
@@ -20,7 +31,7 @@ from tests.fsw.executive.faults.lab import (
     in_guarded_motion,
     moving,
 )
-from tests.fsw.rig import Rig, made_once
+from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, levers_m, made_once
 from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
 
 
@@ -133,3 +144,170 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     assert not rig.outputs.drive.power_on.any()
     rig.run(ClearFault())
     assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
+
+
+PRESSING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
+LATEST = 40
+
+
+def pushed(rig, tool, force_N, cycles, **readings):
+    """Resolvers that show a force, and encoders that do not."""
+    levers = levers_m(CONFIG.arm, tool, rig.state.joints.output_rad, MARS_R_m_s2)
+    wound = force_N * levers / CONFIG.arm.gear_stiffness_Nm_rad
+    for _ in range(cycles):
+        rig.cycle(resolver_rad=rig.resolver_rad() + wound, **readings)
+        if found(rig, Fault):
+            break
+
+
+@pytest.mark.parametrize("tool", PRESSING)
+def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
+    rig = in_guarded_motion(tool)
+    pushed(rig, tool, 1.5 * BOUNDS.guarded_force_N, LATEST)
+    (evr,) = found(rig, Fault)
+    assert evr == PreloadOutside(tool, 0.0, evr.error_N, evr.bound_N)
+    assert evr.error_N > evr.bound_N >= BOUNDS.guarded_force_N
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+
+
+@pytest.mark.parametrize(
+    ("share", "switches"),
+    [(0.8, ()), (-3.0, ()), (2.0, TOOL_SWITCHES["apxs"][:1])],
+    ids=["small", "pull", "touch"],
+)
+def test_a_force_that_is_small_or_pulls_or_that_a_switch_shows_does_not(share, switches):
+    rig = in_guarded_motion()
+    pushed(rig, "apxs", share * BOUNDS.guarded_force_N, LATEST, **closed(*switches))
+    assert not found(rig, Fault)
+
+
+def test_a_large_force_is_felt_within_three_cycles():
+    rig = in_guarded_motion()
+    pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
+    assert found(rig, PreloadOutside)
+
+
+def test_in_free_space_a_force_is_an_unexpected_contact():
+    rig = moving()
+    for _ in range(CYCLE_HZ):  # until the mean of the wind-up is known
+        rig.cycle()
+    pushed(rig, "apxs", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
+    (evr,) = found(rig, Fault)
+    assert isinstance(evr, UnexpectedContact)
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert rig.state.fault.may_touch
+    assert braked(rig)
+
+
+CYCLES = 150
+JITTER_RAD = 1e-3
+
+
+def readings(rng, rig, trouble):
+    """One cycle of sensors: mostly noise, sometimes a storm, sometimes no number at all."""
+    jitter = rng.uniform(-JITTER_RAD, JITTER_RAD, 5) / CONFIG.rad_per_count
+    values = {
+        "encoder_count": rig.count + np.rint(jitter).astype(int),
+        "resolver_rad": rig.resolver_rad() + rng.normal(0, 1e-3, 5),
+        "current_A": rng.normal(0, 1.0, 5),
+        "winding_C": rng.uniform(-130, 80, 5),
+        "switch_closed": rng.random(10) < 0.02 * trouble,
+        "gravity_R_m_s2": MARS_R_m_s2 + rng.normal(0, 0.5, 3),
+    }
+    if rng.random() < 0.05 * trouble:
+        name = rng.choice(["resolver_rad", "current_A", "winding_C", "gravity_R_m_s2"])
+        values[name][rng.integers(values[name].size)] = rng.choice([np.nan, np.inf])
+    if rng.random() < 0.1 * trouble:
+        values["current_A"] = rng.uniform(-1e3, 1e3, 5)
+    if rng.random() < 0.1 * trouble:
+        values["resolver_rad"] = rng.uniform(-7, 7, 5)
+    return values
+
+
+def command(rng, rig):
+    kind = rng.integers(6)
+    if kind == 0:
+        return Stop()
+    if kind == 1:
+        return ClearFault()
+    if kind == 2:
+        return Retract(TOOLS[rng.integers(5)], rng.uniform(0, 0.3))
+    if kind == 3:
+        return rig.touch(TOOLS[rng.integers(5)], rng.uniform(0.001, 0.3))
+    if kind == 4:
+        return rig.here(TOOLS[rng.integers(5)], rng.uniform(-0.3, 0.3))
+    return MoveJoints(floats(in_limits(CONFIG, rng, 1)[:, 0]))
+
+
+def assert_safe(rig):
+    drive, joint = rig.outputs.drive, rig.outputs.joint
+    setpoint = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.reference.zero_rad
+    room = CONFIG.params.monitors.soft_limit_margin_rad + JITTER_RAD
+    if drive.power_on.any():
+        assert (setpoint >= CONFIG.arm.soft_min_rad - room).all()
+        assert (setpoint <= CONFIG.arm.soft_max_rad + room).all()
+    assert (np.abs(drive.setpoint_rate_rad_s) <= 1.5 * CONFIG.speed_rad_s).all()
+    np.testing.assert_array_equal(drive.current_limit_A, CONFIG.current_limit_A)
+    for values in (drive.setpoint_rate_rad_s, joint.motor_rad, joint.motor_rate_rad_s, joint.setpoint_rad):
+        assert np.isfinite(values).all()
+    assert np.isfinite(joint.backlash_rad).all()
+    assert not (drive.brake_release & ~drive.power_on).any()
+    if joint.mode is Mode.FAULTED:
+        assert not drive.brake_release.any()
+        assert not drive.setpoint_rate_rad_s.any()
+    if rig.outputs.tool is not None:
+        for values in (rig.outputs.tool.p_RoTo_R_m, rig.outputs.tool.R_RT, rig.outputs.tool.load_torque_Nm):
+            assert np.isfinite(values).all()
+    for evr in rig.outputs.evrs:
+        assert isinstance(evr, Evr)
+        assert "nan" not in evr.message
+
+
+@pytest.mark.slow
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0]))
+def test_random_sensors_and_commands_never_make_the_arm_unsafe(seed, trouble):
+    rng = np.random.default_rng(seed)
+    start = facing(CONFIG, "apxs") if rng.random() < 0.5 else in_limits(CONFIG, rng, 1)[:, 0]
+    rig = Rig(CONFIG, Mode(rng.integers(2)), start)
+    for _ in range(CYCLES):
+        commands = (command(rng, rig),) if rng.random() < 0.06 else ()
+        rig.cycle(*commands, **readings(rng, rig, trouble))
+        assert_safe(rig)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32 - 1))
+def test_a_stuck_or_slipping_arm_never_makes_its_set_points_run_away(seed):
+    rng = np.random.default_rng(seed)
+    rig = Rig(CONFIG, start_rad=in_limits(CONFIG, rng, 1, shrink=0.2)[:, 0])
+    rig.stuck = True
+    rig.cycle(MoveJoints(floats(in_limits(CONFIG, rng, 1)[:, 0])))
+    for _ in range(CYCLES):
+        rig.count = rig.count + rng.integers(-30, 31, 5)
+        rig.cycle()
+        assert_safe(rig)
+
+
+def test_one_wild_encoder_reading_does_not_become_a_set_point_under_power():
+    rig = Rig(CONFIG)
+    rig.until_moving(MoveJoints(floats(np.array(CONFIG.params.poses.ready_rad) + 0.05)))
+    before = rig.outputs.drive.setpoint_count
+    drive = rig.cycle(encoder_count=rig.count + 10**7).drive
+    assert drive.power_on.all()
+    # no farther than a motor may follow
+    bound = np.ceil(CONFIG.params.monitors.following_error_rad / CONFIG.rad_per_count)
+    assert (np.abs(drive.setpoint_count - before) <= bound).all()
+
+
+@pytest.mark.parametrize("wild_m_s2", [0.0, 0.99, 20.1, 1e6, 1e200])
+def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
+    rig = Rig(CONFIG)
+    rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
+    for _ in range(64):
+        rig.cycle()
+    assert np.isfinite(rig.state.joints.backlash_state).all()
+    assert np.isfinite(rig.state.load.torque_Nm).all()

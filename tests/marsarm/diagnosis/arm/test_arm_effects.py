@@ -36,7 +36,7 @@ def numbers(table: object) -> list[float]:
 @pytest.mark.parametrize("seed", [1, 2, 7])
 def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int) -> None:
     params = arm_named(f"calibrated:{seed}").params
-    found = params_with_effects(effects_of_params(params), nominal_params())
+    found = params_with_effects(effects_of_params(params, nominal_params()), nominal_params())
     for one, other in zip(found.links.in_order(), params.links.in_order(), strict=True):
         X, Y = transform6_to_pose(one.transform), transform6_to_pose(other.transform)
         np.testing.assert_allclose(X.R, Y.R, atol=1e-12)
@@ -52,13 +52,13 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int
 
 
 def test_the_drawing_has_no_effects() -> None:
-    assert effects_of_params(nominal_params()) == ()
-    assert effects_of_params(replace(nominal_params(), arm_name="another")) == ()
+    assert effects_of_params(nominal_params(), nominal_params()) == ()
+    assert effects_of_params(replace(nominal_params(), arm_name="another"), nominal_params()) == ()
 
 
 def test_a_known_scale_of_an_encoder_is_one_effect() -> None:
     effect = EncoderScale(Joint.ELBOW, 1e-3)
-    (found,) = effects_of_params(effect.on_params(nominal_params()))
+    (found,) = effects_of_params(effect.on_params(nominal_params()), nominal_params())
     assert isinstance(found, EncoderScale)
     assert found.error == pytest.approx(1e-3)
 

@@ -12,7 +12,7 @@ from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_m
 from marsarm.diagnosis.arm.logs import Recording, world_from_imu
 from sim.arms import arm_named
 from sim.params import nominal_params
-from sim.world import World
+from sim.setting import World
 
 BASE = nominal_params()
 
@@ -112,7 +112,7 @@ def test_recordings_of_another_drawing_are_refused_once(recordings: list[Recordi
     other = arm_named("m2020").params
     foreign = [replace(one, params=other) for one in recordings]
     assert refusals(foreign, nominal_params()) == (
-        "logs of the arm m2020: the diagnosis knows the arm msl only",
+        "logs of the arm m2020, and the diagnosis is of the arm msl: name theirs with --arm",
     )
 
 

@@ -1,7 +1,7 @@
 """Cached files of a campaign and tables beside logs: an error names damage and remedy."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from marsarm.diagnosis.arm.logs import (
     write_tracker_poses,
 )
 from marsarm.diagnosis.arm.request import RecordRequest
-from sim.diagnosis_campaign import SessionFailed
+from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 
@@ -50,7 +50,7 @@ def test_a_session_that_a_header_cannot_mean_is_refused(text: str, said: str) ->
     ("pattern", "by", "said"),
     [
         (r",z_sigma_m", "", "has no column z_sigma_m"),
-        (r"(?s).*", "", "has no column rx_rad, "),
+        (r"(?s).*", "", "has no column tick, rx_rad, "),
         (r",[^,]*$", "", "something in it is no number"),
         (r"\n7,", "\nseven,", "something in it is no number"),
         (r"\n7,", "\n7.5,", "ticks must be whole numbers"),
@@ -106,17 +106,24 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
         sides([Named("placed", "placed")], [])
 
 
-def test_a_campaign_that_does_not_complete_leaves_nothing(
+def test_a_session_that_does_not_complete_has_no_log_and_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(folder: Path, *_: object) -> list[Path]:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "one.mcap").touch()
-        if folder.name == record.HELD_OUT_FOLDER:
-            raise SessionFailed("session elsewhere")
-        return [folder / "one.mcap"]
+    """Without a log of any session there is no folder."""
 
-    monkeypatch.setattr(record, "record_campaign", stopped)
-    with pytest.raises(BadRequest, match="session elsewhere; with smaller effects"):
-        record.record_logs(RecordRequest(tmp_path / "logs"), no_progress)
-    assert list(tmp_path.iterdir()) == []
+    def stopped(path: Path, session: DiagnosisSession, *_: object) -> None:
+        path.touch()
+        if session.name not in completed:
+            raise SessionFailed(session.name)
+
+    completed = {"poses-level-2", "poses-level-5"}
+    monkeypatch.setattr(record, "_record_session", stopped)
+    request = RecordRequest(tmp_path / "logs", sessions="poses-level-[235]")
+    found = record.record_logs(request, no_progress)
+    assert [path.name for path in found.logs] == ["poses-level-2.mcap", "poses-level-5.mcap"]
+    assert all(path.exists() for path in found.logs)
+    assert found.left_out == ("poses-level-3",)
+    completed.clear()
+    with pytest.raises(BadRequest, match="completes no session; with smaller effects"):
+        record.record_logs(replace(request, out=tmp_path / "none"), no_progress)
+    assert [path.name for path in tmp_path.iterdir()] == ["logs"]

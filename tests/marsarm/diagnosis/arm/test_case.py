@@ -9,14 +9,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import campaign_sensitivities, case_simulator
-from marsarm.diagnosis.arm.case import (
-    CampaignModel,
-    TooLittleMotion,
-    diagnose_case,
-    diagnose_fitted_case,
-    fit_case,
-    load_campaign_model,
-)
+from marsarm.diagnosis.arm.case import CampaignModel, TooLittleMotion, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
@@ -44,10 +37,10 @@ Logs = tuple[list[Path], list[Path]]
 CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
 
 
-def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
-    arm = arm_named("nominal").with_effects(effects)
+def recorded(folder: Path, effects: tuple[Effect, ...], seed: int, name: str = "nominal") -> Logs:
+    arm = arm_named(name).with_effects(effects)
     chosen = [one for one in campaign_sessions(arm.params) if one.name in FITTED + APART]
-    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, no_progress)
+    paths = record_campaign(folder, chosen, arm, true_reference(arm_named(name)), seed, no_progress)
     return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
 
 
@@ -99,15 +92,13 @@ def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
 
     They are resimulated: with the effect in them, the response would be that of twice the effect.
     """
-    here = fit_case(*long_link, against, 0)
-    said = diagnose_fitted_case(here, against).diagnosis
+    here = diagnose_case(*long_link, against, 0)
+    said = here.diagnosis
     assert is_named(said, "link-length", 5e-3)
     tool = tool_error(said)
     assert tool.base == pytest.approx(5e-3, abs=5e-4)
     assert tool.explained < 2.0 * tool.noise_floor
-    shifts = [
-        e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
-    ]
+    shifts = [e.screw[3:] for e in here.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
     assert shifts
     assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
 
@@ -140,8 +131,19 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(
         return resimulate(case, near, *rest)
 
     monkeypatch.setattr(case_simulator, "resimulate", noted)
-    fit_case(fitted, [], against, 0)
+    diagnose_case(fitted, [], against, 0)
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
+
+
+def test_an_effect_of_another_arm_is_named(tmp_path: Path) -> None:
+    """One of its tools has a name that the default arm has not, and nuisances of its own."""
+    campaign = recorded(tmp_path / "campaign", (), 1, "m2020")
+    run, arm = local_runner(1), arm_named("m2020").model
+    model = load_campaign_model(*campaign, tmp_path / "kept", run, no_progress, KINDS, "m2020")
+    logs = recorded(tmp_path / "case", (LONG_LINK,), 9, "m2020")
+    fitted, apart = ([load_recording(path, arm) for path in paths] for paths in logs)
+    assert is_named(diagnose_case(fitted, apart, model, 0).diagnosis, "link-length", 5e-3)
+    assert any("frame pixl." in one.name for one in model.model.sensitivities.nuisances)
 
 
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
@@ -179,5 +181,5 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
 
 def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:
     some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
-    said = fit_case(some, [], against, 0).notes
-    assert "these logs have nothing comparable to the campaign's motions poses-level-2" in said
+    said = diagnose_case(some, [], against, 0).diagnosis.remarks
+    assert "these logs have nothing comparable to the campaign's motions poses-level-2." in said

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
+from fsw.dictionary.enums import Joint
+from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
-from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
-from marsarm.diagnosis.model import DiagnosisModel, build_model
+from marsarm.diagnosis.model import DiagnosisModel
+from sim.effects.joints import GearStiffness
 from simgap import Diagnosis, Finding
 from simgap.report.sentences import level
-from tests.marsarm.diagnosis.worlds import World, found, indices
+from tests.marsarm.diagnosis.worlds import indices
 
 Cases = dict[str, Diagnosis]
 
@@ -25,25 +26,10 @@ def other_place(model: DiagnosisModel, finding: Finding) -> int:
     return next(h for h in range(40) if model.locations[h] not in finding.places)
 
 
-def test_the_same_seed_draws_the_same(made: World) -> None:
-    hypotheses = tuple(to_hypothesis(one) for one in list_candidates(None))[: len(made.hypotheses)]
-    columns = np.concatenate([np.flatnonzero(made.owner == h)[:1] for h in range(len(hypotheses))])
-    sizes = [len(one.amplitudes) for one in hypotheses]
-    kept = found(made)
-    model = build_model(
-        replace(
-            kept,
-            hypotheses=hypotheses,
-            owner=np.repeat(np.arange(len(hypotheses)), sizes),
-            effect=kept.effect[:, np.repeat(columns, sizes)],
-            curve=kept.curve[:, np.repeat(columns, sizes)],
-            reach=np.ones(sum(sizes)),
-        ),
-        list_families(hypotheses),
-        list_locations(hypotheses),
-    )
-    draws = [draw_truth(model, np.random.default_rng(k)) for k in range(16)]
-    again = [draw_truth(model, np.random.default_rng(k))[0] for k in range(16)]
+def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "catalogue_effect", lambda *_: GearStiffness(Joint.ELBOW, 0.9))
+    draws = [draw_truth(campaign, np.random.default_rng(k)) for k in range(16)]
+    again = [draw_truth(campaign, np.random.default_rng(k))[0] for k in range(16)]
     assert [one for one, _ in draws] == again
     assert {one.kind for one in again} == {"none", "known", "left out"}
     for one, effects in draws:

@@ -44,7 +44,7 @@ def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):
 
 
 def test_flight_parameters_know_what_was_found(softer, tmp_path):
-    save_new_params(softer, nominal_params(), tmp_path / "new.toml")
+    save_new_params(softer, nominal_params(), nominal_params(), tmp_path / "new.toml")
     read = params_over_nominal(tmp_path / "new.toml")
     assert read == new_params(nominal_params(), effects_of_findings(softer))
     softened = nominal_params().joints.elbow.gear_stiffness_Nm_rad * 0.8
@@ -53,7 +53,7 @@ def test_flight_parameters_know_what_was_found(softer, tmp_path):
 
 def test_an_effect_without_flight_parameter_gives_no_file(results, tmp_path):
     effect = _hypothesis("coulomb-friction at elbow")
-    sizes = [p.typical for p in effect.amplitudes]
+    sizes = [p.typical for p in effect.parameters]
     (found,) = effects_of_findings(as_of(results["named"], effect, sizes))
     assert isinstance(found, CoulombFriction)
     with pytest.raises(NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):

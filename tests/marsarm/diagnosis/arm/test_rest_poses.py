@@ -84,9 +84,3 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: Feature
         assert not np.any(found[resolvers & ~own])
         read = rests_moved_by(rests, change, joint, turns=False)
         np.testing.assert_array_equal(read, np.where(resolvers & own, by_rad, 0.0))
-
-
-def test_rests_of_nothing_that_creeps_are_static(rests: FeatureSet) -> None:
-    nothing = simulate_features(rests, (), SHORT_SETTLING)
-    none = simulate_features(rests, (LinkCreep(Frame.ARM3, "y", 0.0),), SHORT_SETTLING)
-    np.testing.assert_allclose(none, nothing, atol=1e-12)

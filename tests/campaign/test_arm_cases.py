@@ -1,0 +1,319 @@
+"""Sealed cases of this arm: their score level by level, results, and cases without their effect."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from marsarm.common.pool import run_here
+from marsarm.common.rates import median_with_interval
+from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
+from validation.campaigns import Context
+from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out, list_clear_cases
+from validation.cases.arm_features import CLASSES_FILE, EquivalenceClasses, PublishedHypothesis, load_classes
+from validation.cases.arm_score import score
+from validation.cases.arm_truth import CaseKind, SealedEffect, TrueCase, list_uncatalogued, locate_outside
+from validation.cases.sealed import (
+    CASES_FOLDER,
+    SOLVED_FOLDER,
+    SealedTruth,
+    load_results,
+    result_path,
+    score_cases,
+    seal,
+    solve_cases,
+    write_json,
+)
+
+CLASSES = EquivalenceClasses({
+    ("rub", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("drag", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("rub", "hip"): PublishedHypothesis(1, 1.5, "friction", "hip"),
+    ("bend", "shin.x"): PublishedHypothesis(2, 1.5, "structure", "shin"),
+})  # fmt: skip
+
+
+def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0, number: int = 0) -> TrueCase:
+    made = tuple(SealedEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
+    return TrueCase(f"case-00{number}", kind, made, (), 1)
+
+
+def finding(effect: str, place: str, level: str = "effect", **more: Any) -> dict[str, Any]:
+    known = CLASSES.known[effect, place]
+    named = [f"{p}: {n}" for n, p in ((effect, place), *more.get("others", ()))]
+    sets = {
+        "places": [known.location, *more.get("places", ())],
+        "families": [known.family] if level in ("effect", "family") else [],
+        "effects": named if level == "effect" else [],
+    }
+    sizes = [{"name": "size", "low_90": 0.9, "high_90": more.get("most", 1.1)}]
+    return {"effect": effect, "place": place, "level": level, "not_excluded": sets, "sizes": sizes}
+
+
+def said(*findings: dict[str, Any], verdict: str = "set") -> dict[str, Any]:
+    return {"verdict": verdict, "findings": list(findings), "seconds": 9.0}
+
+
+def scored(*solved: Any) -> Any:
+    return score(CLASSES, solved)
+
+
+def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
+    cases = [(true("none"), said(verdict=verdict)) for verdict in ("none", "unknown", "none")]
+    found = scored(*cases, (true("none"), said(finding("rub", "hip", "none")))).false_alarm
+    assert (found.hits, found.of) == (2, 4)
+
+
+def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
+    """Dither at the elbow is of the family actuation; place, family and name count by themselves."""
+    outside = true("out-of-catalogue", ("dither", "elbow"))
+    found = scored(
+        (outside, said(finding("rub", "knee"))),
+        (outside, said(finding("rub", "knee", "place"))),
+        (outside, said(finding("rub", "knee", "place", places=("elbow",)))),
+        (outside, said(finding("rub", "knee", "none"))),
+        (outside, said(verdict="unknown")),
+    )
+    assert [found.wrong[level].hits for level in ("place", "family", "effect")] == [2, 1, 1]
+    assert (found.outside_reported.hits, found.wrong["place"].of) == (5, 5)
+    assert found.reported.of == 0
+
+
+def test_every_effect_outside_has_a_family_and_a_location() -> None:
+    for effect, place in list_uncatalogued():
+        assert locate_outside(effect, place) not in ("x", "y", "z", "")
+
+
+def test_one_of_the_same_class_is_right() -> None:
+    found = scored((true("single", ("rub", "knee")), said(finding("drag", "knee"))))
+    assert [found.effect.hits, found.place.hits, found.covered.hits] == [1, 1, 1]
+    assert found.interval.of == 0
+
+
+def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> None:
+    hip = ("rub", "hip")
+    found = scored(
+        (true("single", hip), said(finding(*hip))),
+        (true("single", hip), said(verdict="unknown")),
+        (true("single", hip, times=1.4), said(finding("bend", "shin.x"))),
+    )
+    assert (found.reported.hits, found.reported.of) == (1, 2)
+    assert (found.effect.hits, found.effect.of) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("one", "is_covered"),
+    [
+        (finding("rub", "hip", "effect", others=(("bend", "shin.x"),)), True),
+        (finding("rub", "hip"), False),
+        (finding("rub", "hip", "family", places=("shin",)), False),
+        (finding("rub", "hip", "place", places=("shin",)), True),
+        (finding("rub", "hip", "place"), False),
+    ],
+)
+def test_the_set_of_the_level_that_is_reported_holds_the_truth(one: Any, is_covered: bool) -> None:
+    found = scored((true("single", ("bend", "shin.x")), said(one)))
+    assert (found.covered.hits, found.covered.of) == (int(is_covered), 1)
+
+
+def test_a_cause_that_is_not_located_claims_no_set() -> None:
+    found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "none"))))
+    assert (found.reported.hits, found.covered.of) == (1, 0)
+
+
+def test_each_of_a_pair_has_its_own_finding() -> None:
+    pair = true("pair", ("rub", "hip"), ("bend", "shin.x"))
+    alone = scored((pair, said(finding("rub", "hip"))))
+    assert (alone.reported.hits, alone.effect.hits, alone.effect.of) == (1, 1, 1)
+    both = scored((pair, said(finding("rub", "knee"), finding("rub", "hip"))))
+    assert (both.reported.hits, both.effect.hits, both.spurious.hits) == (2, 1, 1)
+
+
+def test_intervals_are_of_the_very_effect_that_was_named() -> None:
+    one = true("single", ("rub", "hip"))
+    found = scored(
+        (one, said(finding("rub", "hip"))),
+        (one, said(finding("rub", "hip", most=0.95))),
+        (one, said(finding("rub", "hip", "place"))),
+    )
+    assert (found.interval.hits, found.interval.of) == (1, 2)
+
+
+@pytest.mark.parametrize("of", [6, 25, 60])
+def test_the_interval_of_a_median_holds_it_as_often_as_it_says(of: int) -> None:
+    """By the binomial: it misses if too many of the values are on one side."""
+    median = median_with_interval([float(value) for value in range(of)])
+    below = round(median.least)
+    assert 2.0 * binom.cdf(below, of, 0.5) <= 0.05
+    assert 2.0 * binom.cdf(below + 1, of, 0.5) > 0.05
+    assert median.most == of - 1 - below
+    assert np.isinf(median_with_interval([1.0, 2.0]).least)
+
+
+HIP, SHIN = ("rub", "hip"), ("bend", "shin.x")
+TRUTH = SealedTruth(
+    "aa",
+    (
+        true("none"),
+        true("single", HIP, number=1),
+        true("single", SHIN, times=3.0, number=2),
+        true("single", HIP, times=1.4, number=3),
+        true("pair", HIP, SHIN, number=4),
+        true("out-of-catalogue", ("dither", "elbow"), number=5),
+    ),
+)
+
+
+class WrittenCases(ArmCases):
+    """Cases whose logs are their results; without its effect, a case names another."""
+
+    def prepare(self, *_: object) -> None:
+        pass
+
+    def load(self, *_: object) -> None:
+        pass
+
+    def diagnose(self, folder: Path, case: Path, without: str = "") -> dict[str, Any]:
+        if without:
+            return said(finding("drag", "knee", others=((case.name, "knee"),)))
+        document: dict[str, Any] = json.loads((case / "log").read_bytes())
+        return document
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder of cases of which none is solved."""
+    for case in TRUTH.cases:
+        found = [finding(one.name, one.place) for one in case.effects if case.kind in ("single", "pair")]
+        verdict = "named" if found else "unknown" if case.effects else "none"
+        write_json(tmp_path / CASES_FOLDER / case.name / "log", said(*found, verdict=verdict))
+    rows = [
+        {"name": name, "place": place, "class": one.label, "limit": 1.0, "family_wise_limit": 1.5}
+        | {"family": one.family, "location": one.location}
+        for (name, place), one in CLASSES.known.items()
+    ]
+    write_json(tmp_path / CAMPAIGN_FOLDER / CLASSES_FILE, rows)
+    seal(tmp_path, TRUTH)
+    return tmp_path
+
+
+@pytest.fixture
+def solved(folder: Path) -> Path:
+    """Return a folder whose cases are solved."""
+    solve_cases(folder, WrittenCases(), run_here, no_progress)
+    return folder
+
+
+def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved: Path) -> None:
+    found = score_cases(solved, WrittenCases(), False)
+    assert found.document["digest"] == TRUTH.digest()
+    rates = [found.document[name] for name in ("false_alarm", "reported", "effect", "covered")]
+    assert [(one["hits"], one["of"]) for one in rates] == [(0, 1), (4, 4), (4, 4), (4, 4)]
+    assert "| reported, from the limit of the selection on | 85 % |" in found.markdown()
+    for number in (2, 4):
+        result_path(solved, f"case-00{number}").unlink()
+    with pytest.raises(BadRequest, match="2 of 6 cases are not solved, case-002 first"):
+        score_cases(solved, WrittenCases(), False)
+    assert score_cases(solved, WrittenCases(), True).document["cases"] == 4
+    assert solve_cases(solved, WrittenCases(), run_here, no_progress) == (2, 6)
+
+
+def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mute(_: ArmCases, folder: Path, case: Path, without: str = "") -> Any:
+        raise NoDiagnosis(f"{case.name} has no logs")
+
+    monkeypatch.setattr(WrittenCases, "diagnose", mute)
+    assert solve_cases(folder, WrittenCases(), run_here, no_progress) == (6, 6)
+    result = load_results(folder, WrittenCases())["case-003"]
+    assert (result["verdict"], result["refused"]) == ("unknown", "case-003 has no logs")
+    found = leave_out(Context(out=folder), WrittenCases(), 60)
+    assert (found["named"]["hits"], found["reported"]["hits"]) == (0, found["reported"]["of"])
+
+
+def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved: Path) -> None:
+    context = Context(run=lambda work, jobs: map(work, reversed(jobs)), out=solved)
+    found = leave_out(context, WrittenCases(), 60)
+    assert found["wrong"] == [
+        "case-002: bend at shin.x: drag at knee",
+        "case-001: rub at hip: drag at knee",
+    ]
+    assert (found["named"]["hits"], found["named"]["of"], found["right_place"]["hits"]) == (2, 2, 0)
+
+
+def test_only_single_effects_from_the_limit_on_are_taken_largest_first() -> None:
+    chosen = list_clear_cases(TRUTH.cases, CLASSES)
+    assert [case.name for case in chosen] == ["case-002", "case-001"]
+
+
+GOOD = said(finding(*HIP))
+NO_SIZE = {"name": "size", "low_90": None, "high_90": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[]", "object"),
+        ('{"verdict": "none"', "JSON"),
+        ('{"verdict": "none"}', "findings"),
+        (json.dumps(GOOD | {"verdict": "sure"}), "verdict"),
+        (json.dumps(GOOD | {"findings": [GOOD["findings"][0] | {"sizes": [NO_SIZE]}]}), r"sizes\.0"),
+        (json.dumps(GOOD | {"findings": [GOOD["findings"][0] | {"level": "sure"}]}), "level"),
+        (json.dumps(GOOD | {"seconds": 10**400}), "finite"),
+    ],
+)
+def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
+    write_json(tmp_path / SOLVED_FOLDER / "case-000.json", GOOD)
+    assert load_results(tmp_path, ArmCases()) == {"case-000": GOOD}
+    (tmp_path / SOLVED_FOLDER / "case-004.json").write_text(text)
+    with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
+        load_results(tmp_path, ArmCases())
+
+
+def test_a_size_or_an_effect_of_another_version_is_refused(solved: Path) -> None:
+    document = json.loads(result_path(solved, "case-001").read_bytes())
+    document["findings"][0]["sizes"][0]["name"] = "size_of_another"
+    write_json(result_path(solved, "case-001"), document)
+    with pytest.raises(BadRequest, match="case-001: rub has no size_of_another"):
+        score_cases(solved, WrittenCases(), False)
+    old = true("out-of-catalogue", ("old-wobble", "elbow"))
+    seal(solved, replace(TRUTH, cases=(old, *TRUTH.cases[1:])))
+    with pytest.raises(BadRequest, match="case-000: old-wobble is none of today's effects"):
+        score_cases(solved, WrittenCases(), False)
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
+def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / CLASSES_FILE).write_text(text)
+    with pytest.raises(BadRequest, match=r"classes\.json: holds no classes \("):
+        load_classes(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("out", "sizes", "said"),
+    [
+        ("b", {"cases": 0}, "cases: 0 is not within 1 .. 1000"),
+        ("b", {"step": "dance"}, "step: dance is none of all, make, solve, score"),
+        ("no/b", {}, "there is no folder .*no"),
+        ("nothing", {}, "a link to nowhere/x, which is not there"),
+        ("other", {}, "holds something else"),
+        ("other/file", {}, "this is a file"),
+        ("other", {"step": "solve"}, "no folder of cases"),
+        ("other", {"step": "score"}, "no folder of cases"),
+    ],
+)
+def test_cases_that_cannot_be_made_are_refused_and_nothing_is_written(
+    tmp_path: Path, out: str, sizes: dict[str, Any], said: str
+) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("")
+    (tmp_path / "nothing").symlink_to("nowhere/x")
+    with pytest.raises(BadRequest, match=said):
+        campaign(Context(out=tmp_path / out), **sizes)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "nothing", "other"]

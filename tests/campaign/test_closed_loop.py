@@ -1,0 +1,129 @@
+"""Parts of campaigns in the closed loop: jobs, placements, obstacles, faults and random commands."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fsw.estimate.reference import Reference
+from helpers.marks import slow_but
+from sim.arms import arm_named
+from sim.effects.faults import SensorFault
+from sim.initialisation import initial_reference, true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import PlacementResult, PlacementRun, random_placement
+from sim.scenario.file import built_in_scenarios
+from sim.scenario.tables import FAULT_CLASSES
+from sim.sequence import Outcome
+from validation.campaigns import Context
+from validation.commands import campaign
+from validation.faults import random_fault
+from validation.obstacles import STRAIGHT_N, draw, meet
+from validation.scenarios import run_scenario_on
+from validation.tool_change import ToolChangeErrors, one_target
+
+ARMS = ("calibrated:1", "calibrated:2")
+JOBS = [(arm, name) for arm in ARMS for name in sorted(built_in_scenarios())]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("arm_name", "name"), JOBS)
+def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(arm_name, name):
+    assert run_scenario_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(built_in_scenarios()))
+def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
+    """Fly an as-built arm with the nominal parameters."""
+    ran = run_scenario_on("as-built:1", name, true_reference(arm_named("as-built:1")))
+    assert (ran.outcome, ran.failed) == ("done", ())
+
+
+@pytest.mark.slow
+def test_a_tool_change_comes_closer_to_the_spot_than_coordinates_to_their_target():
+    """Use an arm 50 K warmer or colder, and a fifth softer or stiffer, than flight software assumes."""
+    reference = true_reference(arm_named("calibrated:7"))
+    tried = (one_target("calibrated:7", reference, draw) for draw in range(9))
+    changed = next(found for found in tried if isinstance(found, ToolChangeErrors))
+    assert changed.from_spot_mm < 1.0
+    assert changed.from_spot_mm < 0.5 * changed.absolute_mm
+
+
+MAX_TILT_RAD = np.radians(20.0)
+TARGETS = range(3)
+
+
+@cache
+def found_at_its_hardstops(name: str) -> Reference:
+    return initial_reference(arm_named(name))
+
+
+def run_placement(name: str, seed: int) -> PlacementResult:
+    """Run a random placement in the closed loop, from the ready pose, after the hardstops were found."""
+    arm = arm_named(name)
+    world, seen = random_placement(seed, arm, "apxs", MAX_TILT_RAD)
+    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, found_at_its_hardstops(name))
+    run = PlacementRun(ClosedLoop(setup), seen.placement)
+    for _ in run:
+        pass
+    assert run.result().outcome is Outcome.DONE
+    return run.result()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", TARGETS)
+def test_the_nominal_arm_touches_within_a_millimetre_and_a_fifth_of_a_degree(seed):
+    contact = run_placement("nominal", seed).contact
+    assert contact is not None
+    assert contact.total_m < 1e-3
+    assert np.degrees(contact.axis_rad) < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", TARGETS)
+def test_an_as_built_arm_touches_too_and_its_error_is_told(seed):
+    contact = run_placement(f"as-built:{seed}", seed).contact
+    assert contact is not None
+    assert 0 < contact.total_m < 0.06
+
+
+STRAIGHT = (10, 31, 34)
+TURNS = (1, 8, 24)
+
+
+@pytest.mark.parametrize("index", slow_but(STRAIGHT, 10))
+def test_an_obstacle_in_a_straight_move_is_reported_below_50_newtons(index):
+    met = meet(0, index)
+    assert met.reported, met.report
+    assert met.kind == "line"
+    assert met.true_N <= STRAIGHT_N
+
+
+def test_turns_and_straight_moves_are_among_the_first_four():
+    assert {draw(0, index, 0).kind for index in range(4)} == {"AZIMUTH", "line"}
+
+
+@pytest.mark.parametrize("index", slow_but(TURNS, 24))
+def test_an_obstacle_in_a_turn_is_reported_with_joint_and_torque(index):
+    met = meet(0, index)
+    assert met.report.startswith("unexpected contact: ")
+    assert met.reported
+    assert met.true_N < 154.0  # docs/faults.md, at a lever of 1 m
+
+
+@pytest.mark.parametrize("seed", [101, pytest.param(102, marks=pytest.mark.slow)])
+def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused(seed):
+    found = campaign(Context(seed), 1500)
+    assert found["bugs"] == []
+    assert found["cycles"] == 1500
+    assert found["accepted"]
+    assert sum(found["refused"].values()) > 300
+
+
+def test_every_kind_of_fault_is_drawn():
+    rng = np.random.default_rng(0)
+    drawn = [random_fault(rng, 1.0, has_rock=True) for _ in range(500)]
+    assert {type(fault).__name__ for fault in drawn} == {kind.__name__ for kind in FAULT_CLASSES}
+    kinds = {fault.kind for fault in drawn if isinstance(fault, SensorFault)}
+    assert kinds == {"frozen", "biased", "noisy", "nan"}

@@ -1,0 +1,208 @@
+"""The error budget: its sources, its rules, its rows and its command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from fsw.dictionary.enums import Frame
+from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
+from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
+from marsarm.accuracy.propagation import (
+    Bounds,
+    bounds,
+    moments_rule,
+    paper_rule,
+    root_sum_square,
+    shares,
+    squared_length,
+    worst_case,
+)
+from marsarm.accuracy.request import BudgetRequest
+from marsarm.accuracy.sources import CUMULANTS, load_error_model
+from simgap.common.report import save_report_page, to_json
+from tests.marsarm.command import marsarm
+
+
+@pytest.fixture(scope="module")
+def report() -> BudgetReport:
+    return run_budget(BudgetRequest(poses=1500))
+
+
+def test_every_row_of_the_papers_tables_is_there(report):
+    assert [row for row, _ in report.rows] == [*TABLE_3, *TABLE_4]
+
+
+def test_before_calibration_the_arm_misses_what_is_required_and_after_it_does_not(report):
+    missed = {row for row, value in report.rows if value > row.required}
+    assert missed == {row for row, _ in report.rows if row.estimated > row.required}
+
+
+def test_positions_come_within_a_fourth_of_the_papers_and_repeatability_within_a_tenth(report):
+    ratios = {row: value / row.estimated for row, value in report.rows if row.component != "axial_rad"}
+    assert all(0.85 < ratio < 1.25 for ratio in ratios.values())
+    assert all(0.9 < ratio < 1.1 for row, ratio in ratios.items() if "repeatability" in row.name)
+
+
+def test_rover_stiffness_and_zero_offset_are_the_largest_sources_beside_heat_and_backlash(report):
+    budget = report.budgets["accuracy"]
+    order = np.argsort(-budget.share_m.sum(axis=1))
+    ranked = [list(budget.case.sources)[k] for k in order]
+    others = [name for name in ranked if name != "backlash" and not name.startswith("distortion")]
+    assert set(others[:2]) == {"rover_stiffness", "zero_offset"}
+
+
+def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
+    for name, case in to_json(budget_document(report))["cases"].items():
+        total = sum(sum(frames.values()) for frames in case["share_m"].values())
+        by_tool = [tool.by_rule["paper"].total_m for tool in report.budgets[name].tools.values()]
+        assert total == pytest.approx(np.concatenate(by_tool).mean())
+
+
+def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
+    page = tmp_path / "budget.html"
+    rows = tuple((row, value) for row, value in report.rows if row.case == "accuracy")
+    report = replace(report, budgets={"accuracy": report.budgets["accuracy"]}, rows=rows)
+    save_report_page(budget_page(report), page)
+    text = page.read_text()
+    assert text.count("<svg ") == 2
+    met = sum(value <= row.required for row, value in report.rows)
+    assert f"Fail: {len(report.rows) - met} of {len(report.rows)} requirements are not met." in text
+
+
+def test_few_poses_show_nothing(tmp_path):
+    page = tmp_path / "budget.html"
+    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000))
+    save_report_page(budget_page(report), page)
+    assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
+    assert "1000 of 1365 poses" in page.read_text()
+
+
+@pytest.fixture(scope="module")
+def mars() -> BudgetReport:
+    return run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000))
+
+
+@pytest.mark.parametrize(
+    ("times", "passed"), [(1.5, True), (1.001, None), (0.999, None), (0.5, False)], ids=str
+)
+def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(mars, times, passed):
+    rows = tuple((replace(row, required=times * value), value) for row, value in mars.rows)
+    assert [row.passed for row in budget_requirements(replace(mars, rows=rows))] == [passed] * 3
+
+
+def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):
+    words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300", "--json")
+    done = marsarm(tmp_path, *words, "--report", "page.html", "--picture", "rows.png")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "rows.png"]
+
+
+ERRORS = arrays(np.float64, (4, 6, 7, 2), elements=st.floats(0.0, 1e-2))
+AT_LIMIT = np.array([True, False, True, False])
+
+
+@settings(max_examples=50, deadline=None)
+@given(ERRORS)
+def test_the_paper_rule_lies_between_the_best_and_the_worst_case(u):
+    assert np.all(root_sum_square(u) <= paper_rule(u, AT_LIMIT) + 1e-15)
+    assert np.all(paper_rule(u, AT_LIMIT) <= worst_case(u) + 1e-15)
+
+
+@settings(max_examples=50, deadline=None)
+@given(ERRORS)
+def test_shares_add_up_to_the_total(u):
+    total = bounds(paper_rule(u, AT_LIMIT)).total_m
+    there = total > 1e-9
+    assert np.allclose(shares(u, AT_LIMIT).sum(axis=(0, 1))[there], total[there], rtol=1e-9)
+
+
+def test_the_paper_rule_adds_frames_then_roots_sources_then_adds_those_at_their_limits():
+    u = np.zeros((4, 6, 7, 1))
+    u[0, 3, :2] = [[1.0], [2.0]]
+    u[1, 3, 0], u[2, 3, 0], u[3, 3, 0] = 3.0, 5.0, 4.0
+    assert paper_rule(u, AT_LIMIT)[3, 0] == pytest.approx(1 + 2 + 5 + np.hypot(3, 4))
+
+
+def test_nothing_makes_up_nothing():
+    u = np.zeros((4, 6, 7, 3))
+    u[0, 3, 0, 0] = 1e-3
+    assert np.all(np.isfinite(shares(u, AT_LIMIT)[..., 0]))
+
+
+def test_lateral_is_across_the_approach_and_normal_along_it():
+    found = bounds(np.array([[9.0], [0.3], [0.4], [2.0], [3.0], [4.0]]))
+    assert (found.normal_m[0], found.lateral_m[0]) == (2.0, 5.0)
+    assert found.total_m[0] == pytest.approx(np.sqrt(29))
+    assert found.axial_rad[0] == 0.5
+
+
+def test_ours_is_never_more_than_the_worst_case():
+    u = np.zeros((3, 1, 1))
+    u[0] = 2.0
+    length = squared_length([(u, "uniform")])
+    worst = Bounds(*np.full((4, 1), 2.0))
+    assert length.quantile(0.9973)[0] > 2.0
+    assert moments_rule([length] * 4, worst, 0.9973).total_m.tolist() == [2.0]
+
+
+MODEL = load_error_model()
+TABLE_2 = {
+    "assembly": "systematic",
+    "backlash": "random",
+    "deflection": "systematic",
+    "distortion_bulk": "systematic",
+    "distortion_gradient": "systematic",
+    "encoder": "random",
+    "slop": "random",
+    "windup": "random",
+    "wobble": "random",
+    "zero_offset": "random",
+}
+NOT_ON_THE_SAME_DAY = {"assembly", "backlash", "deflection", "windup", "zero_offset"}
+
+
+def test_cases_have_the_sources_of_the_papers_tables_and_the_rover_which_the_text_tells_apart():
+    before, again, mars = (set(MODEL.case[name].sources) for name in ("accuracy", "repeatability", "mars"))
+    kinds = {name: MODEL.source[name].kind for name in before}
+    assert kinds == {**TABLE_2, "rover_stiffness": "systematic"}
+    assert again == set(TABLE_2) - NOT_ON_THE_SAME_DAY
+    assert MODEL.case["repeatability"].sources["distortion_bulk"] < 1
+    assert {"tool_orientation", "isolator_hysteresis", "motor_controller"} <= mars - before
+
+
+def test_backlash_deflection_and_bulk_distortion_lie_at_their_limits():
+    at_limit = {name for name, source in MODEL.source.items() if source.at_limit}
+    assert at_limit == {"backlash", "deflection", "rover_stiffness", "distortion_bulk"}
+
+
+@pytest.mark.parametrize("name", MODEL.source)
+def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
+    source = MODEL.source[name]
+    assert (source.theta.any()) == (source.relative_to == "frames")
+    assert (source.share > 0) == (source.relative_to != "frames")
+    assert source.basis
+    assert source.text
+    assert CUMULANTS[source.distribution][0] > 0
+
+
+@pytest.mark.parametrize("name", MODEL.source)
+def test_what_is_drawn_with_every_move_is_random_and_lies_anywhere_within(name):
+    source = MODEL.source[name]
+    if source.effect in ("frame play", "servo error", "windup"):
+        assert (source.kind, source.distribution) == ("random", "uniform")
+    if source.kind == "systematic":
+        assert source.effect in ("frame error", "stiffness", "warming")
+
+
+def test_errors_of_joints_are_turns_about_z_of_the_frames_at_the_joints():
+    for name in ("backlash", "encoder", "windup", "zero_offset", "motor_controller"):
+        theta = MODEL.source[name].theta
+        assert np.all(theta[2, : Frame.ARM6] > 0)
+        theta[2, : Frame.ARM6] = 0
+        assert not theta.any()

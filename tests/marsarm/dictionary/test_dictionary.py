@@ -1,0 +1,207 @@
+"""The dictionary: its entries, and the command that shows them."""
+
+import json
+import re
+from dataclasses import fields, is_dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fsw.dictionary import evrs, faults
+from fsw.dictionary.commands import Command, Stop
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import Fault
+from fsw.protect.responses import RESPONSE_TO
+from marsarm.cli.app import app
+from marsarm.common.fields import unit_of
+from marsarm.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
+from marsarm.telemetry.schema import arm_names, array_shape
+from marsarm.telemetry.topics import PACKET_TOPICS
+from sim.arms import arm_named
+from sim.effects.catalogue import catalogue
+from sim.loop import ClosedLoop, Setup
+from sim.params import nominal_params
+from sim.setting import World
+from tests.marsarm.command import marsarm
+
+RUN = CliRunner()
+
+
+def out(*words: str, status: int = 0) -> str:
+    result = RUN.invoke(app, ["dictionary", *words])
+    assert result.exit_code == status, result.output
+    return str(result.output)
+
+
+def test_the_document_has_all_sections_and_nothing_else_is_printed() -> None:
+    whole = json.loads(out("--json"))
+    assert {name: bool(entries) for name, entries in whole.items()} == {
+        "commands": True,
+        "evrs": True,
+        "packets": True,
+        "parameters": True,
+    }
+    elbow = next(one for one in whole["parameters"] if one["name"] == "joints.elbow.speed_rad_s")
+    assert (elbow["unit"], elbow["low"], elbow["high"]) == ("rad/s", 1e-3, 0.1)
+
+
+@pytest.mark.parametrize("pattern", ["MoveTool", "movetool", "MOVE_TOOL"])
+def test_a_command_is_found_by_either_name(pattern: str) -> None:
+    part = json.loads(out(pattern, "--json"))
+    assert [entry["name"] for entry in part["commands"]] == ["MoveTool"]
+    assert part["evrs"] == part["packets"] == part["parameters"] == []
+
+
+def has_current(kind: object) -> bool:
+    return is_dataclass(kind) and any(field.name.endswith("current_A") for field in fields(kind))
+
+
+def test_a_pattern_narrows_to_the_fields_that_match() -> None:
+    part = json.loads(out("*current_A", "--json"))
+    assert [(p["name"], [f["name"] for f in p["fields"]]) for p in part["packets"]] == [
+        ("/sensors", ["current_A"])
+    ]
+    fits = {kind.__name__ for kind in (*vars(evrs).values(), *vars(faults).values()) if has_current(kind)}
+    assert {e["name"] for e in part["evrs"]} == fits
+    assert "OverCurrent" in fits
+
+
+def test_people_read_a_table_that_marks_the_truth() -> None:
+    text = out("/truth")
+    assert "flight software never sees it" in " ".join(text.split())
+    assert "kinetic_energy_J" in text
+
+
+def test_the_markdown_has_a_row_for_every_parameter() -> None:
+    names = [one["name"] for one in json.loads(out("--json"))["parameters"]]
+    rows = re.findall(r"^\| (\S+) \|", out("--markdown"), re.MULTILINE)
+    assert {name.replace("*", "\\*") for name in names} <= set(rows)
+
+
+def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant() -> None:
+    assert "did you mean OverCurrent?" in out("OverCurent", status=2)
+    assert "did you mean /joint.motor_rad?" in out("/joint/moter_rad", status=2)
+
+
+def test_without_a_similar_name_the_error_says_how_to_list_all() -> None:
+    message = " ".join(out("nosuch", status=2).split())
+    assert message == (
+        "dictionary: nothing is called 'nosuch'; `marsarm dictionary` lists all there is, "
+        "and a pattern is written as '*tilt*', where * stands for any letters"
+    )
+
+
+@pytest.mark.parametrize("pattern", ["/joint.motor_rad", "/joint/motor_rad", "/JOINT/motor_*d"])
+def test_a_channel_is_found_in_either_spelling(pattern: str) -> None:
+    (packet,) = json.loads(out(pattern, "--json"))["packets"]
+    assert packet["name"] == "/joint"
+    assert "motor_rad" in [one["name"] for one in packet["fields"]]
+
+
+def test_the_catalogue_is_one_document(tmp_path: Path) -> None:
+    done = marsarm(tmp_path, "dictionary", "--effects", "--json")
+    assert done.returncode == 0, done.stderr
+    listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
+    assert set(listed) == set(catalogue())
+    bending = listed["link-bending"]
+    assert bending["place_fields"] == ["frame", "axis"]
+    assert bending["places"][-1] == "arm5.z"
+    (parameter,) = bending["parameters"]
+    assert (parameter["name"], parameter["unit"]) == ("compliance_rad_Nm", "rad/(N m)")
+    assert (parameter["neutral"], parameter["low"], parameter["typical"]) == (0.0, 0.0, 5e-6)
+    assert bending["in_flight_parameters"]
+    assert bending["is_hypothesis"]
+    assert not listed["sensor-fault"]["is_hypothesis"]
+
+
+@pytest.fixture(scope="module")
+def whole() -> Dictionary:
+    return build_dictionary()
+
+
+def fields_of(whole: Dictionary) -> list[tuple[str, FieldDefinition]]:
+    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
+    named = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
+    return named + [(one.name, one) for one in whole.parameters]
+
+
+def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None:
+    for name, one in fields_of(whole):
+        assert (one.unit is not None) == one.type.startswith(("float", "int")), name
+
+
+def test_every_entry_and_every_field_has_a_text(whole: Dictionary) -> None:
+    for entry in (*whole.commands, *whole.evrs, *whole.packets):
+        assert entry.text, entry.name
+    for one in (
+        *(one for entry in (*whole.commands, *whole.packets) for one in entry.fields),
+        *whole.parameters,
+    ):
+        assert one.text, one.name
+    for evr in whole.evrs:
+        for one in evr.fields:
+            assert one.text or f"{{e.{one.name}" in evr.message, f"{evr.name}.{one.name}"
+
+
+def test_every_command_evr_topic_and_fault_is_there(whole: Dictionary) -> None:
+    all_kinds = (*Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
+    kinds = {kind.__name__ for kind in all_kinds if kind.__module__.startswith("fsw.")}
+    assert {entry.name for entry in whole.commands} == {kind.__name__ for kind in get_args(Command)}
+    assert {entry.name for entry in whole.evrs} == kinds - {"Fault"}
+    assert [entry.name for entry in whole.packets] == [topic.name for topic in PACKET_TOPICS.values()]
+    assert {e.name: e.response for e in whole.evrs if e.response} == {
+        kind.__name__: response.value for kind, response in RESPONSE_TO.items()
+    }
+
+
+def test_the_truth_is_marked_and_nothing_else_is(whole: Dictionary) -> None:
+    assert [packet.name for packet in whole.packets if packet.is_truth] == ["/truth"]
+
+
+def test_parameters_have_their_nominal_values_within_their_limits(whole: Dictionary) -> None:
+    values = {one.name: one for one in whole.parameters}
+    assert values["joints.elbow.gear_ratio"].default == nominal_params().joints.elbow.gear_ratio
+    for one in whole.parameters:
+        if one.low is not None and one.high is not None and one.default is not None:
+            assert np.all((one.low <= np.array(one.default)) & (np.array(one.default) <= one.high)), one.name
+
+
+def test_the_shapes_are_those_of_a_run() -> None:
+    arm = arm_named("nominal", None)
+    loop = ClosedLoop(Setup(arm, World("mars"), arm.params.poses.ready_rad), with_truth=True)
+    cycles = [loop.cycle((Stop(),) if k == 0 else ()) for k in range(64)]
+    seen = set()
+    for topic in PACKET_TOPICS.values():
+        packet = next(p for p in map(attrgetter(topic.path), cycles) if p is not None)
+        for name in topic.field_names:
+            value = getattr(packet, name)
+            if isinstance(value, np.ndarray):
+                assert value.shape == array_shape(topic.packet, name, arm_names(arm.params)), (
+                    f"{topic.name}.{name}"
+                )
+                seen.add(topic.name)
+    assert seen == {topic.name for topic in PACKET_TOPICS.values()}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("angle_rad", "rad"),
+        ("gear_stiffness_Nm_rad", "N m/rad"),
+        ("torque_constant_Nm_A", "N m/A"),
+        ("compliance_urad_Nm", "urad/(N m)"),
+        ("expansion_1_K", "1/K"),
+        ("line_jerk_m_s3", "m/s3"),
+        ("winding_min_C", "degC"),
+        ("error_share", "1"),
+        ("tilt_persistence", "cycle"),
+        ("R_RT", "1"),
+        ("arm_name", None),
+    ],
+)
+def test_the_name_tells_the_unit(name: str, unit: str | None) -> None:
+    assert unit_of(name) == unit

@@ -1,0 +1,131 @@
+"""Placements by the command."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.faults import StalledEarly
+from helpers.marks import slow_but
+from marsarm.runs.place import place
+from marsarm.runs.request import PlaceRequest, RunFiles
+from marsarm.telemetry.read import read_log
+from sim.arms import arm_named
+from sim.effects.joints import HardstopAngle
+from sim.sequence import Outcome
+from tests.marsarm.command import largest_file, marsarm, marsarm_process
+
+
+@pytest.fixture(scope="module")
+def defaults(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("defaults")
+    return folder, marsarm(folder, "place", "--json", "--log", "run.mcap")
+
+
+@pytest.mark.slow
+def test_the_defaults_show_a_good_placement(defaults):
+    folder, done = defaults
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "done"
+    assert report["error_mm"]["total"] < 1.0
+    assert report["error_mm"].keys() >= {"total", "lateral", "normal"}
+    assert report["axis_error_deg"] < 0.2
+    assert report.keys() >= {"branch", "duration_s", "realtime_factor", "evrs", "log"}
+    assert (folder / report["picture"]).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
+    folder, done = defaults
+    log = read_log(folder / "run.mcap")
+    cycles = round(json.loads(done.stdout)["duration_s"] * 64)
+    assert not log.truncated
+    assert len(log["/sensors"]) == len(log["/drive"]) == len(log["/joint"]) == len(log["/truth"]) == cycles
+    assert [entry.name for entry in log.evrs] == [evr["name"] for evr in json.loads(done.stdout)["evrs"]]
+
+
+@pytest.mark.slow
+def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
+    (tmp_path / "here.png").write_bytes(b"of another run")
+    done = marsarm(tmp_path, "place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
+    assert done.returncode == 0, done.stderr
+    for word in ("total mm", "axis deg", "in contact", "branch", "here.png, in place of an older one"):
+        assert word in done.stdout
+
+
+@pytest.mark.slow
+def test_without_a_display_a_placement_is_shown_by_the_path_of_its_page(tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    done = marsarm(tmp_path, "show", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "place.html: there is no display here; open it in any browser\n"
+    document = json.loads(done.stdout)
+    assert (document["page"], document["picture"]) == ("place.html", None)
+    assert [path.name for path in tmp_path.iterdir()] == ["place.html"]
+
+
+@pytest.fixture(scope="module")
+def no_surface(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("no_surface")
+    words = ("place", "--no-surface", "--json", "--log", "run.mcap")
+    return folder, marsarm_process(folder, *words, MUJOCO_GL="osmesa")
+
+
+@pytest.mark.slow
+def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(no_surface):
+    folder, done = no_surface
+    assert done.returncode == 3, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "faulted"
+    assert report["error_mm"] is None
+    assert "NoContact" in [evr["name"] for evr in report["evrs"]]
+    assert "Retract accepted" not in [evr["message"] for evr in report["evrs"]]
+    log = read_log(folder / "run.mcap")
+    assert not log["/drive"]["brake_release"][-1].any()
+    assert not log["/drive"]["power_on"][-1].any()
+
+
+@pytest.mark.slow
+def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(no_surface):
+    folder, done = no_surface
+    assert (folder / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
+    words = ("place", "--json", "--no-picture", "--log", "run.mcap", "--when-disk-full", "stop")
+    with largest_file(500_000):
+        done = marsarm(tmp_path, *words)
+    assert done.returncode == 3, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "stopped"
+    assert report["picture"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    kept = read_log(tmp_path / "run.mcap")
+    seconds = len(kept["/joint"]) / 64
+    assert kept.truncated
+    assert seconds > 2
+    assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
+
+
+@pytest.mark.parametrize("value", slow_but(["nonsense", "egl", "off", " OFF "], "nonsense"))
+def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
+    done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
+    assert done.returncode == 2
+    assert "tool: 'spoon' cannot be placed" in done.stderr
+
+
+def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_be(tmp_path, monkeypatch):
+    arm = arm_named("nominal")
+    in_the_way = tuple(HardstopAngle(joint, 0.03) for joint in Joint)
+    monkeypatch.setattr("marsarm.common.requests.arm_named", lambda *_: replace(arm, effects=in_the_way))
+    report = place(PlaceRequest(files=RunFiles(log=tmp_path / "run.mcap")))
+    result = report.execution.result
+    assert result.outcome is Outcome.FAULTED
+    assert any(isinstance(evr, StalledEarly) for _, evr in result.evrs)
+    assert result.contact is None
+    assert "not recorded (the arm was not initialised)" in report.execution.artifacts.log_problem
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,262 @@
+"""Scenario files: what can be said is read, and what is wrong is refused."""
+
+from dataclasses import MISSING, fields
+from math import pi
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import (
+    ROVER,
+    Command,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Retract,
+)
+from fsw.dictionary.enums import Joint
+from sim.effects.environment import PowerLoss
+from sim.frames import P_NR_M
+from sim.params import nominal_params
+from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
+from sim.scenario.file import BadScenario, built_in_scenarios, load_scenario, parse_scenario
+from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake
+from sim.scenario.tables import (
+    CHECK_CLASSES,
+    COMMAND_CLASSES,
+    FAULT_CLASS_BY_NAME,
+    FAULT_CLASSES,
+    read_command,
+)
+from sim.setting import Surface
+from tests.sim.scenario.bad import BAD, GOOD
+from tests.tools import TOOLS
+
+SAMPLES = {
+    "tool": "apxs",
+    "first_tool": "drill",
+    "normal_R": [0.1, 0.2, 0.3],
+    "backlash": "off",
+    "deflection": "off",
+    "branch": "shoulder-out elbow-up wrist-down",
+    "frame": "drill",
+    "point": "inlet",
+    "evr": "NoContact",
+    "name": "motion.settle_time_s",
+    "sensor": "current_A",
+    "kind": "biased",
+}
+
+
+def command(**table: object) -> Command:
+    findings = Findings(TOOLS)
+    found = read_command(table, (), findings, {"inlet": "drill"}, nominal_params())
+    assert not findings.problems
+    assert found is not None
+    return found
+
+
+def sample(hint: object, name: str, k: int) -> object:
+    """Return a value for a field as it stands in a file."""
+    if name in SAMPLES:
+        return SAMPLES[name]
+    if hint is Joint:
+        return "elbow"
+    args = [arg for arg in get_args(hint) if arg is not Ellipsis]
+    if hint is bool:
+        return True
+    if hint is int or (args and args[0] is int):
+        return 1
+    if args and len(args) > 1 and args[0] is float and args[1] is float:
+        return [0.1 * (j + k + 1) for j in range(len(args))]
+    return 0.25
+
+
+@pytest.mark.parametrize(
+    "kind", [*get_args(Command), *get_args(Check), *FAULT_CLASSES], ids=lambda kind: kind.__name__
+)
+@pytest.mark.parametrize("unit", [0, 1], ids=["SI", "another unit"])
+def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
+    hints = get_type_hints(kind)
+    table, wanted = {}, {}
+    for k, field in enumerate(fields(kind)):
+        expected = sample(hints[field.name], field.name, k)
+        keys = list(field_keys(field.name, hints[field.name]).factors.items())
+        key, factor = keys[unit % len(keys)]
+        if key.endswith("_mm") and isinstance(expected, float):
+            expected *= 100  # the least distance of a command is 1 mm
+        table[key] = expected
+        if hints[field.name] is Joint or field.name in ("tool", "first_tool"):
+            table[key] = str(expected).upper()  # a name may have any case
+            wanted[field.name] = Joint[table[key]] if hints[field.name] is Joint else expected
+        elif isinstance(expected, list):
+            wanted[field.name] = tuple(value * factor for value in expected)
+        else:
+            wanted[field.name] = expected * factor if isinstance(expected, float) else expected
+    findings = Findings(TOOLS)
+    assert read_record(kind, table, (), findings) == kind(**wanted)
+    assert not findings.problems
+
+
+@pytest.mark.parametrize("kind", get_args(Command), ids=lambda kind: kind.__name__)
+def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind):
+    hints = get_type_hints(kind)
+    table = {}
+    for k, field in enumerate(fields(kind)):
+        if field.default is MISSING:
+            key = next(iter(field_keys(field.name, hints[field.name]).factors))
+            table[key] = sample(hints[field.name], field.name, k)
+    found = command(type=upper_snake(kind), **table)
+    assert type(found) is kind
+    for field in fields(kind):
+        if field.default is not MISSING:
+            assert getattr(found, field.name) == field.default
+
+
+def test_every_command_check_and_fault_has_a_name_in_the_file():
+    assert set(COMMAND_CLASSES.values()) == set(get_args(Command))
+    assert set(CHECK_CLASSES.values()) == set(get_args(Check))
+    assert set(FAULT_CLASS_BY_NAME.values()) == set(FAULT_CLASSES)
+    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMAND_CLASSES)
+    assert {"same_spot", "over_inlet"} <= set(CHECK_CLASSES)
+
+
+def test_the_words_of_a_field_leave_out_the_letters_of_its_frames():
+    vector = tuple[float, float, float]
+    assert str(field_keys("p_RoTo_R_m", vector)) == "position_m or position_mm"
+    assert str(field_keys("end_p_RoTo_R_m", vector)) == "end_position_m or end_position_mm"
+    assert str(field_keys("p_N_m", vector)) == "position_m or position_mm"
+    assert str(field_keys("approach_R", vector)) == "approach"
+    assert str(field_keys("gravity_T", vector)) == "gravity"
+    assert str(field_keys("force_N", float)) == "force_N"
+    assert str(field_keys("angle_rad", float)) == "angle_rad or angle_deg"
+    assert str(field_keys("temperature_C", float)) == "temperature_degC"
+
+
+@pytest.mark.parametrize("suffix", UNIT_FACTORS)
+def test_every_unit_of_the_house_is_one_of_its_own(suffix):
+    assert 1.0 in UNIT_FACTORS[suffix].values()
+
+
+def test_positions_are_in_rnav_unless_another_frame_is_said():
+    place = [2.0, 0.1, -0.25]
+    expected = {"tool": "apxs", "approach": [0, 0, 1]}
+    in_rover = tuple(float(v) for v in np.array(place) - P_NR_M)
+    for kind, key, field in (
+        (PlaceTool, "position_m", "p_RoTo_R_m"),
+        (GuardedMove, "end_position_m", "end_p_RoTo_R_m"),
+        (MoveTool, "position_m", "p_FoTo_F_m"),
+    ):
+        name = upper_snake(kind)
+        for frame, wanted in (
+            ({}, in_rover),
+            ({"frame": "RNAV"}, in_rover),
+            ({"frame": "RMECH"}, tuple(place)),
+        ):
+            found = command(type=name, **{key: place}, **expected, **frame)
+            assert getattr(found, field) == wanted
+            assert getattr(found, "frame", ROVER) == ROVER
+    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="drill", **expected)
+    assert isinstance(moved, MoveTool)
+    assert (moved.p_FoTo_F_m, moved.frame) == ((0.0, 0.0, -0.01), "drill")
+
+
+def test_degrees_and_millimetres_are_read_as_radians_and_metres():
+    assert command(type="MOVE_JOINT", joint="wrist", angle_deg=90) == MoveJoint(Joint.WRIST, pi / 2)
+    pose = command(type="MOVE_JOINTS", angle_deg=[0, -60, 110, 130, 90])
+    assert isinstance(pose, MoveJoints)
+    assert pose.angle_rad == pytest.approx(np.radians([0, -60, 110, 130, 90]))
+    assert command(type="RETRACT", tool="apxs", distance_mm=100) == Retract("apxs", 0.1)
+    assert command(type="PRELOAD", tool="drill", force_N=300) == Preload("drill", 300.0)
+
+
+def test_a_whole_file_says_a_whole_scenario():
+    found = parse_scenario(
+        GOOD.replace('start = "ready"', 'start = "ready"\narm = "as-built:3"')
+        .replace("[world]", '[world]\nscene = "earth"\ntilt_pitch_deg = -5\ntemperature_degC = -40')
+        .replace("[[check]]", '[[fault]]\ntype = "POWER_LOSS"\nduring = 4\nafter_s = 2.5\n[[check]]', 1),
+        "test",
+        "test.toml",
+    )
+    assert (found.arm, found.start, found.temperature_C) == ("as-built:3", "ready", -40.0)
+    assert found.world.scene == "earth"
+    assert np.degrees([found.world.tilt_roll_rad, found.world.tilt_pitch_rad]) == pytest.approx([5, -5])
+    assert found.world.surface == Surface((2.0, 0.0, -0.2), (0.0, 0.0, -1.0))
+    assert found.taught == (TaughtPoint("inlet", "portion", (0.62, 0.05, -1.175), (0.0, 0.0, 1.0)),)
+    assert found.commands[2] == Retract("apxs", 0.1)
+    assert found.faults == (Injection(PowerLoss(100.0)), Injection(PowerLoss(2.5), 4))
+    assert found.checks == (Done(), Placed(2, "apxs"))
+
+
+@pytest.mark.parametrize("name", built_in_scenarios())
+def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
+    found = load_scenario(name)
+    assert found.name == name
+    assert found.title
+    assert found.summary.endswith(".")
+    assert found.arm == "nominal"
+
+
+def test_the_five_jobs_of_the_arm_are_there():
+    assert set(built_in_scenarios()) >= {
+        "contact-science",
+        "tool-change",
+        "sampling",
+        "processing",
+        "delivery",
+        "bit-exchange",
+    }
+
+
+def problems(text: str) -> tuple[str, ...]:
+    with pytest.raises(BadScenario) as refused:
+        parse_scenario(text, "test", "some/test.toml")
+    assert str(refused.value).splitlines() == [f"some/test.toml: {one}" for one in refused.value.problems]
+    return refused.value.problems
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_refused_with_its_key_and_what_would_be_right(case):
+    right, wrong, expected = BAD[case]
+    assert GOOD.count(right) >= 1
+    found = problems(GOOD.replace(right, wrong, 1))
+    assert any(one.startswith(expected) for one in found), found
+
+
+def test_all_problems_are_told_at_once():
+    edited = GOOD.replace("tilt_roll_deg", "tilt_rol_deg").replace('"elbow"', '"elbo"')
+    edited = edited.replace("distance_mm = 100\n", "").replace('"placed"', '"palced"')
+    assert [one.split(":")[0] for one in problems(edited)] == [
+        "world.tilt_rol_deg",
+        "command[3].distance_m or distance_mm",
+        "command[4].joint",
+        "check[2].type",
+    ]
+
+
+@pytest.mark.parametrize("lists", ["", "command = []\ncheck = []\n"])
+def test_a_file_without_commands_and_checks_says_what_is_missing(lists):
+    found = problems(f'title = "T"\nsummary = "S."\n{lists}')
+    assert [one.split(";")[0] for one in found] == ["command: is missing", "check: is missing"]
+    assert {one.split(":")[0] for one in problems("")} == {"title", "summary", "command", "check"}
+
+
+def test_a_scenario_or_file_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(BadScenario, match=r"no such scenario; did you mean sampling\? there are bit-ex"):
+        load_scenario("samplin")
+    with pytest.raises(BadScenario, match=r"none\.toml: cannot be read .*No such file"):
+        load_scenario(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize("name", built_in_scenarios())
+def test_any_key_of_a_scenario_of_the_house_that_is_misspelt_is_found(name):
+    lines = built_in_scenarios()[name].splitlines()
+    for k, line in enumerate(lines):
+        if " = " in line and line[:4] not in ("type", "# "):
+            key = f"x{line.split(' = ')[0]}"
+            found = problems("\n".join([*lines[:k], f"x{line}", *lines[k + 1 :]]))
+            assert any(one.split(":")[0].endswith(key) for one in found), found
