@@ -4,10 +4,12 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import FileIO
+from mmap import mmap
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
 from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.errors import LogNotWritable
+from marsarm.telemetry.format import CHUNK_CYCLES
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
+from marsarm.telemetry.recover import recover
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
 from tests.marsarm.command import largest_file
@@ -199,6 +204,36 @@ def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
     assert record_and_end(tmp_path / "run.mcap", 150, lambda _: os.kill(os.getpid(), 9)) == 9
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (128, True)
+
+
+@pytest.mark.slow
+@forks
+def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path: Path) -> None:
+    rng, path, written = (
+        np.random.default_rng(54),
+        tmp_path / "run.mcap",
+        np.frombuffer(mmap(-1, 8), np.int64),
+    )
+    lost = []
+    while len(lost) < 50:
+        written[0] = 0
+        child = os.fork()
+        if child == 0:
+            recorder = Recorder(path, {})
+            while True:
+                recorder.write(cycle_at(int(written[0])))
+                written[0] += 1
+        time.sleep(rng.uniform(0.0, 0.3))
+        os.kill(child, 9)
+        os.waitpid(child, 0)
+        if written[0] > CHUNK_CYCLES:
+            log, good = read_log(path), path.with_name("good.mcap")
+            recover(path, good, lambda *_: None)
+            assert log.truncated
+            assert len(read_log(good)["/joint"]) == len(log["/joint"])
+            lost.append((int(written[0]) - len(log["/joint"])) / CYCLE_HZ)
+        path.unlink(missing_ok=True)
+    assert max(lost) <= 1.2
 
 
 def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(

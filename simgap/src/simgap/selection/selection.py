@@ -63,17 +63,17 @@ from simgap.selection.screening import (
 from simgap.selection.sharing import ALL_JOINTS
 
 SHORTLIST: Final = 8
-"""Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots, what
-was then accepted was sixth in the screen at worst."""
+"""Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots,
+what was then accepted was sixth in the screen at worst."""
 FINALISTS: Final = 4
-"""Effects of a joint that are refitted to the end and judged: in these cases the accepted one was the first to
-fourth."""
+"""Effects of a joint that are refitted to the end and judged. In these cases, the accepted one was the fourth
+at worst."""
 RIVAL_SHARE: Final = 0.5
 """Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
 The test of a set would exclude what explains less of an effect that is strong enough for a name."""
 FEW_ITERATIONS: Final = 4
-"""Iterations before each of the SHARES. On the KR300, 4, 6 and 12 give one result; with 2, a set lacks a member,
-and a compliance has too narrow an interval."""
+"""Iterations before each of the SHARES. On the KR300, 4, 6 and 12 give one result; with 2, a set lacks a
+member, and a compliance has too narrow an interval."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
