@@ -201,7 +201,6 @@ CASES = {
     "place --params foreign.toml": "no built arm is so far from its drawing",
     "arm '' --build": "arm '' is not known",
     "log info run.mcap --from 100 --to 200": "has nothing in the time from 100.0 s to 200.0 s",
-    "gap record --out new --arm m2020": "the diagnosis knows the drawing msl only",
     "place --params fast.toml": "joints.elbow.speed_rad_s",
     "place --params through.toml": "from the stowed to the ready pose",
     "run short_run.toml --params arm7.toml": "of the arm as-built:7, not of nominal",
