@@ -58,7 +58,7 @@ class VerbResult:
     is_done: bool = True
     """False although nothing is wrong with the request: an arm refused or faulted, or a diagnosis will."""
     save: Callable[[], Sequence[str]] | None = None
-    """Function that writes files and returns a line about each; a result that took minutes is printed first."""
+    """Function that writes files, and returns a line for each; a result of minutes is printed first."""
     play: Callable[[], None] | None = None
     """Function that shows the result until Ctrl-C; a program can read the result before."""
 
