@@ -48,6 +48,7 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
     from sim.plant import PlantDiverged
     from simgap.common.console import plain_console
+    from simgap.common.report import file_lines
     from simgap.report.page import save_diagnosis_page
     from simgap.report.sentences import verdict_lines
 
@@ -67,9 +68,10 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
         for line in (*verdict_lines(found.case.diagnosis), f"Truth: {on}{left_out}.", f"Right: {right}"):
             plain_console().print(line)
 
-    def save() -> None:
+    def save() -> list[str]:
         if request.report is not None:
             save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report)
+        return file_lines({"report": request.report})
 
     return VerbResult(demo_json(found), print_demo, save=save)
 
@@ -93,9 +95,8 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
         result = diagnose_logs(job, progress)
     except PlantDiverged as error:
         raise BadRequest(str(error)) from error
-
-    def save() -> None:
-        for sentence in save_diagnosis_files(result, request, job):
-            print(sentence, file=sys.stderr)
-
-    return VerbResult(to_document(result.diagnosis), lambda: print_lines(result.diagnosis), save=save)
+    return VerbResult(
+        to_document(result.diagnosis),
+        lambda: print_lines(result.diagnosis),
+        save=lambda: save_diagnosis_files(result, request, job),
+    )

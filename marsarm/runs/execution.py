@@ -295,7 +295,7 @@ def execute(
     share = 1.0 - DRAWING_SHARE if files.movie is None else 0.5 * (1.0 + INITIALISATION_SHARE)
     running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
     drawn = DrawnPoses()
-    named = (files.picture, files.movie, files.page)
+    named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
     with RunLog(files.log, header, loop.config, world, arm) as log:

@@ -107,7 +107,7 @@ def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str
             {
                 **drawn,
                 "page": files.page and (artifacts.page_problem or _file_text(artifacts.page, artifacts)),
-                "log": files.log and (artifacts.log_problem or files.log),
+                "log": files.log and (artifacts.log_problem or _file_text(files.log, artifacts)),
             }
         ),
     ]

@@ -53,7 +53,7 @@ def make_plots(frames: ViewFrames) -> tuple[Plot, ...]:
         )
     plots.append(Plot("motor current", "A", _by_joint(samples.current_A)))
     if samples.force_N is not None:
-        plots.append(Plot("contact force", "N", {"": samples.force_N}))
+        plots.append(Plot("contact force", "N", {"tool": samples.force_N}))
     return tuple(plots)
 
 

@@ -19,6 +19,7 @@ from simgap import Diagnosis, to_document
 from simgap.common.files import atomic_write, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
+from simgap.common.report import file_lines
 from simgap.report.details import finding_sentences
 from simgap.report.page import save_diagnosis_page
 
@@ -98,7 +99,7 @@ def save_new_params(diagnosis: Diagnosis, base: Params, drawing: Params, path: P
 def save_diagnosis_files(
     result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob
 ) -> tuple[str, ...]:
-    """Write the files of a request; return sentences about those without content.
+    """Write the files of a request; return a line about each, and a reason if it has no content.
 
     Args:
         request: Request with the paths of the files.
@@ -120,15 +121,16 @@ def save_diagnosis_files(
             lambda path: save_new_params(result.diagnosis, flight_params(job), drawing(job).params, path),
         ),
     )
-    not_written = []
+    lines: list[str] = []
     for what, path, save in savers:
         if path is None:
             continue
         try:
             save(path)
+            lines += file_lines({what: path})
         except NothingToWrite as why:
-            not_written.append(f"{what} {path}: not written: {why}")
-    return tuple(not_written)
+            lines.append(f"{what} {path}: not written: {why}")
+    return tuple(lines)
 
 
 def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:

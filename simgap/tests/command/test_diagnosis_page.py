@@ -188,6 +188,7 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     assert result.diagnosis.remarks[0] == "is cut."
     assert "is cut." in diagnosis_json(result)["remarks"]
     assert not any(path.exists() for path in files.values())
-    save_diagnosis_files(result)
+    written = [f"report    {files['report']}", f"patch     {files['patch']}"]
+    assert save_diagnosis_files(result) == written
     assert (folder / "found" / "patched.xml").is_file()
     assert files["report"].read_text().count('<figure class="traces"') == 2

@@ -58,7 +58,9 @@ def test_the_page_is_one_file_with_the_traces_of_features(diagnose, results, tmp
         for channel in ("elbow current", "wrist current")
         for session in ("warm", "cold")
     )
-    assert diagnose(results["beside"], "--report", "page.html", traces=traces).exit_code == 0
+    done = diagnose(results["beside"], "--report", "page.html", traces=traces)
+    assert done.exit_code == 0
+    assert "report    page.html" in done.stderr
     page = (tmp_path / "page.html").read_text()
     assert "<code>marsarm diagnose a.mcap</code>" in page
     assert page.count('<figure class="traces"') == 2

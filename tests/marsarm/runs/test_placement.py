@@ -48,10 +48,13 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
 
 @pytest.mark.slow
 def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
-    (tmp_path / "here.png").write_bytes(b"of another run")
-    done = marsarm(tmp_path, "place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
+    for name in ("here.png", "run.mcap"):
+        (tmp_path / name).write_bytes(b"of another run")
+    options = ("--picture", "here.png", "--log", "run.mcap", "--arm", "calibrated:1", "--tilt-pitch", "10")
+    done = marsarm(tmp_path, "place", *options)
     assert done.returncode == 0, done.stderr
-    for word in ("total mm", "axis deg", "in contact", "branch", "here.png, in place of an older one"):
+    replaced = ("here.png, in place of an older one", "run.mcap, in place of an older one")
+    for word in ("total mm", "axis deg", "in contact", "branch", *replaced):
         assert word in done.stdout
 
 

@@ -20,7 +20,7 @@ from simgap.common.files import digest_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import Progress, no_progress
-from simgap.common.report import to_json
+from simgap.common.report import file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
 from simgap.logs import Logs, Motion
@@ -196,6 +196,8 @@ def print_check(report: CheckReport) -> None:
     for one in report.audit.untested:
         console.print(f"not tested: {one}")
     console.print(refusal_sentence(report))
+    for line in file_lines({"report": report.request.report}):
+        console.print(line)
 
 
 def remark_lines(audit: Audit) -> list[str]:

@@ -25,6 +25,7 @@ from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
+from simgap.common.report import file_lines
 from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
@@ -336,8 +337,8 @@ def print_lines(diagnosis: Diagnosis) -> None:
         console.print(line)
 
 
-def save_diagnosis_files(made: RobotDiagnosis) -> None:
-    """Write the files of a request; BadOutput if a file cannot be written."""
+def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
+    """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
     if made.request.report is not None:
         save_page_of(made, made.request.report)
     folder = made.request.patch
@@ -352,6 +353,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
                     _write_arm(made, made.fitted.found.arm, folder / CALIBRATED_FILE, "fitted")
         except OSError as error:
             raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
+    return file_lines({"report": made.request.report, "patch": folder})
 
 
 def save_page_of(made: RobotDiagnosis, path: Path) -> None:

@@ -57,8 +57,8 @@ class VerbResult:
     print_table: Callable[[], None]
     is_done: bool = True
     """False although nothing is wrong with the request: an arm refused or faulted, or a diagnosis will."""
-    save: Callable[[], None] | None = None
-    """Function that writes files; a result that took minutes is printed first."""
+    save: Callable[[], Sequence[str]] | None = None
+    """Function that writes files, and returns a line for each; a result of minutes is printed first."""
     play: Callable[[], None] | None = None
     """Function that shows the result until Ctrl-C; a program can read the result before."""
 
@@ -116,7 +116,8 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
         print_result(result.document, as_json, result.print_table)
         if result.save is not None:
             with report_user_errors(as_json=False):  # the JSON document is complete
-                result.save()
+                for line in result.save():
+                    print(line, file=sys.stderr)
         if result.play is not None:
             release_stdout()
             with report_user_errors(as_json=False):
