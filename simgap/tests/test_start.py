@@ -14,11 +14,14 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
+from simgap.effects.variation import Variation
 from simgap.logs import Logs, Motion, Signal
 from simgap.patch.found import read_found
 from simgap.patch.patch import save_patch
 from simgap.report.traces import trace_motions
+from simgap.residuals.conditioned import ConditionedResiduals
 from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
+from simgap.residuals.residuals import residuals_by_motion
 from simgap.selection.selection import select_effects
 
 TIME_s = np.arange(0.0, 2.0, 0.01)
@@ -94,3 +97,14 @@ def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp
     other = replace(MODEL, joints=(replace(MODEL.joints[0], name="lift"),))
     with pytest.raises(RobotError, match=r"are \['swing'\], and the robot has \['lift'\]"):
         read_found(other, tmp_path)
+
+
+def test_a_start_acts_beside_an_effect_that_follows_a_condition() -> None:
+    toy = draw_toy(1, {})
+    load = np.arange(float(len(toy.motions)))
+    square = CATALOGUE[0]
+    varied = Variation(square.place, square, "load", load[-1])
+    model = KnownResiduals(ConditionedResiduals(toy, {"load": load}), {BASE[0]: np.array([0.1])})
+    alike = np.column_stack([np.full(load.size, 0.1), 0.01 * load])[None]
+    expected = residuals_by_motion(toy, [BASE[0], square], alike)
+    assert model.residuals([varied], np.array([[0.01]])) == pytest.approx(expected)

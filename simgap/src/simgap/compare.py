@@ -11,7 +11,7 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
-from simgap.effects.effect import Effect, JointEffect
+from simgap.effects.variation import unbound
 from simgap.logs import Logs, Motion
 from simgap.report.user_units import convert_errors
 from simgap.residuals.known_effects import Change, KnownResiduals
@@ -74,7 +74,7 @@ def compare(
     present = (*base, *common.chosen.effects)
     is_after: Flags = np.array([name.startswith(AFTER) for name in raw.motions])
     model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
-    changes = [Change(one.place, _unbound(one)) for one in (*base, *shown)]
+    changes = [Change(one.place, unbound(one)) for one in (*base, *shown)]
     selection = select_effects(
         model, present, changes, seed=seed, meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text))
     )
@@ -93,11 +93,6 @@ def _rename(motions: Sequence[Motion], prefix: str) -> list[Motion]:
         replace(one, name=prefix + one.name, repeat_of=prefix + one.repeat_of if one.repeat_of else "")
         for one in motions
     ]
-
-
-def _unbound(effect: Effect) -> Effect:
-    """Return a base effect without its prior."""
-    return replace(effect, is_base=False) if isinstance(effect, JointEffect) else effect
 
 
 def list_limits(selection: Selection, changes: Sequence[Change]) -> tuple[Limit, ...]:

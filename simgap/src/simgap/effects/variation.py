@@ -14,11 +14,9 @@ class Variation(Effect):
     place: str
     effect: Effect
     number: str
-    """Name of the number: a condition, or that of a comparison."""
+    """Name of the number: a condition."""
     largest: float = 1.0
     """Largest magnitude of the number over all motions."""
-    is_change: bool = False
-    """True if the sizes are changes with a sign, because a part of the effect is there without them."""
 
     def __post_init__(self) -> None:
         """Take the form from the effect; its hooks are called by `ConditionedResiduals`."""
@@ -28,8 +26,7 @@ class Variation(Effect):
     @property
     def name(self) -> str:
         """Name of the effect, and what varies it."""
-        of = self.effect.key.removeprefix(f"{self.place}: ")
-        return f"change of {of}" if self.is_change else f"{of} by {self.number}"
+        return f"{self.effect.key.removeprefix(f'{self.place}: ')} by {self.number}"
 
     @property
     def family(self) -> StrEnum:
@@ -39,17 +36,16 @@ class Variation(Effect):
     @property
     def n_scaled(self) -> int:
         """Number of the first sizes that are in proportion; the others give a form, and stay."""
-        return 1 if self.effect.has_shape and not self.is_change else len(self.effect.sizes)
+        return 1 if self.effect.has_shape else len(self.effect.sizes)
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Return sizes for a number of 1; differences may have either sign."""
         found = []
         for k, one in enumerate(self.effect.sizes):
-            span = one.high - one.low if self.is_change or one.low == 0.0 else None
-            low, high = (one.low, one.high) if span is None else (-span, span)
+            low = -one.high if one.low == 0.0 else one.low
             unit = self.largest if k < self.n_scaled else 1.0
-            found.append(Size(one.name, low / unit, high / unit, one.typical / unit))
+            found.append(Size(one.name, low / unit, one.high / unit, one.typical / unit))
         return tuple(found)
 
     @property
@@ -61,7 +57,7 @@ class Variation(Effect):
         """Return the sizes with their signs."""
         names = (one.name for one in self.effect.sizes)
         text = ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
-        return text if self.is_change else f"{text} for 1 of {self.number}"
+        return f"{text} for 1 of {self.number}"
 
     def overrides(self, *hooks: str) -> bool:
         """Return whether the effect that varies has its own version of any of these hooks."""

@@ -8,7 +8,14 @@ from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
 from simgap.logs import Motion
-from simgap.residuals.residuals import ResidualModel, refer_to, residuals_by_motion
+from simgap.residuals.residuals import (
+    ResidualModel,
+    WrappedResiduals,
+    add_sizes,
+    refer_to,
+    residuals_by_motion,
+    split_sizes,
+)
 from simgap.robot import Robot
 
 MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
@@ -92,10 +99,8 @@ class JoinedResiduals:
         return np.concatenate([one.explain(name) for one in self.parts])
 
 
-class ConditionedResiduals:
+class ConditionedResiduals(WrappedResiduals):
     """Residuals in which sizes follow numbers of the motions; see `ResidualModel`."""
-
-    by_motion = True
 
     def __init__(self, raw: ResidualModel, numbers: Mapping[str, Array]) -> None:
         """Keep the residuals and the numbers.
@@ -103,11 +108,9 @@ class ConditionedResiduals:
         Args:
             numbers: Name of a number -> its value for each motion, (n_motions,).
         """
-        self.raw, self.numbers = raw, dict(numbers)
-        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
-        self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
-        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
-        self.time_s = raw.time_s
+        super().__init__(raw)
+        self.by_motion = True
+        self.numbers = dict(numbers)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n); a sum of sizes ends at its bounds."""
@@ -115,23 +118,17 @@ class ConditionedResiduals:
             return self.raw.residuals(effects, sizes)
         if sizes.ndim == 2:
             sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
-        inner = {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
-        ends = np.cumsum([0, *(len(one.sizes) for one in inner.values())]).tolist()
-        places = dict(zip(inner, map(slice, ends, ends[1:]), strict=False))
-        total = np.zeros((*sizes.shape[:2], ends[-1]))
-        first = 0
-        for effect in effects:
-            own = sizes[..., first : first + len(effect.sizes)]
-            first += len(effect.sizes)
-            if isinstance(effect, Variation):
-                factor = np.ones((len(self.motions), len(effect.sizes)))
-                factor[:, : effect.n_scaled] = self.numbers[effect.number][:, None]
-                total[..., places[effect.effect.key]] += own * factor
-            else:
-                total[..., places[effect.key]] += own
-        bounds = [(one.low, one.high) for effect in inner.values() for one in effect.sizes]
-        low, high = np.array(bounds).reshape(-1, 2).T
-        return residuals_by_motion(self.raw, [*inner.values()], np.clip(total, low, high))
+        terms = [
+            (one.effect, own * self._factors(one)) if isinstance(one, Variation) else (one, own)
+            for one, own in split_sizes(effects, sizes)
+        ]
+        return residuals_by_motion(self.raw, *add_sizes(terms, sizes.shape[:-1]))
+
+    def _factors(self, one: Variation) -> Array:
+        """Return what sizes are multiplied by in each motion, (n_motions, n_sizes), without a unit."""
+        factors = np.ones((len(self.motions), len(one.sizes)))
+        factors[:, : one.n_scaled] = self.numbers[one.number][:, None]
+        return factors
 
     def select(self, motions: Sequence[str]) -> "ConditionedResiduals":
         """Return the residuals of these motions alone."""
@@ -145,7 +142,3 @@ class ConditionedResiduals:
         kept = np.repeat(steady, [len(one.sizes) for one in effects])
         own = [one for one, is_steady in zip(effects, steady, strict=True) if is_steady]
         return ConditionedResiduals(refer_to(self.raw, own, sizes[0, kept]), self.numbers)
-
-    def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion, (n,)."""
-        return self.raw.explain(name)

@@ -32,7 +32,7 @@ from simgap.residuals.filtered_motion import (
     find_usable,
     inverse_dynamics,
 )
-from simgap.residuals.residuals import measured_variable
+from simgap.residuals.residuals import measured_variable, split_sizes
 from simgap.robot import Robot
 from simgap.simulation.compiled import nominal_fields
 
@@ -167,10 +167,8 @@ class InverseResiduals:
         return found
 
     def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_ActingTorque]:
-        found, first = [], 0
-        for effect in effects:
-            size = sizes[:, first : first + len(effect.sizes)]
-            first += len(effect.sizes)
+        found = []
+        for effect, size in split_sizes(effects, sizes):
             if shows(effect) and size.any():
                 joint = self.joints.index(effect.place) if effect.place in self.joints else -1
                 found.append(_ActingTorque(effect, size, joint))

@@ -9,7 +9,14 @@ import numpy as np
 
 from simgap.arrays import Array, Flags
 from simgap.effects.effect import Effect, Size
-from simgap.residuals.residuals import ResidualModel, refer_to, residuals_by_motion
+from simgap.residuals.residuals import (
+    ResidualModel,
+    WrappedResiduals,
+    add_sizes,
+    refer_to,
+    residuals_by_motion,
+    split_sizes,
+)
 
 
 @dataclass(frozen=True)
@@ -75,10 +82,8 @@ def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
     return [Change(one.place, one, tuple(size.tolist())) for one, size in known.items()]
 
 
-class KnownResiduals:
+class KnownResiduals(WrappedResiduals):
     """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
-
-    by_motion = True
 
     def __init__(
         self, raw: ResidualModel, known: Mapping[Effect, Array], is_changed: Flags | None = None
@@ -89,11 +94,9 @@ class KnownResiduals:
             known: Known effects and their sizes, (n_sizes,) in the units of their names.
             is_changed: Whether a `Change` acts in each motion, (n_motions,); None: in all of them.
         """
-        self.raw, self.known, self.is_changed = raw, dict(known), is_changed
-        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
-        self.step_s, self.method, self.noise_std = raw.step_s, raw.method, raw.noise_std
-        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
-        self.time_s = raw.time_s
+        super().__init__(raw)
+        self.by_motion = True
+        self.known, self.is_changed = dict(known), is_changed
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n)."""
@@ -106,27 +109,13 @@ class KnownResiduals:
 
     def _add_known(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
         """Return all effects and their sizes, (n_candidates, [n_motions,] total sizes), within bounds."""
-        inner = {one.key: one for one in self.known}
-        inner |= {one.key: one for one in (getattr(effect, "effect", effect) for effect in effects)}
-        places, n = {}, 0
-        for key, one in inner.items():
-            places[key] = slice(n, n + len(one.sizes))
-            n += len(one.sizes)
-        total = np.zeros((*sizes.shape[:-1], n))
-        for one, size in self.known.items():
-            total[..., places[one.key]] += size
-        first = 0
-        for effect in effects:
-            own = sizes[..., first : first + len(effect.sizes)]
-            first += len(effect.sizes)
-            if isinstance(effect, Change):
-                acts = 1.0 if self.is_changed is None else self.is_changed[:, None]
-                total[..., places[effect.effect.key]] += own * acts
-            else:
-                total[..., places[effect.key]] += own
-        bounds = [(one.low, one.high) for effect in inner.values() for one in effect.sizes]
-        low, high = np.array(bounds).reshape(-1, 2).T
-        return [*inner.values()], np.clip(total, low, high)
+        acts = 1.0 if self.is_changed is None else self.is_changed[:, None]
+        terms = [*self.known.items()]
+        terms += [
+            (one.effect, own * acts) if isinstance(one, Change) else (one, own)
+            for one, own in split_sizes(effects, sizes)
+        ]
+        return add_sizes(terms, sizes.shape[:-1])
 
     def around(self, effects: Sequence[Effect], sizes: Array) -> "KnownResiduals":
         """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
@@ -139,7 +128,3 @@ class KnownResiduals:
         """Return the residuals of these motions alone, in their old order."""
         kept = None if self.is_changed is None else self.is_changed[np.isin(self.motions, motions)]
         return KnownResiduals(self.raw.select(motions), self.known, kept)
-
-    def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion, (n,)."""
-        return self.raw.explain(name)

@@ -12,10 +12,10 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
-from simgap.residuals.residuals import ResidualModel, pseudo_huber
+from simgap.residuals.residuals import ResidualModel, WrappedResiduals, pseudo_huber
 
 
-class WhitenedResiduals:
+class WhitenedResiduals(WrappedResiduals):
     """Residuals from which the part is subtracted that the noise of the sample before predicts.
 
     The noise is taken for a first-order autoregression. What is left of it is white: a sum over samples
@@ -28,12 +28,8 @@ class WhitenedResiduals:
         Args:
             correlation: Correlation of neighbouring samples of the noise, (n_joints,), as a ratio.
         """
-        self.raw, self.correlation = raw, correlation
-        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
-        self.by_motion, self.step_s, self.method = raw.by_motion, raw.step_s, raw.method
-        self.noise_std = raw.noise_std
-        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
-        self.time_s = raw.time_s
+        super().__init__(raw)
+        self.correlation = correlation
         follows = np.zeros(len(raw.time_s), bool)
         follows[1:] = (np.diff(raw.joint_of) == 0) & (np.diff(raw.motion_of) == 0) & (np.diff(raw.time_s) > 0)
         gap_s = np.diff(raw.time_s, prepend=raw.time_s[:1])
@@ -54,10 +50,6 @@ class WhitenedResiduals:
     def select(self, motions: Sequence[str]) -> ResidualModel:
         """Return the whitened residuals of these motions alone."""
         return WhitenedResiduals(self.raw.select(motions), self.correlation)
-
-    def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion, (n,)."""
-        return self.raw.explain(name)
 
 
 def repeat_pairs(model: ResidualModel, joint: int) -> list[tuple[Integers, Integers]]:

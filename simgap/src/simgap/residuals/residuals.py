@@ -4,7 +4,7 @@ Forward simulation, inverse dynamics and a second encoder each predict what the 
 at once. Selection, fit and verdict know no more of them than this.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, Protocol, runtime_checkable
 
 import mujoco
@@ -105,6 +105,50 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
         rows = model.residuals(effects, distinct)
         found.append(rows[which.reshape(-1)[model.motion_of], np.arange(rows.shape[1])])
     return np.array(found)
+
+
+class WrappedResiduals:
+    """Residuals that follow from those of another model, sample by sample."""
+
+    def __init__(self, raw: ResidualModel) -> None:
+        """Take over what describes the samples."""
+        self.raw = raw
+        self.kind, self.units, self.joints, self.motions = raw.kind, raw.units, raw.joints, raw.motions
+        self.by_motion, self.step_s, self.method = raw.by_motion, raw.step_s, raw.method
+        self.noise_std = raw.noise_std
+        self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
+        self.time_s = raw.time_s
+
+    def explain(self, name: str) -> Array:
+        """Return a variable at the measured motion, (n,)."""
+        return self.raw.explain(name)
+
+
+def split_sizes(effects: Sequence[Effect], sizes: Array) -> Iterator[tuple[Effect, Array]]:
+    """Yield each effect with its own sizes, (..., n_sizes), of those of all, (..., total sizes)."""
+    first = 0
+    for effect in effects:
+        yield effect, sizes[..., first : first + len(effect.sizes)]
+        first += len(effect.sizes)
+
+
+def add_sizes(terms: Sequence[tuple[Effect, Array]], shape: tuple[int, ...]) -> tuple[list[Effect], Array]:
+    """Add the sizes of effects that stand there several times, by their keys.
+
+    Args:
+        terms: Effects with sizes that fit to (*shape, n_sizes), in the units of their names.
+
+    Returns:
+        Each effect once, and all sizes one after the other, (*shape, total sizes); a sum ends at the bounds.
+    """
+    effects: dict[str, Effect] = {}
+    sums: dict[str, Array] = {}
+    for effect, size in terms:
+        effects[effect.key] = effect
+        sums[effect.key] = sums.get(effect.key, np.zeros((*shape, len(effect.sizes)))) + size
+    ends = [np.array([(size.low, size.high) for size in one.sizes]).T for one in effects.values()]
+    parts = [np.clip(total, *end) for total, end in zip(sums.values(), ends, strict=True)]
+    return [*effects.values()], np.concatenate([np.zeros((*shape, 0)), *parts], axis=-1)
 
 
 def pseudo_huber(z: Array) -> Array:
