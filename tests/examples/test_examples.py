@@ -19,12 +19,11 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 ALLOWED = {"simgap", "marsarm", "matplotlib", "mujoco", "numpy"}
 
 
-def run_example(name: str, folder: Path) -> str:
-    """Run a script in an empty folder, and return what it prints."""
-    script = ROOT / "examples" / f"{name}.py"
-    env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+def run_python(words: list[str], folder: Path, backend: str) -> str:
+    """Run Python in a folder, without a display, and return what it prints."""
+    env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": backend}
     done = subprocess.run(
-        [sys.executable, "-W", "error", script],
+        [sys.executable, "-W", "error", *words],
         cwd=folder,
         env=env,
         capture_output=True,
@@ -33,10 +32,16 @@ def run_example(name: str, folder: Path) -> str:
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def run_example(name: str, folder: Path) -> str:
+    """Run a script in an empty folder, and return what it prints."""
+    printed = run_python([str(ROOT / "examples" / f"{name}.py")], folder, "agg")
     picture = matplotlib.image.imread(folder / f"{name}.png")
     assert picture.shape[1] == 800
     assert picture[..., :3].std() > 0.01
-    return done.stdout
+    return printed
 
 
 def cells_of(notebook: str) -> list[str]:
@@ -120,18 +125,8 @@ def test_the_cells_of_a_notebook_run_and_print_the_result(name, printed, tmp_pat
         (tmp_path / folder).symlink_to(ROOT / folder)
     folder = tmp_path / "docs" / "notebooks"
     folder.mkdir(parents=True)
-    env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "template"}  # which shows nothing
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", "\n".join(cells_of(name))],
-        cwd=folder,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=1200,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert re.search(printed, done.stdout)
+    found = run_python(["-c", "\n".join(cells_of(name))], folder, "template")  # which shows nothing
+    assert re.search(printed, found)
     assert re.search(printed, "".join(outputs_of(name)))
 
 
