@@ -14,7 +14,7 @@ from itertools import chain, repeat
 from threading import Event, Thread
 from typing import Final
 
-from simgap.common.earlier_run import EarlierRun, keep_run, read_earlier_run
+from simgap.common.earlier_run import STEP, EarlierRun, keep_run, read_earlier_run
 from simgap.common.interruption import block_signals
 
 Progress = Callable[[float, float, str], None]
@@ -59,7 +59,7 @@ class ProgressState:
     n_reports: int = 0
     """Reports, which show that the work goes on while no share of it is known to be done."""
     points: list[tuple[float, float]] = field(default_factory=list)
-    """Share, and time since the start, of each report."""
+    """Share, and time since the start, of reports that are STEP apart: those that are kept."""
 
     def update(self, done: float, total: float, what: str, now_s: float) -> None:
         """Take a report of progress at a time of the clock.
@@ -72,7 +72,8 @@ class ProgressState:
             return
         if min(done / total, 1.0) > self.share:
             self.share, self.reached_s = min(done / total, 1.0), now_s
-        self.points.append((self.share, now_s - self.started_s))
+        if self.share >= (self.points[-1][0] if self.points else 0.0) + STEP:  # long work reports millions
+            self.points.append((self.share, now_s - self.started_s))
         if self.first_share is None:
             self.first_share, self.first_s = self.share, now_s
         elif self.share > self.first_share and now_s > self.first_s:
