@@ -8,7 +8,6 @@ import pytest
 from helpers.marks import slow_but
 from helpers.pendulum import motion, pendulum
 from helpers.planar_arm import (
-    COUNT_RAD,
     RATE_HZ,
     TABLE_M,
     commands,
@@ -22,7 +21,6 @@ from simgap.checks.audit import audit
 from simgap.checks.commands import count_foreign_commands
 from simgap.checks.nominal import NominalModel
 from simgap.checks.records import RemarkKind
-from simgap.checks.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_motions, diagnose
 from simgap.logs import JointLog, Logs, Signal
@@ -73,10 +71,6 @@ def test_a_table_is_named_with_its_height_and_its_samples_are_refused():
     assert remark.interval[0] <= remark.value <= remark.interval[1]
     assert reasons(found) == {"contact with a plane"}
     assert 0.05 < np.mean(~found.is_usable("motion 3", "shoulder")) < 0.6
-
-
-def test_the_same_motions_without_a_table_get_no_remark():
-    assert audit(planar_arm(), slow_logs(planar_arm(), low=-0.5, high=1.0)).remarks == ()
 
 
 @pytest.mark.parametrize(("joint", "clamp"), [("elbow", 0.38), pytest.param("shoulder", 0.2, marks=SLOW)])
@@ -172,50 +166,11 @@ def test_positions_that_are_no_numbers_are_refused(clean):
     assert not found.is_usable("motion 0", "elbow")[10:20].any()
 
 
-def test_a_position_that_counts_the_other_way_is_named(clean):
-    def turn(log):
-        return replace(log, position=Signal(log.position.time_s, -log.position.value))
-
-    found = audit(planar_arm(), with_joint(clean, "shoulder", turn))
-    assert "the position runs against its command" in found.remarks[0].text
-
-
-def test_a_velocity_in_degrees_is_named_and_one_in_radians_is_not(clean):
-    def add_velocity(factor):
-        def change(log):
-            speed = factor * np.gradient(log.position.value, log.position.time_s)
-            return replace(log, velocity=Signal(log.position.time_s, speed))
-
-        return change
-
-    right = with_joint(clean, "shoulder", add_velocity(1.0))
-    wrong = with_joint(clean, "shoulder", add_velocity(180.0 / np.pi))
-    assert audit(planar_arm(), right).remarks == ()
-    assert kinds(audit(planar_arm(), wrong)) == [(RemarkKind.UNIT, "shoulder")]
-
-
 def test_poses_in_which_the_model_goes_into_its_table_are_named():
     logs = slow_logs(planar_arm(), low=-0.5, high=1.0, count=2)
     found = audit(planar_arm(table=True), logs)
     assert [one.kind for one in found.remarks] == [RemarkKind.COLLISION]
     assert "world" in found.remarks[0].text
-
-
-def test_noise_makes_no_stop():
-    random = np.random.default_rng(1)
-    motion = np.repeat(np.arange(6), 500)
-    free = np.sin(np.linspace(0.0, 60.0, motion.size))
-    measured = free + random.normal(0.0, 0.05, motion.size)
-    assert find_lower_stop(free, measured, motion, 0.0) is None
-    stop = find_lower_stop(free, np.maximum(measured, -0.5), motion, 0.0)
-    assert stop is not None
-    assert stop.furthest == pytest.approx(-0.5, abs=0.01)
-
-
-def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
-    random = np.random.default_rng(2)
-    trials = [median_interval(random.normal(0.0, 1.0, 12)) for _ in range(1000)]
-    assert 0.88 < np.mean([low <= 0.0 <= high for low, high in trials]) < 0.98
 
 
 @pytest.mark.real_data
@@ -237,22 +192,6 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
 @pytest.mark.parametrize("robot", ["pendulum", "kr300"])
 def test_logs_of_other_robots_lose_no_sample(real_data, robot):
     assert audit(*load_real(real_data, robot)).refused == ()
-
-
-def test_joints_without_commands_are_audited_for_the_rest(clean):
-    logs = with_joint(clean, "elbow", lambda log: replace(log, command=None))
-    assert audit(planar_arm(), logs).remarks == ()
-
-
-def test_a_motion_of_one_sample_is_audited():
-    logs = slow_logs(planar_arm(), count=1)
-
-    def cut(log):
-        first = Signal(log.position.time_s[:1], log.position.value[:1])
-        return replace(log, position=first, command=first)
-
-    found = audit(planar_arm(), with_joint(with_joint(logs, "elbow", cut), "shoulder", cut))
-    assert found.is_usable("motion 0", "elbow").tolist() == [True]
 
 
 def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):
@@ -291,12 +230,6 @@ def test_logs_of_which_nothing_is_usable_are_not_diagnosed(clean):
     refused = (Refusal("motion 0", "contact with a plane", 9),)
     with pytest.raises(RobotError, match=r"no sample .* can be used \(contact with a plane\)"):
         diagnose(planar_arm(), clean.motions, audit=replace(found, usable=nothing, refused=refused))
-
-
-def test_the_model_repeats_what_it_recorded_to_a_count():
-    motion = record(planar_arm(), 1, commands(1, -0.6, 0.4))
-    found = NominalModel(planar_arm()).simulate(motion)
-    assert max(found.mean_abs_rad.values()) < COUNT_RAD
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 0.3, 1.7e9])

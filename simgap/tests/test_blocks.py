@@ -108,11 +108,6 @@ def test_rows_of_several_joints_are_cut_by_the_longest_memory():
     assert found.max() + 1 == 2 * int(99 / correlation_time_s(np.arange(100.0), slow))
 
 
-def test_a_residual_as_slow_as_the_motion_leaves_few_blocks():
-    slow = np.sin(np.pi / 4 * model().time_s)
-    assert len(cut_into_blocks(model(), slow).motions) <= 3 * 2 * len(model().motions)
-
-
 @pytest.mark.parametrize("wanted", [(1, 5), (6,), (0, 2, 3)])
 def test_selected_blocks_keep_their_residuals(wanted):
     wanted = tuple(blocks().motions[k] for k in wanted)
@@ -127,14 +122,6 @@ def test_selected_blocks_keep_their_residuals(wanted):
     assert np.array_equal(part.explain("load"), blocks().explain("load")[rows])
     names = [part.motions[k] for k in part.motion_of]
     assert names == [blocks().motions[k] for k in blocks().motion_of[rows]]
-
-
-def test_a_selection_of_a_selection_is_that_selection():
-    names = blocks().motions
-    twice = blocks().select(names[2:6]).select(names[5:6])
-    once = blocks().select(names[5:6])
-    size = np.zeros((1, 0))
-    assert np.array_equal(twice.residuals([], size), once.residuals([], size))
 
 
 def test_a_motion_of_which_nothing_is_left_is_no_block():

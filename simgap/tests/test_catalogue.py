@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
-from helpers.real_robots import load_real, repository_file
+from helpers.real_robots import repository_file
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects import effect as interface
 from simgap.effects.effect import Effect, Family
-from simgap.effects.forces import PlaneContact
 from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
@@ -223,34 +222,3 @@ def test_the_page_lists_every_effect_with_its_family_and_its_sizes(arm_logs):
             assert listed == [size.name for size in offered[name].sizes], name
         for other in re.split(r"; ", rows[name][-1]):
             assert other == "" or other in all_names, f"{name}: {other} is no effect"
-
-
-def effects_of(real_data, name):
-    real = load_real(real_data, name)
-    return catalogue(*real), base_effects(*real)
-
-
-@pytest.mark.real_data
-def test_the_table_of_the_so101_is_within_the_bounds_of_the_plane(real_data):
-    effects, base = effects_of(real_data, "so101")
-    (plane,) = (one for one in effects if isinstance(one, PlaneContact))
-    assert plane.lowest_m < -0.050
-    assert plane.lowest_m + plane.high_m > -0.040
-    assert len(base) == 24
-
-
-@pytest.mark.real_data
-def test_axes_of_the_kr300_with_a_second_encoder_have_periodic_errors(real_data):
-    effects, _ = effects_of(real_data, "kr300")
-    assert {one.place for one in effects if one.name == "periodic joint error"} == {"a1", "a2", "a3"}
-    assert not any(one.encoder_is_at_output for one in effects if one.name == "joint compliance")
-
-
-@pytest.mark.real_data
-def test_the_pendulum_warms_and_has_no_neighbour(real_data):
-    effects, base = effects_of(real_data, "pendulum")
-    names = {one.name for one in effects}
-    assert "temperature-dependent friction" in names
-    assert "joint coupling" not in names
-    assert [one.name for one in base].count("damping gain") == 1  # some logs are without power
-    assert len(base) == 5

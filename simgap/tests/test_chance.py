@@ -98,15 +98,6 @@ def test_in_stationary_noise_an_effect_in_few_samples_is_proven():
     assert np.median(found[:, 0]) < np.median(found[:, 1])
 
 
-def test_directions_that_are_alike_count_once():
-    random = np.random.default_rng(5)
-    apart, _ = np.linalg.qr(random.standard_normal((50, 4)))
-    assert count_distinct(list(apart.T)) == pytest.approx(4.0)
-    assert count_distinct([*apart.T, -2.0 * apart[:, 0], 3.0 * apart[:, 1]]) == pytest.approx(4.0)
-    assert count_distinct([np.zeros(50), apart[:, 0]]) == pytest.approx(1.0)
-    assert count_distinct([np.zeros(50)]) == 0.0
-
-
 def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_their_count_says():
     random = np.random.default_rng(6)
     common = random.standard_normal((400, 3))

@@ -82,20 +82,6 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
     assert not (tmp_path / "steps").exists()
 
 
-@pytest.mark.slow
-def test_a_run_that_is_killed_again_and_again_comes_to_its_end(
-    whole: tuple[list[bytes], int], tmp_path: Path
-) -> None:
-    expected, calls = whole
-    for _ in range(10):
-        try:
-            assert bits(find(mortal(int(0.4 * calls)), tmp_path / "steps")) == expected
-            return
-        except Killed:
-            pass
-    pytest.fail("it made no headway")
-
-
 def test_a_step_that_was_torn_is_carried_out_again(whole: tuple[list[bytes], int], tmp_path: Path) -> None:
     expected, calls = whole
     with pytest.raises(Killed):

@@ -99,11 +99,7 @@ def test_the_constants_of_a_motor_are_those_at_the_joint(tmp_path):
 @pytest.mark.parametrize(
     ("attributes", "mode", "said"),
     [
-        (
-            f'{MOTOR} inductance="0.001"',
-            "voltage",
-            r"actuator: 'motor' has dynamics of its own \(inductance\)",
-        ),
+        (f'{MOTOR} inductance="0.001"', "voltage", r"actuator: 'motor' has dynamics of its own"),
         (f'{MOTOR} thermal="1 1 1"', "voltage", r"dynamics of its own \(thermal\); a diagnosis lacks them"),
         (f'{MOTOR} lugre="100 1 .1 .2 .01"', "voltage", r"dynamics of its own \(lugre\)"),
         (f'{MOTOR} cogging="0.01 6 0"', "voltage", r"dynamics of its own \(cogging\)"),

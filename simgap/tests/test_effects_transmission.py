@@ -6,7 +6,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
-from simgap.effects.effect import State
 from simgap.effects.transmission import (
     DAMPING_RATIO,
     Backlash,
@@ -44,13 +43,6 @@ def backlash(place="turn", index=0, encoder_is_at_output=True):
 
 def compliance(place="turn", index=0, encoder_is_at_output=True):
     return JointCompliance(place, index, encoder_is_at_output, typical_rad_Nm=0.02, high_rad_Nm=0.2)
-
-
-def state(load_Nm, q_rad=0.0):
-    load = np.atleast_2d(load_Nm)
-    return State(
-        np.zeros(len(load)), np.full_like(load, q_rad), np.zeros_like(load), load, np.full_like(load, np.nan)
-    )
 
 
 def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):
@@ -153,20 +145,6 @@ def test_a_gear_stiffer_than_the_time_step_resolves_still_moves_as_a_rigid_one()
     assert np.abs(stiff - rigid).max() < 2e-3
 
 
-def test_deflection_under_load_is_a_spring_and_half_the_backlash():
-    loads = [[0.0, 3.0], [0.0, -2.0], [0.0, 0.0]]
-    size = np.array([[0.01], [0.01], [0.01]])
-    np.testing.assert_allclose(compliance("b", 1).deflection_rad(size, state(loads)), (-0.03, 0.02, 0.0))
-    np.testing.assert_allclose(backlash("b", 1).deflection_rad(size, state(loads)), (-0.005, 0.005, 0.0))
-
-
-def test_a_coupled_joint_turns_with_its_neighbour():
-    coupling = JointCoupling("b", 1, "a", 0, typical_ratio=0.01)
-    seen = coupling.deflection_rad(np.array([[0.1]]), state([[0.0, 5.0]], q_rad=0.5))
-    np.testing.assert_allclose(seen, [-0.05])
-    assert coupling.key == "b: joint coupling to a"
-
-
 def test_a_coupled_joint_relieves_the_motor_of_its_neighbour_of_a_part_of_its_load():
     robot = robot_of(ARM_XML.replace('frictionloss="0.05"', "").replace('frictionloss="0.04"', ""))
     coupling = JointCoupling("elbow", 2, "lift", 1, typical_ratio=0.05)
@@ -217,13 +195,6 @@ def test_many_orders_are_the_sum_of_single_ones():
         for k in range(48)
     )
     np.testing.assert_allclose(effect.encode(size, ANGLES_RAD) - ANGLES_RAD, single, atol=1e-14)
-
-
-def test_the_strongest_order_of_many_is_told():
-    effect = SmoothPeriodicError("a", 1e-3)
-    size = np.zeros(96)
-    size[2 * 6 + 1] = 2e-3
-    assert effect.describe(size) == "1.41 mrad RMS, most of it 2 mrad with 7 periods a turn"
 
 
 @pytest.mark.parametrize("effect", [PeriodicError("a", 3, 1e-3), SmoothPeriodicError("a", 1e-3)])

@@ -2,14 +2,11 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.real_robots import load_real
 from helpers.two_joint_arm import PERIOD_s, arm, check_promises, rms, scales, simulated
-from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
 from simgap.effects.command import EncoderScale, MeasurementDelay
@@ -17,7 +14,6 @@ from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.encoder_residuals import EncoderResiduals, shows, why_refused
-from simgap.residuals.noise import correlation_time_s
 
 SKEW_s, COMPLIANCE_rad_Nm, OFFSET_rad = 0.003, 2e-5, 0.02
 SPRING_Nm = 8.0
@@ -174,61 +170,6 @@ def test_without_gravity_compliance_is_a_second_order_lag_of_the_encoder():
 def test_logs_without_a_second_encoder_are_refused():
     with pytest.raises(RobotError, match="no log has a second encoder"):
         EncoderResiduals(arm(), [motor_log()])
-
-
-@cache
-def kr300(folder: Path):
-    robot, logs = load_real(folder, "kr300")
-    effects = {effect.key: effect for effect in catalogue(robot, logs)}
-    return robot, EncoderResiduals(robot, logs.motions), effects
-
-
-def intervals(folder, axis, names):
-    """Return 90 % intervals of sizes on each batch, (2, n_sizes, 2), by leaving out blocks."""
-    _, model, effects = kr300(folder)
-    joint = model.joints.index(axis)
-    found = []
-    for batch in (0, 1):
-        rows = np.flatnonzero((model.joint_of == joint) & (model.motion_of == batch))
-        chosen = [effects[f"{axis}: {name}"] for name in names]
-        sizes, rest, jacobian = least_squares(model, chosen, rows)
-        tau_s = correlation_time_s(model.time_s[rows], rest)
-        blocks = np.array_split(np.arange(rows.size), max(4, int(10 / tau_s)))
-        unit = np.linalg.norm(jacobian, axis=0)
-        left_out = [
-            np.linalg.lstsq(np.delete(jacobian / unit, block, 0), np.delete(rest, block))[0] / unit
-            for block in blocks
-        ]
-        n = len(blocks)
-        half = 1.645 * np.sqrt((n - 1) * np.var(left_out, axis=0))
-        found.append(np.stack((sizes - half, sizes + half), axis=1))
-    return np.array(found)
-
-
-@pytest.mark.real_data
-@pytest.mark.parametrize("axis", ["a1", "a2", "a3"])
-@pytest.mark.parametrize("names", [("measurement delay",), ("measurement delay", "joint compliance")])
-def test_the_encoders_of_the_kr300_differ_by_3_ms(real_data, axis, names):
-    delays_s = intervals(real_data, axis, names)[:, 0].mean(axis=1)
-    assert delays_s == pytest.approx(0.003, abs=0.0002)
-
-
-@pytest.mark.real_data
-@pytest.mark.parametrize("axis", ["a2", "a3"])
-def test_compliances_of_the_kr300_agree_between_the_batches(real_data, axis):
-    robot, _, effects = kr300(real_data)
-    a, b = intervals(real_data, axis, ("measurement delay", "joint compliance"))[:, 1]
-    assert max(a[0], b[0]) < min(a[1], b[1])
-    assert min(a[0], b[0]) > 0
-    assert not why_refused(robot, effects[f"{axis}: joint compliance"])
-
-
-@pytest.mark.real_data
-def test_the_compliance_of_axis_1_has_no_name_for_it_has_two_signs(real_data):
-    robot, _, effects = kr300(real_data)
-    assert why_refused(robot, effects["a1: joint compliance"])
-    a, b = intervals(real_data, "a1", ("measurement delay", "joint compliance"))[:, 1].mean(axis=1)
-    assert a < 0 < b
 
 
 def test_base_parameters_alone_need_a_command_or_a_torque():

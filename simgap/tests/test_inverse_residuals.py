@@ -184,13 +184,6 @@ def test_noise_lowers_the_cut_off_and_widens_the_reversal():
     assert np.all(noisy.friction_speed_rad_s > 10 * clean.friction_speed_rad_s)
 
 
-def test_the_noise_of_a_speed_is_as_stated():
-    model = residuals_of(log("noisy"))
-    noise = model.low_pass(1e-4 * np.random.default_rng(1).standard_normal(20_000))
-    stated = model.low_pass.speed_noise_rad_s[0]
-    assert np.std(np.gradient(noise, model.low_pass.period_s)) == pytest.approx(stated, rel=0.4)
-
-
 def test_variables_are_those_of_the_measured_motion():
     model = residuals_of(log())
     measured = log().joints["elbow"].position

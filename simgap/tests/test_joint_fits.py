@@ -1,7 +1,6 @@
 """Fits of all joints: coupled joints, sizes at bounds, joints without data, repeats."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +8,12 @@ import pytest
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.assemble import find_interval
-from simgap.effects.effect import Effect, Size
+from simgap.effects.effect import Effect
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.selection.acceptance import step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
-from simgap.selection.fit import Hypothesis, JointFit, Union
+from simgap.selection.fit import Hypothesis, Union
 from simgap.selection.fitting import Fitting
 from simgap.selection.joint_fits import fit_base
 from simgap.selection.selection import select_effects
@@ -28,14 +27,6 @@ class Coupled(ToyResiduals):
         rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
         rows[:, 1] += 0.5 * (rows[:, 0] - self.measured[0])
         return rows.reshape(len(rows), -1)
-
-
-class Positive(Toy):
-    """Toy whose size is not negative."""
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        return (Size(self.label, 0.0, 5.0, 1.0),)
 
 
 def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None:
@@ -64,18 +55,6 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
     fitting = Fitting(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
     (fit,) = fitting.finish()
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
-
-
-def test_without_a_fold_a_size_at_its_bound_does_not_move_another() -> None:
-    model = draw_toy(1, {})
-    base = (Positive("near", "even", np.square), Toy("near", "gain", lambda x: x + 3.0 * x**2))
-    context = start_context(model, base, (), 1, Meter())
-    x = model.commands[0].ravel()
-    jacobian = -np.column_stack([x**2, x + 3.0 * x**2])
-    fit = JointFit(np.array([0.0, 0.3]), np.arange(2), 0, -0.1 * x**2, np.arange(x.size), jacobian)
-    alone = replace(fit, columns=np.array([1]), jacobian=jacobian[:, 1:])
-    both, single = (step_without(context, one, frozenset({0})) for one in (fit, alone))
-    np.testing.assert_allclose(both, single, rtol=1e-9)
 
 
 def test_a_step_without_a_fold_goes_as_far_as_a_fit_without_it() -> None:

@@ -155,35 +155,17 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (
-            {"q1": [0.0, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]},
-            "'q1', motion 'slow': is no finite number at 0.01 s",
-        ),
-        (
-            {"q1": [0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0.0]},
-            "'q1', motion 'fast': is no finite number at 0.02 s",
-        ),
+        ({"q1": [0.0, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]}, "'q1', motion 'slow': is no finite number at 0.01"),
+        ({"q1": [0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0.0]}, "'q1', motion 'fast': is no finite number at 0.02"),
         ({"q1": ["a"] * 7}, "column 'q1' has 'a' in row 1; a signal needs numbers"),
         ({"q1": [None] * 7}, "column 'q1' is empty; a signal needs numbers"),
         ({"q1": [None, None, None, 0.0, 0.0, 0.0, 0.0]}, "column 'q1' has no value in motion 'slow'"),
-        (
-            {"t": [0.0, 2.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
-            "motion 'slow': the time of 't' runs backwards from 0.002 s to 0.001 s in row 3",
-        ),
-        (
-            {"t": [0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
-            "motion 'slow': the time of 't' repeats: 1 row has the time of the row before, the first",
-        ),
+        ({"t": [0.0, 2.0, 1.0, 0.0, 1.0, 2.0, 3.0]}, "motion 'slow': the time of 't' runs backwards from"),
+        ({"t": [0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 3.0]}, "motion 'slow': the time of 't' repeats: 1 row has"),
         ({"t": [0.0, None, 1.0, 0.0, 1.0, 2.0, 3.0]}, "time column 't' has rows without a time; remove them"),
-        (
-            {"gain": [2, 2, 1, 3, 3, 3, 3]},
-            "column 'gain' changes within motion 'slow'; divide the motion there",
-        ),
+        ({"gain": [2, 2, 1, 3, 3, 3, 3]}, "column 'gain' changes within motion 'slow'; divide the motion"),
         ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
-        (
-            {"motion": [["slow"]] * 7},
-            "column 'motion' has lists of 1: write the place of an item, such as [0]; give it texts",
-        ),
+        ({"motion": [["slow"]] * 7}, "column 'motion' has lists of 1: write the place of an item, such as"),
         ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
     ],
 )
@@ -202,13 +184,6 @@ def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
             RobotError, match=r"has no column 'm_2', which the robot file names; did you mean 'm2'"
         ):
             load(robot, path)
-
-
-def test_a_csv_with_a_word_among_its_numbers_is_refused(tmp_path, robot):
-    path = write_csv(tmp_path)
-    path.write_text(path.read_text().replace("180.0", "lost"))
-    with pytest.raises(RobotError, match="column 'q1' has 'lost' in row 3; a signal needs numbers"):
-        load(robot, path)
 
 
 def test_arrays_of_other_lengths_than_their_times_are_refused(tmp_path, robot):
@@ -340,11 +315,6 @@ def test_a_motion_in_no_part_of_a_split_takes_no_part(tmp_path):
     assert found.losses == ("1 motion is left out, because no part of the split 'first' has it: third",)
 
 
-def test_without_a_split_all_motions_are_fitted(tmp_path):
-    found = load(Robot.from_toml(write_robot(tmp_path)), write_parquet(tmp_path))
-    assert (names(found.fit), found.held_out) == (["slow", "fast"], frozenset())
-
-
 def test_a_split_without_a_split_file_is_an_error(tmp_path):
     write_robot(tmp_path)
     write_parquet(tmp_path)
@@ -358,19 +328,11 @@ def test_a_split_without_a_split_file_is_an_error(tmp_path):
         (("b = ", "c = "), {}, "splits.first: there is no part 'b'; there are a, c"),
         (('default = "first"', 'default = "frist"'), {}, "there is no split 'frist'; did you mean 'first'?"),
         (('["gain=3"]', '["gain=4"]'), {}, "part b: 'gain=4' is no motion, condition or file of these logs"),
-        (
-            ('["gain=3"]', '["gain=3", "slow"]'),
-            {},
-            "split 'first': motion 'slow' is both fitted and held out",
-        ),
+        (('["gain=3"]', '["gain=3", "slow"]'), {}, "split 'first': motion 'slow' is both fitted and held"),
         (('["a"]\nheld', '["a", "b"]\nheld'), {}, "motion 'fast' is both fitted and held out"),
         (('["gain=3"]', "[]"), {}, "parts.b: "),
         (('["gain=3"]', '["gain=3"]'), {"split": "sceond"}, "has none of this name; did you mean 'second'?"),
-        (
-            ('["gain=3"]', '["gain=3"]'),
-            {"held_out": ["flow"]},
-            "held out: 'flow' is no motion, condition or file of",
-        ),
+        (('["gain=3"]', '["gain=3"]'), {"held_out": ["flow"]}, "held out: 'flow' is no motion, condition"),
     ],
 )
 def test_what_is_wrong_with_a_split_is_one_sentence(tmp_path, change, options, said):

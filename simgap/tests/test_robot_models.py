@@ -125,12 +125,3 @@ def test_torques_of_the_kr300_are_at_the_joint_with_the_sign_of_the_model(real_d
         gravity = np.array([_terms(robot.model, one, np.zeros(6))[0] for one in q])
         # Gravity is most of what axis 3 carries: its mean torque is that of the model within friction.
         assert np.mean(measured[:, 2]) == pytest.approx(np.mean(gravity[:, 2]), rel=0.25)
-
-
-@pytest.mark.real_data
-def test_one_gain_of_the_pendulum_is_held_out(real_data):
-    logs = load(robot_path("pendulum"), real_data / LOGS["pendulum"][0])
-    assert {one.conditions["gain_kp"] for one in logs.judged} == {400.0}
-    assert {one.gain["servo"] for one in logs.fit} == {100.0, 200.0, 800.0}
-    dropped = next(one for one in logs.motions if one.name == "lift_and_drop 100").joints["servo"].enabled
-    assert set(dropped.value) == {0.0, 1.0}

@@ -10,21 +10,16 @@ from simgap import assemble
 from simgap.assemble import (
     describe_finding,
     explains_too_little,
-    find_inflation,
     find_interval,
     list_remainders,
     select_sure,
     simulate_models,
 )
-from simgap.residuals.residuals import root_weight
 from simgap.selection.chance import FALSE_ALARM
-from simgap.selection.checkpoint import Meter
-from simgap.selection.context import FittedModel, Score, start_context
 from simgap.selection.fit import Hypothesis, Union
 from simgap.selection.fitting import Fitting
-from simgap.selection.joint_fits import fit_base, fit_joints
 from simgap.selection.screening import adjust
-from simgap.selection.selection import list_again, select_effects
+from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
 from simgap.selection.verdict import (
     find_confidence_sets,
@@ -96,24 +91,6 @@ def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch: pytest.MonkeyP
     assert rejected.reason == "its 90 % interval holds 0"
 
 
-def test_variance_inflation_is_the_ratio_of_variances_with_and_without_the_other_effect() -> None:
-    model = draw_toy(1, {"near: square": 0.1})
-    near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
-    effects = (CATALOGUE[0], near_square)
-    context, base = fit_base(start_context(model, BASE, effects, 1, Meter()))
-    alone = FittedModel(effects[:1], base.sizes, fit_joints(context, effects[:1], base.sizes), base.left_out)
-    both = FittedModel(effects, base.sizes, fit_joints(context, effects, base.sizes), base.left_out)
-    assert find_inflation(context, alone, effects[0]) == 1.0
-
-    fit = both.fits[0]
-    z = fit.residuals / context.scales[0]
-    changes = fit.jacobian * root_weight(z)[:, None]  # gain, square, near square
-    with_other = np.linalg.inv(changes.T @ changes)[1, 1]
-    without = np.linalg.inv(changes[:, :2].T @ changes[:, :2])[1, 1]
-    assert with_other / without > 10.0
-    assert find_inflation(context, both, effects[0]) == pytest.approx(with_other / without)
-
-
 def test_effects_that_resemble_each_other_are_told_as_their_place() -> None:
     model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
     near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
@@ -164,32 +141,11 @@ def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_par
     assert low < 0.1 < high
 
 
-@pytest.mark.slow
-def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
-    twins = [Toy("near", f"twin {k}", lambda x, k=k: x**2 + 0.002 * k * x**3) for k in range(1, 7)]
-    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, *twins), seed=1)
-    (one_set,) = find_confidence_sets(selection)
-    assert {one.effect.key for one in one_set.alternatives} == {"near: square", *(one.key for one in twins)}
-
-
 @pytest.mark.parametrize("seed", slow_but(range(5), 0))
 def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
     selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
     assert "near: square" in {one.key for one in selection.chosen.effects}
     assert not explains_too_little(selection.context, selection.chosen, "near")
-
-
-def test_what_helped_in_the_round_before_is_judged_again_from_its_sizes() -> None:
-    context, present = fit_base(start_context(draw_toy(1, TRUTH), BASE, CATALOGUE, 1, Meter()))
-    near, far, none = (one for one in CATALOGUE if one.key in ("near: square", "far: sine", "far: cube"))
-    start = present.sizes + 0.01
-    finalists = [Score(near, start, 0.5), Score(far, start, 0.5), Score(none, start, 0.01)]
-    assert list_again(context, present, {0, 1}, [Score(near, start, 0.2)], finalists[:1]) == []
-    assert list_again(context, present, {0}, [], finalists[1:]) == []
-    (again,) = list_again(context, present, {0, 1}, [], finalists[1:])
-    mine = context.sharing.joint_of_column == 1
-    np.testing.assert_array_equal(again.start[mine], start[mine])
-    np.testing.assert_array_equal(again.start[~mine], present.sizes[~mine])
 
 
 @pytest.mark.slow

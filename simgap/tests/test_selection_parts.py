@@ -1,24 +1,22 @@
 """Parts of the selection: comparison of models, effects that hide each other, screening, sharing."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
-from simgap.effects.effect import Effect, Size
+from simgap.effects.effect import Effect
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection.acceptance import compare_motions, compare_with_noise
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
-from simgap.selection.fit import JointFit, Union, gather_residuals
+from simgap.selection.fit import gather_residuals
 from simgap.selection.joint_fits import fit_base, fit_joints
-from simgap.selection.screening import list_trials, score_effect, whiten
 from simgap.selection.selection import find_log_chance, select_effects
-from simgap.selection.sharing import ALL_JOINTS, Sharing, find_sharing, relative_reach, share_nothing
+from simgap.selection.sharing import ALL_JOINTS, find_sharing
 
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))
 
@@ -117,65 +115,6 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     assert low <= np.exp(find_log_chance(context, fits[:1], square, without)) <= high
 
 
-X = np.linspace(-1.0, 1.0, 50)
-
-
-@dataclass(frozen=True)
-class Shaped(Toy):
-    """Effect with a form, which means nothing while its amplitude is 0."""
-
-    has_shape: ClassVar[bool] = True
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        return (Size("amplitude", -5.0, 5.0, 1.0), Size("form", 0.0, 5.0, 2.0))
-
-
-@dataclass(frozen=True)
-class Limit(Toy):
-    """Effect that nothing reaches while it is small."""
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        return (Size("inverse", 0.0, 5.0, 1.0),)
-
-
-def start(effect: Toy, amplitude: float, silent_below: float = 0.0) -> list[float]:
-    """Return the start of a fit to residuals that an effect of this amplitude leaves."""
-    commands = np.tile(X, (len(NAMES), 4, 1))
-    model, union = ToyResiduals(commands, 0.0 * commands, NAMES), Union((effect,))
-    rows = np.flatnonzero(model.joint_of == 0)
-    change = np.square(commands).ravel()[rows]
-    fit = JointFit(np.zeros(2), np.empty(0, np.int64), 0, amplitude * change, rows, np.empty((rows.size, 0)))
-    at = np.zeros(len(effect.sizes))
-    trials = list_trials(union, effect, at)
-    sizes = [float(trial.points[0][0]) for trial in trials]
-    changes = [-(size if abs(size) > silent_below else 0.0) * change[:, None] for size in sizes]
-    score, *_ = score_effect(whiten([fit], model, np.ones(2)), trials, changes, at)
-    return [float(size) for size in score.start]
-
-
-@pytest.mark.parametrize("amplitude", [0.1, 0.2, -0.25])
-def test_a_fit_of_a_small_effect_begins_at_its_size(amplitude: float) -> None:
-    assert start(Toy("near", "square", np.square), amplitude) == pytest.approx([amplitude])
-
-
-def test_the_form_of_an_effect_is_not_scaled_with_its_amplitude() -> None:
-    assert start(Shaped("near", "square", np.square), 0.2) == pytest.approx([0.2, 2.0])
-
-
-def test_a_fit_begins_no_nearer_to_0_than_a_third_of_a_size_that_was_tried() -> None:
-    assert start(Toy("near", "square", np.square), 1e-3) == pytest.approx([0.09])
-
-
-@pytest.mark.parametrize(("silent_below", "first"), [(0.0, 0.2), (0.5, 1.0), (2.0, 3.0)])
-def test_a_fit_of_a_limit_begins_at_a_size_that_changes_something(silent_below: float, first: float) -> None:
-    assert start(Limit("near", "limit", np.square), 0.2, silent_below) == pytest.approx([first])
-
-
-NONE = np.empty(0, np.int64)
-
-
 class Leaking(ToyResiduals):
     """The squares at the first joint move the second three times as much."""
 
@@ -187,25 +126,6 @@ class Leaking(ToyResiduals):
         return rows.reshape(len(rows), -1)
 
 
-def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
-    rng = np.random.default_rng(1)
-    sharing = Sharing(((0, 2), (1,)), np.array([3]), NONE, np.zeros(4, np.int64))
-    points = [(int(joint), rng.integers(0, 2, 4) * 1.0) for joint in rng.integers(-1, 3, 60)]
-    plan = sharing.plan(points)
-    assert sorted(k for members in plan for k in members) == list(range(60))
-    for members in plan:
-        joints = [points[k][0] for k in members]
-        assert len(set(joints)) == len(joints)
-        assert set(joints) in ({ALL_JOINTS}, {0}, {1}, {2}, {0, 2})
-        assert len({points[k][1][3] for k in members}) == 1  # a size that moves both is the same
-
-
-def test_without_sharing_each_point_is_a_candidate() -> None:
-    points = [(k % 3, np.zeros(2)) for k in range(9)]
-    assert len(share_nothing(3, NONE).plan(points)) == 9
-    assert len(Sharing(((0, 1, 2),), NONE, NONE, NONE).plan(points)) == 3
-
-
 @pytest.mark.parametrize(("other", "groups"), [(0.05, ((0, 1),)), (0.2, ((0,), (1,)))])
 def test_joints_share_if_their_base_parameters_scarcely_move_one_another(
     other: float, groups: tuple[tuple[int, ...], ...]
@@ -213,24 +133,6 @@ def test_joints_share_if_their_base_parameters_scarcely_move_one_another(
     reach = np.array([[2.0, 2.0 * other], [0.0, 1.0]])
     columns = [np.array([0]), np.array([1])]
     assert find_sharing([0, 1], columns, np.array([True, True]), reach, np.arange(2)).groups == groups
-
-
-def test_an_effect_that_moves_another_joint_of_its_group_does_not_share() -> None:
-    reach = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.3]])
-    columns = [np.array([k]) for k in range(3)]
-    sharing = find_sharing([0, 1, 0], columns, np.array([True, True, False]), reach, np.arange(3))
-    assert sharing.groups == ((0, 1),)
-    np.testing.assert_array_equal(sharing.mixing, [2])
-
-
-def test_sizes_differ_in_one_candidate_only_at_joints_that_do_not_move_one_another() -> None:
-    sharing = Sharing(((0, 1), (2,)), np.array([4]), NONE, np.array([0, 1, 2, ALL_JOINTS, 1]))
-    allowed = {(a, b) for a in range(5) for b in range(5) if sharing.may_share(a, b)}
-    assert allowed == {(0, 1), (1, 0)}
-
-
-def test_reach_is_relative_to_the_joint_itself() -> None:
-    np.testing.assert_allclose(relative_reach(1, np.array([1.0, 2.0, 4.0])), [0.5, 0.0, 2.0])
 
 
 def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there() -> None:

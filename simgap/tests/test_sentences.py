@@ -95,11 +95,6 @@ def test_a_set_that_no_recorded_motion_separates_asks_for_another_kind():
     assert following.startswith("Next: no recorded motion tells Coulomb friction or gain error at lift apart")
 
 
-def test_an_effect_that_is_not_named_is_told_with_its_reason():
-    said = detail_lines(diagnosis(rejected=(Rejected("a1", "joint compliance", "gravity does not load it"),)))
-    assert "Joint compliance at a1 is not named: gravity does not load it." in said
-
-
 def test_effects_that_are_not_named_for_one_reason_share_a_sentence():
     alike = [
         Rejected("a1", name, "a1: gravity does not load it") for name in ("joint compliance", "backlash")
@@ -257,11 +252,6 @@ def test_a_joint_without_gravity_load_shows_only_ratios_to_the_gain():
     said = detail_lines(diagnosis(base=(GAIN, ARMATURE, gain)))
     assert "At pan, only ratios to the gain can be known of: armature." in said
     assert not any("At lift" in line for line in said)
-
-
-def test_a_number_without_a_gain_is_no_ratio_to_it():
-    said = detail_lines(diagnosis(base=(GAIN, ARMATURE)))
-    assert "At pan, the logs do not determine: armature." in said
 
 
 def test_details_give_interval_share_and_what_the_remainder_depends_on():

@@ -83,14 +83,6 @@ def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(fra
     assert rigid_difference_m(plant, build_arm(params_with(effect))) < 1e-12
 
 
-def test_a_frame_error_at_a_tool_moves_that_tool_only():
-    plant = build(FrameError(Frame.TOOL, SCREW, "drt"))
-    mujoco.mj_resetData(plant.model, plant.data)
-    truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
-    apart = [truth.p_RoTo_R_m[tool_index(tool)] - tool_pose(NOMINAL, frames, tool).p for tool in TOOLS]
-    assert [tool for tool in TOOLS if np.linalg.norm(apart[tool_index(tool)]) > 1e-9] == ["drt"]
-
-
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
 def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(frame, tool):
     """Springs and masses that move with the frame in the plant do so in the flight parameters."""

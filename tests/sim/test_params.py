@@ -260,11 +260,6 @@ def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[
         yield place
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadParams, match=r"nothing\.toml: cannot be read"):
-        params_over_nominal(tmp_path / "nothing.toml")
-
-
 def test_the_digest_is_of_the_values_and_not_of_their_order_or_notation(tmp_path: Path) -> None:
     one, other = (
         params_over_nominal(write_file(tmp_path, text))

@@ -14,7 +14,7 @@ from fsw.dictionary.commands import MoveJoint, MoveJoints, Process
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.messages import Sensors
-from sim.arms import UnknownArm, arm_named
+from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, round_to_counts, run_session
 from sim.effects.effect import Effect
 from sim.effects.gears import CoulombFriction, ViscousFriction
@@ -234,13 +234,6 @@ def test_a_run_begins_stowed_and_calibrated_and_an_effect_is_the_same_as_its_tex
     )
     assert by_text.setup.arm == by_class.setup.arm
     assert by_text.setup.arm.effects[-1] == CoulombFriction(Joint.ELBOW, 25.0)
-
-
-def test_a_wrong_name_of_an_arm_or_an_effect_is_refused():
-    with pytest.raises(UnknownArm):
-        start_loop("as-bilt:7")
-    with pytest.raises(BadEffect):
-        start_loop(effects=["coulomb-friction:elbow"])
 
 
 def test_a_sequence_keeps_every_cycle_and_a_series_has_the_values_of_the_cycles_that_have_them():

@@ -17,14 +17,6 @@ from simgap.serial_arm.fit import (
 )
 
 
-def test_the_jacobian_of_the_planar_chain_is_right():
-    model = Planar(np.random.default_rng(0), joints=4)
-    x = 0.01 * np.random.default_rng(1).standard_normal(8)
-    steps = 1e-6 * np.eye(8)
-    numeric = np.stack([(model(x + h).residual - model(x - h).residual) / 2e-6 for h in steps], -1)
-    np.testing.assert_allclose(model(x).jacobian, numeric, rtol=1e-6, atol=1e-3)
-
-
 @pytest.mark.parametrize("joints", [1, 3, 6])
 @pytest.mark.parametrize("prior", [np.inf, 2e-3])
 def test_the_optimum_is_that_of_least_squares(joints, prior):

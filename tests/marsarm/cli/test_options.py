@@ -102,10 +102,7 @@ class Request:
         (Request(kind=3), "kind: 3 is not known; there are a, b"),
         (Request(kind="c"), "kind: 'c' is not known; there are a, b"),
         (Request(files=Files(Path("out.txt"))), "out out.txt: its name must end in .csv"),
-        (
-            Request(("a.toml",), files=Files(Path("a.toml"))),
-            "out a.toml: this is the file of table a.toml too",
-        ),
+        (Request(("a.toml",), files=Files(Path("a.toml"))), "out a.toml: this is the file of table a.toml"),
     ],
 )
 def test_a_value_that_is_not_allowed_is_refused(request_, sentence):

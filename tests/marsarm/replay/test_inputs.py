@@ -52,10 +52,7 @@ def with_boot(**values: object) -> Log:
 
 
 REFUSED = {
-    "a log without a start": (
-        with_header(boot=None, params=None),
-        "its header has no params, boot, so its start conditions",
-    ),
+    "a log without a start": (with_header(boot=None, params=None), "its header has no params, boot, so its"),
     "other parameters": (with_params("motion", settle_time_s=0.26), "do not match their own digest"),
     "torn parameters": (with_header(params="{"), "params: is not JSON (Expecting property name"),
     "parameters of another kind": (with_header(params="[]"), "params: [] is not the fields of a Params"),
@@ -65,10 +62,7 @@ REFUSED = {
     "no such command": (with_commands(CommandEntry(0, "Jump", "{}")), "command: 'Jump' is not known"),
     "torn arguments": (with_commands(CommandEntry(0, "Stop", "{")), "Expecting property name"),
     "no sensors": (replace(LOG, packets={}), "has no /sensors, so there is nothing to replay; give"),
-    "a late beginning": (
-        with_sensor_ticks(np.arange(5, 9)),
-        "begins at tick 5; the state of flight software",
-    ),
+    "a late beginning": (with_sensor_ticks(np.arange(5, 9)), "begins at tick 5; the state of flight"),
     "one tick": (replace(with_sensor_ticks(np.arange(1)), truncated=True), "no tick that is surely complete"),
     "no currents": (without_field("current_A"), "/sensors.current_A is missing"),
 }

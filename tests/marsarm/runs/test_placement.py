@@ -14,7 +14,7 @@ from marsarm.telemetry.read import read_log
 from sim.arms import arm_named
 from sim.effects.joints import HardstopAngle
 from sim.sequence import Outcome
-from tests.marsarm.command import largest_file, marsarm, marsarm_process
+from tests.marsarm.command import marsarm, marsarm_process
 
 
 @pytest.fixture(scope="module")
@@ -95,23 +95,6 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(no_surfac
 def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(no_surface):
     folder, done = no_surface
     assert (folder / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
-    words = ("place", "--json", "--no-picture", "--log", "run.mcap", "--when-disk-full", "stop")
-    with largest_file(500_000):
-        done = marsarm(tmp_path, *words)
-    assert done.returncode == 3, done.stderr
-    report = json.loads(done.stdout)
-    assert report["outcome"] == "stopped"
-    assert report["picture"] is None
-    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
-    kept = read_log(tmp_path / "run.mcap")
-    seconds = len(kept["/joint"]) / 64
-    assert kept.truncated
-    assert seconds > 2
-    assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
 
 
 @pytest.mark.parametrize("value", slow_but(["nonsense", "egl", "off", " OFF "], "nonsense"))

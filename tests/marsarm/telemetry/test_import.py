@@ -125,12 +125,6 @@ def test_units_are_converted_to_those_of_a_log(
     assert values(made) == pytest.approx(np.full(4, kept), rel=1e-15, abs=1e-15)
 
 
-def test_what_needs_no_change_keeps_every_bit(mapped: Any) -> None:
-    some = np.random.default_rng(1).bytes(8 * 2000)
-    a = np.concatenate([np.frombuffer(some, float), [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7e308]])
-    assert values(mapped(SPEED, t=np.arange(a.size) / 64, a=a)).tobytes() == a.tobytes()
-
-
 def test_counts_stay_whole_and_are_rounded_only_where_a_factor_asks_for_it(mapped: Any) -> None:
     assert values(mapped(STEPS, n=[0, 1 << 53, -5, 2])).tolist() == [0, 1 << 53, -5, 2]
     assert values(mapped(STEPS + "factor = 0.4\n", n=[0, 1, 2, 4])).tolist() == [0, 0, 1, 2]

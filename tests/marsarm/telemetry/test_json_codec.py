@@ -99,22 +99,9 @@ def test_fields_of_another_version_are_reported():
     ]
 
 
-def test_a_parameter_that_was_not_known_then_is_todays():
-    params = arm_named("nominal").params
-    table = record_to_json(params)
-    del table["motion"]["settle_time_s"]
-    notes = []
-    assert record_from_json(Params, table, "params", notes, params) == params
-    assert notes == ["params.motion.settle_time_s was not known then: today's 0.25 is taken"]
-
-
 WRONG = {
     "no such command": ("Jump", {}, "command: 'Jump' is not known; there are Calibrate, "),
-    "no such joint": (
-        "MoveJoint",
-        {"joint": "KNEE", "angle_rad": 0.0},
-        "MoveJoint.joint: 'KNEE' is not known",
-    ),
+    "no such joint": ("MoveJoint", {"joint": "KNEE", "angle_rad": 0.0}, "MoveJoint.joint: 'KNEE' is not"),
     "no such word": (
         "MoveJoint",
         {"joint": "WRIST", "angle_rad": 0.0, "backlash": "maybe"},

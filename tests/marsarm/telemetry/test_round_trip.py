@@ -206,10 +206,3 @@ def test_a_digest_is_that_of_the_commands_as_written():
     written = [{"type": "MoveJoint", "fields": {"joint": "WRIST", "angle_rad": 0.1, "backlash": "on"}}]
     assert json.loads(header["commands"]) == written
     assert header["commands_sha256"] == hashlib.sha256(header["commands"].encode()).hexdigest()
-
-
-def test_a_run_under_way_has_no_header_any_more():
-    loop = loop_of()
-    loop.cycle()
-    with pytest.raises(ValueError, match="the run is at tick 1"):
-        run_header(loop, "nominal", 3, {}, ())

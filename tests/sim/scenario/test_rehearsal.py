@@ -56,11 +56,7 @@ REFUSED = [
     (Mode.STOWED, (Unstow(), Unstow()), "UNSTOW is refused in mode DEPLOYED; before it comes STOW"),
     (Mode.DEPLOYED, (TOUCH, Stow()), "STOW is refused in mode GUARDED; before it comes RETRACT"),
     (Mode.DEPLOYED, (MOVE, PRESS), f"PRELOAD is refused in mode DEPLOYED; before it comes {PRESSED_BY}"),
-    (
-        Mode.DEPLOYED,
-        (PLACE, PRESS, BACK),
-        "RETRACT is refused in mode PRELOAD; before it comes PRELOAD of force 0",
-    ),
+    (Mode.DEPLOYED, (PLACE, PRESS, BACK), "RETRACT is refused in mode PRELOAD; before it comes PRELOAD of"),
     (Mode.DEPLOYED, (CHANGE,), "TOOL_CHANGE is refused in mode DEPLOYED"),
     (Mode.DEPLOYED, (PLACE, MOVE), "MOVE_TOOL is refused in mode GUARDED; before it comes RETRACT"),
     (Mode.DEPLOYED, (PLACE, Retract("drill", 0.1)), "RETRACT: apxs is the tool that touches"),

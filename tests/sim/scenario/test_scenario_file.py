@@ -219,9 +219,8 @@ def problems(text: str) -> tuple[str, ...]:
     return refused.value.problems
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_refused_with_its_key_and_what_would_be_right(case):
-    right, wrong, expected = BAD[case]
+@pytest.mark.parametrize(("right", "wrong", "expected"), BAD)
+def test_bad_input_is_refused_with_its_key_and_what_would_be_right(right, wrong, expected):
     assert GOOD.count(right) >= 1
     found = problems(GOOD.replace(right, wrong, 1))
     assert any(one.startswith(expected) for one in found), found
