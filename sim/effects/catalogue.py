@@ -16,9 +16,9 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 
 import sim.effects
 from fsw.dictionary.types import NameMark
+from sim.arms import nominal_params
 from sim.effects import effect as bases
 from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
-from sim.params import nominal_params
 
 ORDER: Final = (
     *("flex-cable", "counterbalance", "contact-stiffness", "surface-position", "ambient"),

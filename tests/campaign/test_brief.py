@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from validation.__main__ import main
-from validation.campaigns import TABLE, Campaign, Context, find_campaign, read_sizes
-from validation.programs import BriefResult
+from validation.campaigns import TABLE, BriefResult, Campaign, Context, find_campaign, read_sizes
 
 WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "robot-baselines", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
