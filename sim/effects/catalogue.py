@@ -214,11 +214,6 @@ class EffectHypothesis:
         """Return the parameters that have a neutral value."""
         return tuple(p for p in parameters_of(self.kind) if p.is_amplitude)
 
-    @property
-    def shape_parameters(self) -> tuple[ParameterField, ...]:
-        """Return the other parameters; each has a default."""
-        return tuple(p for p in parameters_of(self.kind) if not p.is_amplitude)
-
     def effect(self, **values: float) -> Effect:
         """Make the effect with these parameters; others are neutral, or have their defaults."""
         neutral = {p.field: p.spec.neutral for p in self.amplitudes if p.spec is not None}
