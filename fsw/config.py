@@ -6,8 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
-from fsw.dictionary.digest import digest
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
 from fsw.protect.inputs import ProtectionBounds, compute_bounds

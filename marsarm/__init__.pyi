@@ -46,6 +46,7 @@ from marsarm.telemetry.read import read_log as read_log
 from marsarm.telemetry.recorder import record_commands as record_commands
 from sim.arms import BuiltArm as BuiltArm
 from sim.arms import arm_named as arm_named
+from sim.arms import nominal_params as nominal_params
 from sim.effects.effect import EachCycle as EachCycle
 from sim.effects.effect import EachMove as EachMove
 from sim.effects.effect import Effect as Effect
@@ -57,7 +58,6 @@ from sim.initialisation import start_loop as start_loop
 from sim.initialisation import true_reference as true_reference
 from sim.loop import ClosedLoop as ClosedLoop
 from sim.loop import Setup as Setup
-from sim.params import nominal_params as nominal_params
 from sim.placement import Placement as Placement
 from sim.placement import placement_commands as placement_commands
 from sim.plant import Plant as Plant

@@ -1,14 +1,15 @@
-"""Arms that can be simulated, by name, and their random manufacturing tolerances."""
+"""Arms that can be simulated, by name, with their random manufacturing tolerances; and flight parameters."""
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fsw.dictionary.params import Params
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
-from sim.params_table import BadParams
+from sim.params import BadParams, merge_tables, params_from_table, params_table, read_params_toml
 
 if TYPE_CHECKING:  # a nominal arm has no effects, which take 0.1 s to load
     from sim.effects.effect import Effect
@@ -130,3 +131,26 @@ def _parse_name(name: str) -> _ArmName:
 def effects_of_run(effects: "Iterable[Effect]") -> "tuple[Effect, ...]":
     """Return the effects that begin with a run, not with the making of the arm."""
     return tuple(effect for effect in effects if not effect.built_in)
+
+
+def nominal_params() -> Params:
+    """Return the parameters of the drawing of the default arm."""
+    return default_arm().params
+
+
+def params_over_nominal(path: Path) -> Params:
+    """Read a TOML file with any part of the parameters; the others are those of the default arm.
+
+    Raises:
+        BadParams: the file cannot be read, or names or values in it are wrong.
+    """
+    return params_over(nominal_params(), path)
+
+
+def params_over(params: Params, path: Path) -> Params:
+    """Read a TOML file with any part of the parameters; the others come from `params`.
+
+    Raises:
+        BadParams: the file cannot be read, or names or values in it are wrong.
+    """
+    return params_from_table(merge_tables(params_table(params), read_params_toml(path)), str(path))

@@ -11,7 +11,6 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
-from sim.arm_model.mjcf import HULL
 from sim.frames import FLIP
 from sim.plant import Plant
 from sim.setting import World
@@ -126,9 +125,6 @@ def _link_number(model: mujoco.MjModel, geom: int) -> int:
     return int(model.body(body).name.removeprefix("link"))
 
 
-DOCK: Final = "bit_box"
-
-
 def tool_forces(plant: Plant) -> Array:
     """Compute the contact force on each tool, friction included.
 
@@ -148,15 +144,3 @@ def tool_forces(plant: Plant) -> Array:
             force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
             total[n] += FLIP * force_W * (1.0 if is_tool[k, 1] else -1.0)
     return total
-
-
-def hull_force_N(plant: Plant) -> float:
-    """Return the largest normal force between the arm and the rover, the bit boxes excluded."""
-    model, data = plant.model, plant.data
-    largest_N, wrench = 0.0, np.zeros(6)
-    for k in range(data.ncon):
-        geoms = [model.geom(geom) for geom in data.contact.geom[k]]
-        if any(model.body(geom.bodyid[0]).name == HULL and not geom.name.startswith(DOCK) for geom in geoms):
-            mujoco.mj_contactForce(model, data, k, wrench)
-            largest_N = max(largest_N, float(wrench[0]))
-    return largest_N

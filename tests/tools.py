@@ -1,6 +1,6 @@
 """Tools and contact switches of the nominal arm, in the order of its parameters."""
 
-from sim.params import nominal_params
+from sim.arms import nominal_params
 
 _PARAMS = nominal_params()
 TOOLS = _PARAMS.tool_names

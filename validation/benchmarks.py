@@ -1,16 +1,33 @@
-"""Measure speeds in two minutes, and the memory of a run without a log."""
+"""Measure speeds in two minutes, and the memory of a run without a log.
+
+Recording: processor time of the plant's truth and of the recorder in a cycle of `contact-science`. Opening
+and closing the log count once in the run. So would other processes of the recorder, which has none. The
+slowest writes are those that close a chunk.
+
+Reading: a log of ten minutes into numpy arrays, compared with the stock reader of MCAP. Sample logs of any
+length repeat the beginning of a hardstop initialisation.
+"""
 
 import os
 import platform
 import time
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
+from itertools import cycle, islice
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
+from mcap.reader import make_reader
 
+import sim.loop
+from fsw.config import CYCLE_HZ, configure
+from fsw.cycle import step
+from fsw.dictionary.commands import CalibrateAll
+from fsw.estimate.reference import Reference
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.budget import run_budget
@@ -18,10 +35,208 @@ from marsarm.accuracy.request import BudgetRequest
 from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
+from marsarm.telemetry.format import CHUNK_CYCLES
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from sim.arms import arm_named
 from sim.frames import approach_from, p_R_from_N, random_targets
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
+from sim.record import CycleRecord
+from sim.scenario.file import load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup
+from sim.setting import Surface, World
 from validation.campaigns import Context, Document
 from validation.kinematics import Trial, arm_of
-from validation.speed import closed_loop, log_reading, recording
+
+REPEATS = 5
+TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+
+
+@cache
+def nominal_reference() -> Reference:
+    """Return the reference of the nominal arm after its hardstop initialisation."""
+    return initial_reference(arm_named("nominal"))
+
+
+def placement_loop(with_truth: bool = False) -> ClosedLoop:
+    """Make a closed loop with the nominal arm in the ready pose in front of the target."""
+    arm = arm_named("nominal")
+    world = World(surface=Surface(TARGET.p_N_m, TARGET.normal_N))
+    return ClosedLoop(
+        Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
+    )
+
+
+def _realtime_factor() -> float:
+    """Measure simulated time over wall time of a placement in the closed loop."""
+    loop = placement_loop()
+    began = time.perf_counter()
+    cycles = sum(1 for _ in PlacementRun(loop, TARGET))
+    return cycles / CYCLE_HZ / (time.perf_counter() - began)
+
+
+def time_calls(
+    function: Callable[..., Any], times_s: list[float], clock: Callable[[], float] = time.perf_counter
+) -> Callable[..., Any]:
+    """Wrap a function so that the duration of each call, by a clock, is appended to `times_s`."""
+
+    def run(*args: Any) -> Any:
+        began = clock()
+        result = function(*args)
+        times_s.append(clock() - began)
+        return result
+
+    return run
+
+
+def _step_times_us() -> list[float]:
+    """Measure the microseconds of flight software in every cycle of a placement."""
+    times_s, loop = list[float](), placement_loop()
+    sim.loop.step = time_calls(step, times_s)  # type: ignore[attr-defined]
+    try:
+        for _ in PlacementRun(loop, TARGET):
+            pass
+    finally:
+        sim.loop.step = step  # type: ignore[attr-defined]
+    return [1e6 * t for t in times_s]
+
+
+def closed_loop() -> dict[str, Any]:
+    """Measure the speed of the closed loop, and that of flight software in it."""
+    fsw_us = np.array(_step_times_us())
+    return {
+        "realtime_factor": median(_realtime_factor() for _ in range(REPEATS)),
+        "fsw_step_us": {
+            "median": float(np.median(fsw_us)),
+            "p99": float(np.percentile(fsw_us, 99)),
+            "max": float(fsw_us.max()),
+        },
+    }
+
+
+SCENARIO: Final = "contact-science"
+STRETCH: Final = 1024
+"""Cycles in a stretch: whole chunks."""
+FIRST: Final = 500
+"""Cycles of warm-up."""
+CYCLES: Final = 50_000
+"""Cycles that are recorded, if the scenario has as many."""
+MOST_US: Final = 65.0
+"""Largest processor time of truth and recorder in a cycle, mean over a stretch."""
+MOST_WRITE_MS: Final = 1.0
+"""Largest processor time of the slowest write of 1,000."""
+
+
+def recording() -> dict[str, Any]:
+    """Measure processor times, all processes counted, and check their bounds."""
+    arm, scenario = arm_named("nominal"), load_scenario(SCENARIO)
+    loop = ClosedLoop(scenario_setup(scenario, arm, nominal_reference(), 0), with_truth=True)
+    truth_s = list[float]()
+    loop.plant.truth = time_calls(loop.plant.truth, truth_s, time.process_time)  # type: ignore[method-assign]
+    cycles = iter(ScenarioRun(loop, scenario))
+    list(islice(cycles, FIRST))
+    write_s = list[float]()
+    before, began_s = _children_s(), time.process_time()
+    with TemporaryDirectory() as folder:
+        recorder = Recorder(Path(folder) / "run.mcap", {}, loop.config)
+        ends_s = time.process_time() - began_s
+        write = time_calls(recorder.write, write_s, time.process_time)
+        truth_s.clear()
+        for record in islice(cycles, CYCLES):
+            write(record)
+        began_s = time.process_time()
+        recorder.close()
+        ends_s += time.process_time() - began_s
+    ends_us = 1e6 * (ends_s + _children_s() - before) / len(write_s)
+    truth_us, write_us = (_median_us(times_s) for times_s in (truth_s[: len(write_s)], write_s))
+    return {
+        "cycles": len(write_s),
+        "truth_us": truth_us,
+        "recorder_us": write_us + ends_us,
+        **judge_cost(truth_us + write_us + ends_us, 1e3 * float(np.percentile(write_s, 99.9))),
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def _median_us(times_s: list[float]) -> float:
+    """Return the median over stretches of their mean: other programs slow some stretches down."""
+    whole = len(times_s) // STRETCH * STRETCH
+    return 1e6 * float(np.median(np.reshape(times_s[:whole], (-1, STRETCH)).mean(axis=1)))
+
+
+def _children_s() -> float:
+    """Return the processor time of the child processes that have ended."""
+    return os.times().children_user + os.times().children_system
+
+
+def judge_cost(both_us: float, write_ms: float) -> dict[str, Any]:
+    """Compare with the bounds: truth and recorder in a cycle, and the 99.9th percentile of a write."""
+    return {
+        "truth_and_recorder_us": both_us,
+        "write_p99.9_ms": write_ms,
+        "bounds": {"truth_and_recorder_us": MOST_US, "write_p99.9_ms": MOST_WRITE_MS},
+        "in_bounds": both_us <= MOST_US and write_ms <= MOST_WRITE_MS,
+    }
+
+
+PERIOD: Final = 8192
+"""Cycles after which the recorded cycles repeat."""
+
+
+@cache
+def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
+    """Run the first cycles of a hardstop initialisation; the records contain the truth of the plant."""
+    arm = arm_named("nominal")
+    loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad), with_truth=True)
+    return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
+
+
+def record_log(path: Path, cycles: int, chunk_cycles: int = CHUNK_CYCLES) -> Path:
+    """Write a complete log of this many cycles."""
+    config = configure(arm_named("nominal").params)
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_cycles) as recorder:
+        for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):
+            recorder.write(replace(record, tick=tick))
+    return path
+
+
+LOG_CYCLES: Final = 38_400
+"""Ten minutes at 64 Hz."""
+
+
+def stock_to_numpy(path: Path) -> dict[str, Any]:
+    """Read all messages with every CRC checked, and return those of each topic as an array of bytes."""
+    bodies: dict[str, list[bytes]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            bodies.setdefault(channel.topic, []).append(message.data)
+    return {topic: np.frombuffer(b"".join(found), np.uint8) for topic, found in bodies.items()}
+
+
+def seconds(job: Callable[[], Any]) -> float:
+    """Measure the processor time of a job, which other processes do not affect much."""
+    began = time.process_time()
+    job()
+    return time.process_time() - began
+
+
+def log_reading(cycles: int = LOG_CYCLES) -> dict[str, Any]:
+    """Measure processor times for all channels; each ratio is the median of alternating pairs."""
+    with TemporaryDirectory() as folder:
+        path = record_log(Path(folder) / "run.mcap", cycles)
+        pairs_s = [
+            (seconds(lambda: read_log(path)), seconds(lambda: stock_to_numpy(path))) for _ in range(REPEATS)
+        ]
+        return {
+            "cycles": cycles,
+            "bytes": path.stat().st_size,
+            "all_channels_s": median(ours for ours, _ in pairs_s),
+            "stock_to_numpy_s": median(stock for _, stock in pairs_s),
+            "ratio_to_stock_to_numpy": median(stock / ours for ours, stock in pairs_s),
+        }
+
 
 FROM_CYCLE: Final = 2_000
 BY_CYCLE: Final = 10_000

@@ -25,16 +25,23 @@ from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
-from marsarm.telemetry.errors import LogDamaged, LogError, LogNotReadable, LostMessages
-from marsarm.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_records
+from marsarm.telemetry.format import (
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    LogDamaged,
+    LogError,
+    LogNotReadable,
+    LostMessages,
+    header_records,
+)
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
 from marsarm.telemetry.mcap_columns import read_records, unpack_chunk
 from marsarm.telemetry.read import Log, parse_log, read_log
 from marsarm.telemetry.recover import recover
 from marsarm.telemetry.tables import channels_document, info_document
+from validation.benchmarks import record_log
 from validation.campaigns import Context, Document
-from validation.speed import record_log
 
 CUT_EVERY: Final = 4096
 HERE: Final = Path("damaged.mcap")

@@ -23,8 +23,7 @@ from marsarm.calibration.verify import (
     zero_errors_rad,
 )
 from marsarm.common.rates import clopper_pearson
-from sim.arms import BuiltArm, arm_named
-from sim.params import nominal_params
+from sim.arms import BuiltArm, arm_named, nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from validation.campaigns import Context, Document

@@ -13,8 +13,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm, arm_named
-from sim.bare_arm import without_turret
-from sim.initialisation import prepare_random_homing
+from sim.initialisation import prepare_random_homing, without_turret
 from sim.sequence import Outcome
 from sim.setting import World
 from simgap.common.errors import BadRequest

@@ -32,9 +32,8 @@ from fsw.kinematics.transforms import (
     rotation_z,
     wrap_angle,
 )
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.frames import approach_from, gravity_in_rover, p_R_from_N, random_targets
-from sim.params import nominal_params
 from sim.setting import GRAVITY_M_S2
 
 MAX_TILT_RAD: Final = np.radians(30.0)

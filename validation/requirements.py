@@ -8,7 +8,7 @@ import json
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
 from math import degrees, isclose
@@ -177,27 +177,40 @@ def read_constant(place: str) -> float | None:
 
 def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
     """Make the page."""
+    values = {row.name: measured[row.campaign]["values"][row.name] for row in table.rows}
+
+    def cells(rows: Iterable[RequirementRow], *more: Callable[[RequirementRow], str]) -> list[str]:
+        results = ((row, f"| {row.name} | {row.source} | {_result(row, values[row.name])}") for row in rows)
+        return [" | ".join([result, *(one(row) for one in more), ""]).rstrip() for row, result in results]
+
+    def tests(row: RequirementRow) -> str:
+        files = dict.fromkeys(test.partition("::")[0] for test in row.tests)
+        return ", ".join(f"[{Path(file).stem}](../{file})" for file in files)
+
+    of_paper = [row for row in table.rows if row.paper is not None]
     lines = [
         HEAD.format(constants=sum(bool(row.constant) for row in table.rows)),
         "| requirement | source | bound | measured | margin | campaign | tests of the method |",
         "|---|---|---|---|---|---|---|",
-    ]
-    values = {row.name: measured[row.campaign]["values"][row.name] for row in table.rows}
-    for row in table.rows:
-        files = dict.fromkeys(test.partition("::")[0] for test in row.tests)
-        tests = ", ".join(f"[{Path(file).stem}](../{file})" for file in files)
-        result = _result(row, values[row.name])
-        lines.append(f"| {row.name} | {row.source} | {result} | [{row.campaign}](#campaigns) | {tests} |")
-    lines += [
+        *cells(
+            (row for row in table.rows if row.paper is None),
+            lambda row: f"[{row.campaign}](#campaigns)",
+            tests,
+        ),
         "",
         "## Tables 3 and 4 of the paper",
-        "| row | paper | ours over paper | why |",
-        "|---|---|---|---|",
+        f"Campaign {', '.join(dict.fromkeys(row.campaign for row in of_paper))}, "
+        f"{', '.join(dict.fromkeys(map(tests, of_paper)))}.",
+        "",
+        "| requirement | source | bound | measured | margin | paper | ours over paper | why |",
+        "|---|---|---|---|---|---|---|---|",
+        *cells(
+            of_paper,
+            lambda row: f"{row.paper:g} {row.unit}",
+            lambda row: f"{values[row.name] / (row.paper or 1.0):.2f}",
+            lambda row: row.why,
+        ),
     ]
-    for row in table.rows:
-        if row.paper is not None:
-            ratio = values[row.name] / row.paper
-            lines.append(f"| {row.name} | {row.paper:g} {row.unit} | {ratio:.2f} | {row.why} |")
     lines += ["", "## Campaigns", "| name | what is measured | command | commit |", "|---|---|---|---|"]
     for campaign in table.campaigns:
         commit = measured[campaign.name]["commit"]

@@ -14,8 +14,7 @@ import numpy as np
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
 from marsarm.replaying.replay import ReplayRequest, replay
-from marsarm.telemetry.header import run_header
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, run_header
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop

@@ -4,7 +4,9 @@ Plain records of numbers load strictly, have one digest and read well. The names
 give the limits; the loader and the ground dictionary read them.
 """
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from typing import Annotated
 
 from fsw.dictionary.motion_params import (
@@ -309,3 +311,24 @@ class Params:
             tool.name: tuple(k for k, switch in enumerate(self.switches) if switch.tool == tool.name)
             for tool in self.tools
         }
+
+
+def digest(params: Params) -> str:
+    """Compute the SHA-256 of the parameter values; equal values give equal digests."""
+    return hashlib.sha256(_canonical_text(params).encode()).hexdigest()
+
+
+def _canonical_text(value: object) -> str:
+    """Convert a value to the one text that all equal values share."""
+    if is_dataclass(value):
+        return "".join(
+            [f"{name}={_canonical_text(getattr(value, name))};" for name in _field_names(value.__class__)]
+        )
+    if isinstance(value, tuple):
+        return f"({','.join(_canonical_text(item) for item in value)})"
+    return float(value).hex() if isinstance(value, float) else str(value)
+
+
+@cache
+def _field_names(record: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(record))

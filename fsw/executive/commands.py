@@ -61,6 +61,8 @@ from fsw.executive.context import (
     is_stowed,
     next_mode,
     refuse,
+    set_param,
+    set_tilt,
     stop_event,
     tool_preload,
     with_events,
@@ -74,7 +76,6 @@ from fsw.executive.expansion import (
 )
 from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
 from fsw.executive.poses import check_homing, check_homing_all
-from fsw.executive.settings import set_param, set_tilt
 from fsw.messages import Flags
 from fsw.motion import homing
 from fsw.motion.force_fit import ForceFit

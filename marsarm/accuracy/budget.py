@@ -8,19 +8,21 @@ from typing import Final, Literal
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.digest import digest
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.kinematics.transforms import Array
-from marsarm.accuracy.confidence import Interval, quantile_interval
 from marsarm.accuracy.propagation import (
     COVERAGE,
     PARTS,
     Bounds,
+    BudgetCase,
+    ErrorModel,
     Poses,
     Sensitivity,
     SquaredLength,
     bounds,
     compute_sensitivity,
+    is_compensated,
+    load_error_model,
     moments_rule,
     paper_rule,
     pooled_quantile,
@@ -31,7 +33,7 @@ from marsarm.accuracy.propagation import (
     worst_case,
 )
 from marsarm.accuracy.request import BudgetRequest
-from marsarm.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
+from marsarm.common.rates import Interval, quantile_interval
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options

@@ -9,9 +9,8 @@ import numpy as np
 
 from fsw.dictionary.enums import Frame
 from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
-from marsarm.accuracy.confidence import describe_sample, is_within
-from marsarm.accuracy.propagation import COVERAGE
-from marsarm.accuracy.sources import sources_sha256
+from marsarm.accuracy.propagation import COVERAGE, sources_sha256
+from marsarm.common.rates import describe_sample, is_within
 from marsarm.render import svg
 from marsarm.render.svg import ReportFigure
 from simgap.common.files import json_sha256

@@ -8,9 +8,9 @@ import numpy as np
 
 from marsarm.accuracy.budget import COMPONENTS, MOMENTS, TABLE_3, TABLE_4
 from marsarm.accuracy.budget_report import RULES, format_value, make_origin, short_name
-from marsarm.accuracy.confidence import describe_sample, is_within, min_sample_size
 from marsarm.accuracy.monte_carlo import CoverageReport, MonteCarloReport
 from marsarm.accuracy.propagation import COVERAGE
+from marsarm.common.rates import describe_sample, is_within, min_sample_size
 from marsarm.render import svg
 from marsarm.render.svg import ReportFigure
 from simgap.common.page import Requirement

@@ -16,9 +16,15 @@ from fsw.kinematics.arm import heat_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
-from marsarm.accuracy.propagation import workspace_poses
+from marsarm.accuracy.propagation import (
+    BudgetCase,
+    Distribution,
+    ErrorModel,
+    ErrorSource,
+    is_compensated,
+    workspace_poses,
+)
 from marsarm.accuracy.request import MoveModel
-from marsarm.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.effects.effect import (
@@ -36,8 +42,7 @@ from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, Serv
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 from sim.loop import Setup, hardware_rng
-from sim.pose_sequence import describe_no_way, free_air_loop, run_and_rest
-from sim.quasi_static import StaticArm, solve_quasi_static_move
+from sim.pose_sequence import StaticArm, describe_no_way, free_air_loop, run_and_rest, solve_quasi_static_move
 from sim.setting import WARM_C, World
 
 START_OFFSET_RAD: Final = 0.05

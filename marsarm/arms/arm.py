@@ -13,13 +13,13 @@ from fsw.config import Config, configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Array, Pose
-from marsarm.arms.request import ArmRequest
+from marsarm.common.options import ArmRequest
 from marsarm.render import svg
 from marsarm.render.rover_scene import draw_outlines, project_outlines
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
-from sim.params_table import BadParams, full_params_toml
+from sim.params import BadParams, full_params_toml
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write, check_output
 from simgap.common.options import check_options

@@ -12,8 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.digest import digest
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose
 from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters, move_zeros_to_hardstops
@@ -22,7 +21,7 @@ from marsarm.calibration.consensus import OutlierRejection, reject_outliers
 from marsarm.calibration.residual_model import residual_model
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
-from sim.params_table import params_toml
+from sim.params import params_toml
 from simgap import (
     Fit,
     FitParameter,

@@ -33,7 +33,7 @@ from marsarm.common.requests import load_params, select_arm
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.frames import P_NR_M
-from sim.params_table import BadParams, check_params
+from sim.params import BadParams, check_params
 from sim.tracker import Tracker
 from simgap import Fit, HoldOutValidation, Identifiability, error_screw
 from simgap.common.errors import BadRequest

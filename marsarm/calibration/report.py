@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.calibration.calibrate import Calibration, data_sha256, provenance, rms_m
 from marsarm.calibration.execution import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0, CalibrateReport

@@ -17,25 +17,23 @@ from marsarm.calibration.arm_parameters import (
     BACKLASHES,
     FRAME_SCREWS,
     GEAR_STIFFNESSES,
+    JOINT_COUNT,
     LINK_STIFFNESSES,
     MASS_CENTRES,
     MASS_FACTORS,
     MASS_FRAMES,
     PARAMETER_COUNT,
-    arm_with_values,
-    turret_displacement,
-)
-from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
-from marsarm.calibration.consensus import confirm_sides, pose_whitener
-from marsarm.calibration.deflection_jacobian import (
-    JOINT_COUNT,
     SCREW,
     STRAIN,
     DeflectionDerivatives,
     add_batch_axis,
+    arm_with_values,
     differentiate_deflection,
     screw_derivatives,
+    turret_displacement,
 )
+from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
+from marsarm.calibration.consensus import confirm_sides, pose_whitener
 from sim.effects.structure import params_with_stand_in
 from sim.tolerances import SPRING_FRAMES
 from simgap import Fit, Linearisation, error_screw, linearise

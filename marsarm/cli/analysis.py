@@ -5,8 +5,8 @@ from typing import Annotated
 import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.arms.request import ArmRequest
 from marsarm.calibration.request import CalibrateRequest
+from marsarm.common.options import ArmRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress

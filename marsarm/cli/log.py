@@ -107,8 +107,7 @@ def export(
 
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
-    from marsarm.telemetry.export import export
-    from marsarm.telemetry.tables import export_document, export_parts
+    from marsarm.telemetry.tables import export, export_document, export_parts
 
     read = _read(log, start, stop)
     files = export(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
@@ -164,7 +163,7 @@ def _read(log: Path, start_s: float | None, stop_s: float | None) -> "Log":
     Raises:
         BadRequest: the log has no message between these times.
     """
-    from marsarm.telemetry.errors import trailing_bytes_text
+    from marsarm.telemetry.format import trailing_bytes_text
     from marsarm.telemetry.inspection import bound_ns
     from marsarm.telemetry.read import read_log
 
@@ -205,8 +204,7 @@ def replay(
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
-    from marsarm.replaying.replay import ReplayRequest, replay
-    from marsarm.replaying.tables import replay_document, replay_parts
+    from marsarm.replaying.replay import ReplayRequest, replay, replay_document, replay_parts
 
     report = replay(ReplayRequest(log, channel, params), progress)
     return shown(replay_document(report), replay_parts(report), report.differences.identical)

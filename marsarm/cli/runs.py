@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
+from marsarm.common.options import ViewRequest
 from marsarm.runs.request import SHOWN_PLACEMENT, HardstopRequest, PlaceRequest, RunRequest
-from marsarm.view.request import ViewRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb

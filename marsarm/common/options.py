@@ -1,5 +1,9 @@
-"""Options that several verbs share: the arm, its flight parameters and effects, and how the rover stands."""
+"""Options that several verbs share: the arm, its flight parameters and effects, and how the rover stands.
 
+The requests of `arm` and `view`, too.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -30,3 +34,45 @@ EffectsOption = Annotated[
         is_read=True,
     ),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmRequest:
+    """Options of `marsarm arm`."""
+
+    arm: Annotated[
+        str | None,
+        Option(
+            "Name of an arm, or a folder with an arm.toml; all arms if not given.", "ARM", is_argument=True
+        ),
+    ] = None
+    picture: Annotated[
+        Path | None,
+        Option("Draw arm, rover and frames, from the side and from above.", "FILE.png", suffixes=(".png",)),
+    ] = None
+    build: Annotated[bool, Option("Write arm.xml and flight.toml where they are not those of arm.toml.")] = (
+        False
+    )
+    check: Annotated[bool, Option("Write nothing; say whether these files are those of arm.toml.")] = False
+
+
+DEFAULT_PORT: Final = 8080
+
+
+@dataclass(frozen=True, slots=True)
+class ViewRequest:
+    """Options of `marsarm view`."""
+
+    log: Annotated[Path, Option("A telemetry log (MCAP).", "LOG", is_argument=True, is_read=True)]
+    html: Annotated[
+        Path | None,
+        Option(
+            "Write one page that plays without a server, and serve nothing.", "FILE.html", suffixes=(".html",)
+        ),
+    ] = None
+    port: Annotated[
+        int,
+        Option(
+            "Port of the viewer on 127.0.0.1; the next free one if it is taken.", "PORT", within=(1024, 65535)
+        ),
+    ] = DEFAULT_PORT

@@ -20,7 +20,7 @@ from marsarm.common.fields import alias_docs, class_doc, field_docs, unit_of
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.schema import arm_names, array_shape, strip_optional
 from marsarm.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from sim.scenario.records import suggest_name, upper_snake
 from simgap.common.errors import BadRequest
 

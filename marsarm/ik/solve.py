@@ -11,15 +11,15 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
-from fsw.dictionary.digest import digest
+from fsw.dictionary.params import digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.transforms import Array, select_targets
 from marsarm.common.pool import Runner, in_order, select_runner
 from marsarm.common.requests import make_world, parse_tool, select_arm
+from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
 from marsarm.ik.request import IkRequest, ModelRequest
-from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
 from sim.frames import Workspace
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options

@@ -10,19 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Outputs, Sensors
-from marsarm.telemetry.errors import trailing_bytes_text
 from marsarm.telemetry.events import BadJson, EvrEntry, command_from_json, evr_entry, record_from_json
-from marsarm.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
+from marsarm.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS, trailing_bytes_text
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.schema import PER_JOINT, ArmNames, arm_names, packet_layout
 from marsarm.telemetry.topics import PACKET_TOPICS, Topic
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 
 REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)

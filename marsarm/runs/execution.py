@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
+from fsw.dictionary.params import digest
 from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
-from marsarm.telemetry.errors import LogNotWritable
+from marsarm.telemetry.format import LogNotWritable
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.robot_description import draw_scene
 from sim.arm_model.load import ArmModel

@@ -16,14 +16,12 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
-from marsarm.common.effects import fit_effects, parse_effects
-from marsarm.common.requests import make_world, select_arm
+from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
 from marsarm.render.svg import save_figure
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest, RunFiles
 from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
 from sim.arms import BuiltArm, effects_of_run
-from sim.bare_arm import without_turret
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
@@ -33,6 +31,7 @@ from sim.initialisation import (
     InitialisationRun,
     prepare_homing,
     prepare_random_homing,
+    without_turret,
 )
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord

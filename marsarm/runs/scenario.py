@@ -4,8 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.effects import parse_effects
-from marsarm.common.requests import make_world, select_arm
+from marsarm.common.requests import make_world, parse_effects, select_arm
 from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
@@ -16,7 +15,7 @@ from marsarm.runs.execution import (
     open_view,
 )
 from marsarm.runs.request import RunRequest
-from marsarm.telemetry.header import run_header
+from marsarm.telemetry.recorder import run_header
 from sim.arms import BuiltArm
 from sim.effects.effect import EffectMisfit
 from sim.effects.environment import default_ambient

@@ -13,7 +13,7 @@ import numpy as np
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.validity import MAX_FLOAT
-from marsarm.telemetry.errors import SchemaError
+from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 
 COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}

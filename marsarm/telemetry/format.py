@@ -1,11 +1,18 @@
-"""Conventions of a log beyond MCAP and CDR: version, names of records, keys and topics, length of a cycle."""
+"""Conventions of a log beyond MCAP and CDR: version, names of records, keys and topics, length of a cycle.
+
+Errors of logs, and the messages that a damaged log has lost, as records, text and metadata.
+"""
 
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Final
 
 from mcap.records import Metadata
+
+from simgap.common.errors import UserError
 
 TICK_NS: Final = 15_625_000
 """Length of a cycle at 64 Hz, exact."""
@@ -77,3 +84,94 @@ def header_records(header: Mapping[str, str]) -> list[Metadata]:
 def header_crc32(header: Mapping[str, str]) -> str:
     """Compute the CRC of a header; MCAP has none for metadata in a truncated file."""
     return str(zlib.crc32(json.dumps(dict(header), sort_keys=True).encode()))
+
+
+RECOVERED_RECORD: Final = "marsarm.recovered"
+"""Name of the metadata that lists what a recovered log has lost."""
+
+
+class LogError(UserError):
+    """Error of a log; `path` is the file and `why` the reason."""
+
+    def __init__(self, path: Path, why: str) -> None:
+        super().__init__(f"log {path}: {why}")
+        self.path = path
+        self.why = why
+
+
+class LogNotWritable(LogError):
+    """Error of a path where no log can be written; nothing was written."""
+
+
+class LogNotReadable(LogError):
+    """Error of a file that is not a marsarm log, or has a format that this version does not know."""
+
+
+class LogDamaged(LogError):
+    """Error of a log whose bytes changed after it was written; `offset` is the byte where this shows."""
+
+    def __init__(self, path: Path, why: str, offset: int) -> None:
+        super().__init__(
+            path,
+            f"{why} (byte {offset}); the file was changed after it was written, and `marsarm log recover` "
+            "copies what is readable and says what is lost",
+        )
+        self.offset = offset
+
+
+class SchemaError(Exception):
+    """Error of a packet, command or EVR with a value that the format of a log cannot hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostMessages:
+    """Messages that were written and cannot be read any more; None stands for unknown."""
+
+    topic: str | None
+    """Topic of the messages; None for all topics."""
+    count: int | None
+    after_ns: int | None
+    """Log time of the last message before the damage; None if the damage is at the beginning."""
+    before_ns: int | None
+    """Log time of the first message after the damage; None if no message follows."""
+
+    @property
+    def sentence(self) -> str:
+        """Sentence: how many messages of which topic were lost, and when."""
+        count = "an unknown number of" if self.count is None else str(self.count)
+        messages = "message" if self.count == 1 else "messages"
+        when = span_text(self.after_ns, self.before_ns)
+        return f"{count} {messages} of {self.topic or 'all topics'} lost, {when}"
+
+
+def span_text(after_ns: int | None, before_ns: int | None) -> str:
+    """Format a span of log time."""
+    match after_ns, before_ns:
+        case None, None:
+            return "at an unknown time"
+        case None, int():
+            return f"before {before_ns / 1e9:.6f} s"
+        case int(), None:
+            return f"after {after_ns / 1e9:.6f} s"
+        case _:
+            return f"between {(after_ns or 0) / 1e9:.6f} s and {(before_ns or 0) / 1e9:.6f} s"
+
+
+def trailing_bytes_text(size: int) -> str:
+    """Format the note about bytes after the end of the log."""
+    return f"{size} bytes after the end of the log are left out; a file holds one log"
+
+
+def interruption_text(interrupted_by: str) -> str:
+    """Format the note about the log of an interrupted run."""
+    return f"the run was interrupted by {interrupted_by}; the log ends there"
+
+
+def loss_metadata(lost: Sequence[LostMessages]) -> Metadata:
+    """Return the metadata that lists the losses in a recovered log."""
+    return Metadata(RECOVERED_RECORD, with_crc({"lost": json.dumps([asdict(one) for one in lost])}))
+
+
+def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
+    """Read the metadata that `loss_metadata` made; ValueError or TypeError if it is damaged."""
+    return tuple(LostMessages(**one) for one in json.loads(without_crc(record).get("lost", "[]")))

@@ -19,8 +19,8 @@ from fsw.estimate.reference import Reference
 from marsarm.common.fields import unit_of
 from marsarm.telemetry.schema import ROS_NAME, Field, Layout, arm_names, packet_layout
 from marsarm.telemetry.topics import PACKET_TOPICS
-from sim.params import nominal_params, params_over_nominal
-from sim.params_table import BadParams
+from sim.arms import nominal_params, params_over_nominal
+from sim.params import BadParams
 from simgap.common.errors import RobotError
 from simgap.common.record import Record
 from simgap.files.robot_file import CsvTable, TimeTable

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import TICK_NS
-from marsarm.telemetry.header import IMPORT, SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.import_mapping import (
     IMPORT_PREFIX,
     TICK,
@@ -36,6 +35,7 @@ from marsarm.telemetry.import_times import (
     pick_rows,
     row_times,
 )
+from marsarm.telemetry.recorder import IMPORT, SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.schema import ENCAPSULATION, Layout
 from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout_spec
 from simgap.common.console import pluralize

@@ -34,8 +34,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdCompressor
 
-from marsarm.telemetry.errors import SchemaError
-from marsarm.telemetry.format import TICK_NS
+from marsarm.telemetry.format import TICK_NS, SchemaError
 from marsarm.telemetry.schema import ENCAPSULATION, Layout
 
 RECORD_HEAD: Final = Struct("<BQ")

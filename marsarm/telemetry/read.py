@@ -10,14 +10,6 @@ from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from marsarm.telemetry.errors import (
-    RECOVERED_RECORD,
-    LogDamaged,
-    LogNotReadable,
-    LostMessages,
-    interruption_text,
-    losses_in,
-)
 from marsarm.telemetry.events import CommandEntry, EvrEntry
 from marsarm.telemetry.format import (
     COMMAND_TOPIC,
@@ -26,8 +18,14 @@ from marsarm.telemetry.format import (
     FORMAT_RECORD,
     HEADER_RECORD,
     INTERRUPTED_KEY,
+    RECOVERED_RECORD,
     TICK_NS,
+    LogDamaged,
+    LogNotReadable,
+    LostMessages,
     header_crc32,
+    interruption_text,
+    losses_in,
     version_problem,
     without_crc,
 )

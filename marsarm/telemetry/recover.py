@@ -13,21 +13,19 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from marsarm.telemetry.errors import (
-    RECOVERED_RECORD,
-    LogNotReadable,
-    LostMessages,
-    loss_metadata,
-    losses_in,
-    trailing_bytes_text,
-)
 from marsarm.telemetry.format import (
     END_RECORD,
     FORMAT_RECORD,
     HEADER_RECORD,
     INTERRUPTED_KEY,
+    RECOVERED_RECORD,
+    LogNotReadable,
+    LostMessages,
     end_metadata,
     header_crc32,
+    loss_metadata,
+    losses_in,
+    trailing_bytes_text,
     version_problem,
     without_crc,
 )

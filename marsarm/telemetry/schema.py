@@ -16,7 +16,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits, NameMark
 from marsarm.common.fields import field_docs, unit_of
-from marsarm.telemetry.errors import SchemaError
+from marsarm.telemetry.format import SchemaError
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Encapsulation header: CDR, XCDR1, little endian. Alignment counts from the byte after it."""

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from marsarm.view.request import ViewRequest
+from marsarm.common.options import ViewRequest
 from marsarm.view.scene import looks_json
 from marsarm.view.server import Viewer
 from marsarm.view.watched_run import Plot, WatchedRun, make_plots, watch_log

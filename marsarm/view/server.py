@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
+from marsarm.common.options import DEFAULT_PORT
 from marsarm.render.rays import Triangles, join_triangles
 from marsarm.view.frames import SAMPLE_CYCLES, Event, Trail, ViewFrames
 from marsarm.view.recorded_run import RecordedRun
-from marsarm.view.request import DEFAULT_PORT
 from marsarm.view.scene import (
     ARROW_HEAD_M,
     ARROW_M_PER_N,

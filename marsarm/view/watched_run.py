@@ -15,8 +15,8 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.transforms import Array, normalize
 from marsarm.telemetry.events import BadJson, record_from_json
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
-from marsarm.telemetry.header import WORLD
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recorder import WORLD
 from marsarm.view.frames import Event, Samples, ViewFrames, compute_frames
 from marsarm.view.scene import Scene, build_scene
 from sim.arm_model.load import ArmModel

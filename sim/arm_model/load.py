@@ -26,7 +26,7 @@ from sim.arm_model.description import (
 from sim.arm_model.mjcf import BadLooks, arm_mjcf
 from sim.arm_model.validity import check_description, reserved_of_flight
 from sim.frames import PRIMARY, Workspace
-from sim.params_table import merge_tables, params_from_table
+from sim.params import merge_tables, params_from_table
 from simgap.common.errors import RobotError
 from simgap.common.toml import read_text, read_toml
 

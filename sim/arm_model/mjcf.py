@@ -99,14 +99,7 @@ def arm_mjcf(arm: ArmDescription, hull: Hull, visual: str | None, shows_hull: bo
     _add_actuators(arm, SubElement(root, "actuator"))
     brakes = SubElement(root, "equality")
     for name in arm.joints.by_name():
-        SubElement(
-            brakes,
-            "joint",
-            name=f"{name}_brake",
-            attrib={"class": "arm"},
-            joint1=f"{name}_motor",
-            active="false",
-        )
+        _add(brakes, "joint", "arm", name=f"{name}_brake", joint1=f"{name}_motor", active="false")
     sensors = SubElement(root, "sensor")
     for name in arm.switches:
         SubElement(sensors, "touch", name=name, site=name)
@@ -165,15 +158,8 @@ def _add_bodies(arm: ArmDescription, looks: _Looks, rmech: Element) -> None:
     for k, (link, joint) in enumerate(zip(links[1:], joints, strict=True), start=1):
         body = _body(parent, f"link{k}", start, centre)
         actuator = arm.actuator_of(joint)
-        SubElement(
-            body,
-            "joint",
-            name=f"{joint}_motor",
-            attrib={"class": "motor"},
-            armature=_numbers(actuator.armature_kg_m2),
-            frictionloss=_numbers(actuator.friction_Nm),
-            damping=_numbers(actuator.damping_Nms_rad),
-        )
+        motor = _add(body, "joint", "motor", name=f"{joint}_motor", armature=actuator.armature_kg_m2)
+        _set(motor, frictionloss=actuator.friction_Nm, damping=actuator.damping_Nms_rad)
         SubElement(body, "joint", name=f"{joint}_gear")
         if link.near is not None:
             _add_mass(body, link.near, (0.0, 0.0, 0.0))
@@ -226,16 +212,8 @@ def _add_tool(arm: ArmDescription, name: str, looks: _Looks, turret: Element) ->
     _add_shapes(body, arm.shapes[name])
     for pad, switch in arm.switches.items():
         if switch.tool == name:
-            place = _numbers(switch.p_m)
-            SubElement(
-                body,
-                "geom",
-                name=f"{pad}_pad",
-                attrib={"class": "pad"},
-                solref=_numbers(tool.pad_solref),
-                pos=place,
-            )
-            SubElement(body, "site", name=pad, pos=place, size=_numbers(PAD_SITE_M))
+            _add(body, "geom", "pad", name=f"{pad}_pad", solref=tool.pad_solref, pos=switch.p_m)
+            _add(body, "site", name=pad, pos=switch.p_m, size=PAD_SITE_M)
 
 
 def _body(parent: Element, name: str, X: Transform6, centre: Vector3) -> Element:
@@ -273,13 +251,8 @@ def _multiply(p: Array, q: Array) -> Array:
 
 
 def _add_mass(body: Element, lump: Lump, centre: Vector3) -> None:
-    SubElement(
-        body,
-        "inertial",
-        pos=_numbers(_difference(np.array(lump.com_m), centre)),
-        mass=_numbers(lump.mass_kg),
-        diaginertia=_numbers(lump.inertia_kg_m2),
-    )
+    pos = _difference(np.array(lump.com_m), centre)
+    _add(body, "inertial", pos=pos, mass=lump.mass_kg, diaginertia=lump.inertia_kg_m2)
 
 
 def _add_spring(body: Element, name: str, link: LinkDescription) -> None:
@@ -289,8 +262,7 @@ def _add_spring(body: Element, name: str, link: LinkDescription) -> None:
         joint = SubElement(body, "joint", name=f"{name}_{axis}", axis=direction)
         if k >= 3:
             joint.set("type", "slide")
-        joint.set("stiffness", _numbers(link.stiffness[k]))
-        joint.set("damping", _numbers(round(DAMPING_S * link.stiffness[k], 6)))
+        _set(joint, stiffness=link.stiffness[k], damping=round(DAMPING_S * link.stiffness[k], 6))
 
 
 def _add_shapes(body: Element, shapes: Iterable[Shape]) -> None:
@@ -303,21 +275,12 @@ def _add_shape(body: Element, shape: Shape, kind: str) -> Element:
     geom = SubElement(body, "geom", attrib={"class": kind})
     if shape.kind == "capsule":
         if shape.from_m == shape.to_m:
-            geom.set("type", "sphere")
-            geom.set("size", _numbers(shape.radius_m))
-            geom.set("pos", _numbers(shape.from_m))
-            return geom
+            return _set(geom, type="sphere", size=shape.radius_m, pos=shape.from_m)
         if kind != "collision":
             geom.set("type", "capsule")
-        geom.set("size", _numbers(shape.radius_m))
-        geom.set("fromto", f"{_numbers(shape.from_m)} {_numbers(shape.to_m)}")
-        return geom
-    geom.set("type", str(shape.kind))
-    if shape.kind == "box":
-        geom.set("size", _numbers(shape.half_m))
-    else:
-        geom.set("size", f"{_numbers(shape.radius_m)} {_numbers(shape.half_length_m)}")
-    geom.set("pos", _numbers(shape.centre_m))
+        return _set(geom, size=shape.radius_m, fromto=f"{_numbers(shape.from_m)} {_numbers(shape.to_m)}")
+    size = shape.half_m if shape.kind == "box" else (shape.radius_m, shape.half_length_m)
+    _set(geom, type=str(shape.kind), size=size, pos=shape.centre_m)
     if shape.turn_rad:
         geom.set("euler", f"0 0 {_numbers(shape.turn_rad)}")
     return geom
@@ -327,25 +290,14 @@ def _add_tendons(arm: ArmDescription, tendons: Element) -> None:
     for name in arm.joints.by_name():
         actuator = arm.actuator_of(name)
         half = 0.5 * actuator.backlash_rad
-        gear = SubElement(
-            tendons,
-            "fixed",
-            name=f"{name}_gear",
-            springlength=_numbers((-half, half)),
-            stiffness=_numbers(actuator.gear_stiffness_Nm_rad),
-            damping=_numbers(round(DAMPING_S * actuator.gear_stiffness_Nm_rad, 6)),
-        )
+        gear = _add(tendons, "fixed", name=f"{name}_gear", springlength=(-half, half))
+        stiffness = actuator.gear_stiffness_Nm_rad
+        _set(gear, stiffness=stiffness, damping=round(DAMPING_S * stiffness, 6))
         SubElement(gear, "joint", joint=f"{name}_gear", coef="1")
     for name, joint in arm.joints.by_name().items():
-        output = SubElement(
-            tendons,
-            "fixed",
-            name=f"{name}_output",
-            attrib={"class": "output"},
-            springlength=_numbers(joint.hardstops_rad),
-            frictionloss=_numbers(arm.actuator_of(name).output_friction_Nm),
-            stiffness=_numbers(joint.hardstop_stiffness_Nm_rad),
-        )
+        output = _add(tendons, "fixed", "output", name=f"{name}_output", springlength=joint.hardstops_rad)
+        friction = arm.actuator_of(name).output_friction_Nm
+        _set(output, frictionloss=friction, stiffness=joint.hardstop_stiffness_Nm_rad)
         SubElement(output, "joint", joint=f"{name}_motor", coef="1")
         SubElement(output, "joint", joint=f"{name}_gear", coef="1")
 
@@ -354,18 +306,23 @@ def _add_actuators(arm: ArmDescription, actuators: Element) -> None:
     for group, name in enumerate(arm.joints.by_name(), start=1):
         motor = arm.actuator_of(name)
         gains = (motor.position_gain_Nm_rad, motor.integral_gain_Nm_rads, motor.rate_gain_Nms_rad)
-        SubElement(
-            actuators,
-            "dcmotor",
-            name=name,
-            joint=f"{name}_motor",
-            group=str(group),
-            input="pos vel",
-            motorconst=_numbers((motor.torque_constant_Nm_A, 0.0)),
-            resistance=_numbers(motor.resistance_Ohm),
-            saturation=_numbers((0.0, motor.current_limit_A, 0.0)),
-            controller=_numbers((*gains, 0.0, motor.integral_limit_rads, 0.0)),
+        added = _add(
+            actuators, "dcmotor", name=name, joint=f"{name}_motor", group=str(group), input="pos vel"
         )
+        _set(added, motorconst=(motor.torque_constant_Nm_A, 0.0), resistance=motor.resistance_Ohm)
+        _set(added, saturation=(0.0, motor.current_limit_A, 0.0))
+        _set(added, controller=(*gains, 0.0, motor.integral_limit_rads, 0.0))
+
+
+def _add(parent: Element, tag: str, default: str = "", **values: object) -> Element:
+    """Add an element of a class of defaults, with these texts and numbers."""
+    return _set(SubElement(parent, tag, attrib={"class": default} if default else {}), **values)
+
+
+def _set(element: Element, **values: object) -> Element:
+    for name, value in values.items():
+        element.set(name, value if isinstance(value, str) else _numbers(value))
+    return element
 
 
 def _difference(p_m: Array, centre_m: Vector3) -> Array:

@@ -16,9 +16,9 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 
 import sim.effects
 from fsw.dictionary.types import NameMark
+from sim.arms import nominal_params
 from sim.effects import effect as bases
 from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
-from sim.params import nominal_params
 
 ORDER: Final = (
     *("flex-cable", "counterbalance", "contact-stiffness", "surface-position", "ambient"),
@@ -213,11 +213,6 @@ class EffectHypothesis:
     def amplitudes(self) -> tuple[ParameterField, ...]:
         """Return the parameters that have a neutral value."""
         return tuple(p for p in parameters_of(self.kind) if p.is_amplitude)
-
-    @property
-    def shape_parameters(self) -> tuple[ParameterField, ...]:
-        """Return the other parameters; each has a default."""
-        return tuple(p for p in parameters_of(self.kind) if not p.is_amplitude)
 
     def effect(self, **values: float) -> Effect:
         """Make the effect with these parameters; others are neutral, or have their defaults."""

@@ -13,11 +13,9 @@ from fsw.dictionary.commands import Command, Preload, SetParam
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.context import check_force
-from fsw.executive.settings import replace_param
-from sim.arms import UnknownArm, arm_named
+from fsw.executive.context import check_force, replace_param
+from sim.arms import UnknownArm, arm_named, nominal_params
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.effects import read_effect
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten

@@ -33,10 +33,17 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.context import EVENT_OF, ModeEvent, check_arguments, check_force, next_mode
+from fsw.executive.context import (
+    EVENT_OF,
+    ModeEvent,
+    check_arguments,
+    check_force,
+    next_mode,
+    replace_param,
+    tilt_joints,
+)
 from fsw.executive.expansion import CompoundCommand, locate_surface
 from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
-from fsw.executive.settings import replace_param, tilt_joints
 from fsw.kinematics.transforms import normalize
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload

@@ -15,8 +15,13 @@ from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from validation.campaigns import Context
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out, list_clear_cases
-from validation.cases.arm_features import CLASSES_FILE, EquivalenceClasses, PublishedHypothesis, load_classes
-from validation.cases.arm_score import score
+from validation.cases.arm_score import (
+    CLASSES_FILE,
+    EquivalenceClasses,
+    PublishedHypothesis,
+    load_classes,
+    score,
+)
 from validation.cases.arm_truth import CaseKind, SealedEffect, TrueCase, list_uncatalogued, locate_outside
 from validation.cases.sealed import (
     CASES_FOLDER,

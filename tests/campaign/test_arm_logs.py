@@ -13,9 +13,8 @@ from marsarm.diagnosis.arm.blind_case import DetectableEffect, sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
-from marsarm.telemetry.header import SESSION, flight_header, run_header
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import SESSION, Recorder, flight_header, run_header
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named
 from sim.diagnosis_campaign import run_session, start_session

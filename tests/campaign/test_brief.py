@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from validation.__main__ import main
-from validation.campaigns import TABLE, Campaign, Context, find_campaign, read_sizes
-from validation.programs import BriefResult
+from validation.campaigns import TABLE, BriefResult, Campaign, Context, find_campaign, read_sizes
 
-WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "robot-baselines", "so101", "view"}
+WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
 
 
@@ -21,7 +20,7 @@ def test_every_campaign_has_a_brief_form_or_a_reason() -> None:
 def test_a_campaign_knows_its_sizes(one: Campaign) -> None:
     sizes = {name: str(value) for name, value in (one.brief or {}).items()}
     work = one.load()
-    if one.name not in ("robot-baselines", "so101"):  # they have to be told their files
+    if one.name != "so101":  # it has to be told its files
         assert read_sizes(work, (f"{name}={value}" for name, value in sizes.items())).keys() == sizes.keys()
 
 
@@ -38,7 +37,7 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["hardstops", "--set", "arms=none"], "set arms: 'none' is not int"),
         (["hardstops", "--set", "arms=-1"], "set arms: -1 is below 0"),
         (["calibration", "--set", "closed_loop=2"], "set closed_loop: '2' is not bool"),
-        (["robot-baselines"], "set robot: is missing"),
+        (["so101"], "set logs: is missing"),
         (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
     ],
 )
@@ -66,7 +65,9 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
 
 @pytest.mark.parametrize(("status", "verdict"), [(0, "in bounds"), (2, "FAILED, exit status 2")])
 def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status: int, verdict: str) -> None:
-    assert BriefResult(find_campaign("faults"), status, 3.0, "").line() == f"faults            3 s, {verdict}"
+    assert (
+        BriefResult(find_campaign("hardstops"), status, 3.0, "").line() == f"hardstops         3 s, {verdict}"
+    )
 
 
 def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:

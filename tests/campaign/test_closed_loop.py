@@ -1,4 +1,4 @@
-"""Parts of campaigns in the closed loop: jobs, placements, obstacles, faults and random commands."""
+"""Parts of campaigns in the closed loop: jobs, placements, obstacles and random commands."""
 
 from functools import cache
 
@@ -8,16 +8,13 @@ import pytest
 from fsw.estimate.reference import Reference
 from helpers.marks import slow_but
 from sim.arms import arm_named
-from sim.effects.faults import SensorFault
 from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import PlacementResult, PlacementRun, random_placement
 from sim.scenario.file import built_in_scenarios
-from sim.scenario.tables import FAULT_CLASSES
 from sim.sequence import Outcome
 from validation.campaigns import Context
 from validation.commands import campaign
-from validation.faults import random_fault
 from validation.obstacles import STRAIGHT_N, draw, meet
 from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
@@ -119,11 +116,3 @@ def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_ref
     assert found["cycles"] == 1500
     assert found["accepted"]
     assert sum(found["refused"].values()) > 300
-
-
-def test_every_kind_of_fault_is_drawn():
-    rng = np.random.default_rng(0)
-    drawn = [random_fault(rng, 1.0, has_rock=True) for _ in range(500)]
-    assert {type(fault).__name__ for fault in drawn} == {kind.__name__ for kind in FAULT_CLASSES}
-    kinds = {fault.kind for fault in drawn if isinstance(fault, SensorFault)}
-    assert kinds == {"frozen", "biased", "noisy", "nan"}

@@ -8,7 +8,6 @@ import pytest
 from helpers.marks import slow_but
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
-from validation.cases import robot_structure as structure
 from validation.cases.robot_draw import measure
 from validation.cases.robot_setup import (
     LOG_CORRELATION,
@@ -80,7 +79,7 @@ def test_a_position_is_not_shown_past_a_clamped_command() -> None:
 
 
 def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
-    plant = Plant(PENDULUM, NO_NUISANCES, [structure.Compliance(PLAN.scene, "swing", 0.02)])
+    plant = Plant(PENDULUM, NO_NUISANCES, [inside.Compliance(PLAN.scene, "swing", 0.02)])
     without = Plant(PENDULUM, NO_NUISANCES, [])
     both = [one.simulate(held(0.8, 50), PERIOD_S, 1)[0, -1] for one in (plant, without)]
     # the encoder is at the joint: dry friction may hold the two at different angles, 0.06 N m of 12 N m/rad

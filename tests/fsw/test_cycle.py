@@ -9,12 +9,12 @@ import pytest
 from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, SetParam, Stop, Unstow
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Booted, CommandRefused
+from fsw.dictionary.params import digest
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.state import boot, outputs_at_rest
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors
 from tests.tools import tool_index
 

@@ -12,11 +12,10 @@ from rich.console import Console
 
 from marsarm.replaying.compare import Differences, compare_behaviours
 from marsarm.replaying.inputs import SENSOR_TOPIC, behaviour_from_log
-from marsarm.replaying.tables import difference_lines, verdict_line
-from marsarm.telemetry.errors import LogError
-from marsarm.telemetry.header import run_header
+from marsarm.replaying.replay import difference_lines, verdict_line
+from marsarm.telemetry.format import LogError
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, run_header
 from tests.replay.runs import RUNS, ReferenceRun
 
 FOLDER = Path(__file__).parent

@@ -11,10 +11,15 @@ from rich.console import Console
 
 from marsarm.replaying.compare import compare_behaviours
 from marsarm.replaying.inputs import behaviour_from_outputs, inputs_from_log
-from marsarm.replaying.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, replay, run_flight_software
-from marsarm.replaying.tables import verdict_line
-from marsarm.telemetry.header import cpu_features
+from marsarm.replaying.replay import (
+    OTHER_PROCESSOR_TOLERANCE,
+    ReplayRequest,
+    replay,
+    run_flight_software,
+    verdict_line,
+)
 from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import cpu_features
 from tests.replay.remake import FOLDER, main, make, path_of, tell
 from tests.replay.runs import RUNS
 

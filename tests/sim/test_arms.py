@@ -5,13 +5,13 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.params import digest
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
 from sim.arm_model.load import default_arm
-from sim.arms import UnknownArm, arm_named
+from sim.arms import UnknownArm, arm_named, nominal_params
 from sim.effects.effect import params_with_effects
 from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import (
@@ -24,7 +24,6 @@ from sim.effects.joints import (
 )
 from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
-from sim.params import nominal_params
 from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, draw_calibration_errors, draw_tolerances
 from tests.sim import lab
 from tests.tools import TOOLS

@@ -9,11 +9,11 @@ import pytest
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.enums import Joint
 from fsw.messages import ActuatorCommand
+from sim.arms import nominal_params
 from sim.avionics import Avionics
 from sim.effects.effect import Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP
-from sim.params import nominal_params
 from sim.plant import Plant
 from sim.setting import World
 from tests.sim import lab

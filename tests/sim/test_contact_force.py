@@ -17,13 +17,12 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from helpers.marks import slow_but
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.clearance import tool_forces
 from sim.effects.faults import RockGone, SensorFault
 from sim.frames import FLIP, P_NR_M, p_R_from_N
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.params import nominal_params
 from sim.placement import Placement, placement_commands
 from sim.sequence import run_sequence
 from sim.setting import Surface, World

@@ -16,11 +16,10 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.frames import FLIP
 from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
-from sim.params import nominal_params
 from sim.plant import Plant
 from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World

@@ -10,12 +10,12 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
 from helpers.marks import slow_but
+from sim.arms import nominal_params
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
 from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
-from sim.params import nominal_params
 from sim.plant import Plant
 from sim.setting import WARM_C, World
 from tests.sim import lab

@@ -24,10 +24,15 @@ from sim.arm_check import (
     sweep_poses,
 )
 from sim.arms import arm_named
-from sim.bare_arm import without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.environment import Ambient, PowerLoss
-from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
+from sim.initialisation import (
+    InitialisationResult,
+    InitialisationRun,
+    prepare_homing,
+    prepare_random_homing,
+    without_turret,
+)
 from sim.sequence import Outcome
 from sim.setting import World
 from tests.sim import lab

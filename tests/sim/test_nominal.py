@@ -8,7 +8,7 @@ from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_z
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from sim.plant import Plant
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.dictionary.digest import digest
+from fsw.dictionary.params import digest
 from fsw.dictionary.validity import check_limits
-from sim.params import nominal_params, params_over_nominal
-from sim.params_table import BadParams, params_from_table, params_table
+from sim.arms import nominal_params, params_over_nominal
+from sim.params import BadParams, params_from_table, params_table
 
 
 def write_file(folder: Path, text: str) -> Path:

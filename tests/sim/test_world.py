@@ -8,8 +8,8 @@ from fsw.config import configure
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
+from sim.arms import nominal_params
 from sim.frames import FLIP, P_NR_M, approach_from, gravity_in_rover, p_R_from_N, random_targets
-from sim.params import nominal_params
 from sim.setting import Surface, World
 from sim.world import WrongMujoco, add_rock, build, inside_rover
 

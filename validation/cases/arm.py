@@ -24,10 +24,9 @@ from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campai
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference
-from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from sim.scenario.effects import effect_text
 from simgap import to_document
@@ -36,14 +35,15 @@ from simgap.common.progress import Progress, no_progress, part_of
 from simgap.common.report import to_json
 from validation.campaigns import Context, Document
 from validation.cases import sealed
-from validation.cases.arm_features import (
+from validation.cases.arm_score import (
     CLASSES_FILE,
     EquivalenceClasses,
     ResultFile,
     classes_json,
     load_classes,
+    make_tables,
+    score,
 )
-from validation.cases.arm_score import make_tables, score
 from validation.cases.arm_truth import (
     PlannedCase,
     SealedEffect,

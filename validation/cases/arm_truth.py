@@ -30,11 +30,11 @@ from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
-from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import SESSION
+from sim.arms import nominal_params
 from sim.effects import catalogue
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
 from simgap.common.errors import BadRequest, UserError
 from simgap.common.toml import read_toml

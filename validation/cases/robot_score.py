@@ -20,7 +20,6 @@ import numpy as np
 from marsarm.common.rates import RateBar, check_rate
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
-from validation.cases import robot_structure as structure
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
 from validation.cases.robot_table import BASE, SUPPLY, PlacedEntry, entries_of, list_hypotheses
@@ -192,10 +191,10 @@ LEAST_COSINE: Final = 0.99
 SHAPED: Final = (
     inside.Integral,
     inside.Stribeck,
-    structure.Spring,
-    structure.PositionTorque,
-    structure.PeriodicError,
-    structure.GravityDirection,
+    inside.Spring,
+    inside.PositionTorque,
+    inside.PeriodicError,
+    inside.GravityDirection,
 )
 """Effects with a shape; two shapes of each are tried beside that of the truth."""
 FAR: Final = 0.9

@@ -7,7 +7,6 @@ from typing import Final
 from simgap.robot import Robot, RobotJoint
 from validation.cases import robot_inside as inside
 from validation.cases import robot_outside as outside
-from validation.cases import robot_structure as structure
 from validation.cases.robot_setup import MODELS
 from validation.cases.robot_truth import TrueEffect
 
@@ -48,21 +47,21 @@ ENTRIES: Final = (
     Entry(inside.LoadFriction, "1", 0.15, 0.6, False, "loaded"),
     Entry(inside.AsymmetricFriction, "friction", 0.3, 0.7, True),
     Entry(inside.TemperatureFriction, "friction", 0.4, 2.0),
-    Entry(structure.Compliance, "flex", 0.3, 2.0),
-    Entry(structure.Backlash, "1", 0.02, 0.1),
-    Entry(structure.Payload, "mass", 0.3, 1.0),
-    Entry(structure.LinkMass, "1", 0.3, 0.8, True, "loaded"),
-    Entry(structure.LinkCentre, "1", 0.02, 0.06, True, "loaded"),
-    Entry(structure.LinkLength, "1", 0.02, 0.06, True, "inner"),
-    Entry(structure.JointZero, "1", 0.02, 0.1, True),
-    Entry(structure.GravityDirection, "1", 0.05, 0.25, True),
-    Entry(structure.Spring, "flex_torque", 0.05, 0.4),
-    Entry(structure.PositionTorque, "torque", 0.03, 0.2),
-    Entry(structure.ConstantTorque, "torque", 0.03, 0.2, True),
-    Entry(structure.Plane, "1", 0.005, 0.12),
-    Entry(structure.PeriodicError, "1", 0.003, 0.02),
-    Entry(structure.EncoderScale, "1", 0.02, 0.1, True),
-    Entry(structure.Coupling, "1", 0.1, 0.8, True, "neighbour"),
+    Entry(inside.Compliance, "flex", 0.3, 2.0),
+    Entry(inside.Backlash, "1", 0.02, 0.1),
+    Entry(inside.Payload, "mass", 0.3, 1.0),
+    Entry(inside.LinkMass, "1", 0.3, 0.8, True, "loaded"),
+    Entry(inside.LinkCentre, "1", 0.02, 0.06, True, "loaded"),
+    Entry(inside.LinkLength, "1", 0.02, 0.06, True, "inner"),
+    Entry(inside.JointZero, "1", 0.02, 0.1, True),
+    Entry(inside.GravityDirection, "1", 0.05, 0.25, True),
+    Entry(inside.Spring, "flex_torque", 0.05, 0.4),
+    Entry(inside.PositionTorque, "torque", 0.03, 0.2),
+    Entry(inside.ConstantTorque, "torque", 0.03, 0.2, True),
+    Entry(inside.Plane, "1", 0.005, 0.12),
+    Entry(inside.PeriodicError, "1", 0.003, 0.02),
+    Entry(inside.EncoderScale, "1", 0.02, 0.1, True),
+    Entry(inside.Coupling, "1", 0.1, 0.8, True, "neighbour"),
 )
 """Effects of the catalogue."""
 
@@ -70,7 +69,7 @@ SERVO_ENTRIES: Final = tuple(
     one
     for one in ENTRIES
     if one.kind.build is TrueEffect.build
-    and one.kind not in (inside.BackEmf, inside.SupplySag, structure.JointZero)
+    and one.kind not in (inside.BackEmf, inside.SupplySag, inside.JointZero)
 )
 """Those of a servo: a wrong zero is a tilted base there; its truth has a back-EMF and its own supply."""
 
@@ -129,17 +128,17 @@ def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[PlacedEnt
 
 def _places(robot: Robot, entry: Entry) -> Iterator[tuple[str, float]]:
     kind = entry.kind
-    if kind is structure.GravityDirection:
+    if kind is inside.GravityDirection:
         yield BASE, 1.0
     elif kind is inside.SupplySag:
         yield SUPPLY, 1.0
-    elif kind is structure.Plane:
+    elif kind is inside.Plane:
         if len(robot.joints) > 1:  # a plane under a pendulum stops it, or is not touched
             yield robot.tool_site, 1.0
     elif kind is outside.WobblingBase:
         first = next(joint for joint in robot.joints if joint.is_loaded_by_gravity)
         yield BASE, 1.0 / first.torque_limit_Nm
-    elif kind is structure.Payload:
+    elif kind is inside.Payload:
         body = int(robot.model.site(robot.tool_site).bodyid[0])
         yield robot.joints[-1].name, float(robot.model.body_mass[body])
     else:

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
 from sim.arm_model.load import ArmModel

@@ -19,7 +19,7 @@ import numpy as np
 
 import fsw
 import sim
-from fsw.dictionary.digest import digest
+from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -41,7 +41,7 @@ from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
 from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import FeatureLayout
 from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
-from marsarm.telemetry.header import model_digest
+from marsarm.telemetry.recorder import model_digest
 from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
 from sim.setting import World

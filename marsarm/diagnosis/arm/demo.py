@@ -27,10 +27,9 @@ from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_log
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.model import DiagnosisModel
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.effects import effect_text
 from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest

@@ -21,9 +21,9 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose
 from fsw.messages import ActuatorCommand, Sensors
 from marsarm.replaying.inputs import NotReplayable, inputs_from_log
-from marsarm.telemetry.errors import LogError
-from marsarm.telemetry.header import SESSION
+from marsarm.telemetry.format import LogError
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recorder import SESSION
 from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
 from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.dictionary.digest import digest
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, drawing, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
-from sim.params_table import BadParams, check_params, params_toml
+from sim.params import BadParams, check_params, params_toml
 from sim.scenario.effects import effect_file_text, effect_text
 from simgap import Diagnosis, to_document
 from simgap.common.files import atomic_write, file_sha256, json_sha256

@@ -13,13 +13,11 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
-from marsarm.common.effects import fit_effects, parse_effects
-from marsarm.common.requests import select_arm
+from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
-from marsarm.telemetry.header import SESSION, flight_header
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import SESSION, Recorder, flight_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.diagnosis_campaign import (
     HELD_OUT_SESSIONS,
@@ -32,7 +30,7 @@ from sim.diagnosis_campaign import (
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
-from sim.params_table import params_toml
+from sim.params import params_toml
 from sim.plant import PlantDiverged
 from sim.scenario.records import did_you_mean
 from sim.tracker import TYPICAL_TRACKER, turret_pose

@@ -27,7 +27,7 @@ from fsw.dictionary.types import Limits
 from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from fsw.state import Hold
-from sim.params import nominal_params
+from sim.arms import nominal_params
 
 NAMES = known_names(nominal_params())
 TOOL_MOVE = MoveTool("apxs", (2.0, 0.0, 0.8), (0.0, 0.0, 1.0))

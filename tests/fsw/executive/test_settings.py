@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoint, MoveJoints, SetParam, SetTilt
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
+from fsw.dictionary.params import digest
 from tests.fsw.executive.lab import refusal
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats
 

@@ -13,8 +13,10 @@ from fsw.dictionary.enums import Frame
 from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
 from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
 from marsarm.accuracy.propagation import (
+    CUMULANTS,
     Bounds,
     bounds,
+    load_error_model,
     moments_rule,
     paper_rule,
     root_sum_square,
@@ -23,7 +25,6 @@ from marsarm.accuracy.propagation import (
     worst_case,
 )
 from marsarm.accuracy.request import BudgetRequest
-from marsarm.accuracy.sources import CUMULANTS, load_error_model
 from simgap.common.report import save_report_page, to_json
 from tests.marsarm.command import marsarm
 

@@ -11,7 +11,7 @@ from marsarm.accuracy.budget import COMPONENTS, MOMENTS
 from marsarm.accuracy.monte_carlo import MonteCarloReport, check_coverage, run_monte_carlo
 from marsarm.accuracy.monte_carlo_report import monte_carlo_document, monte_carlo_requirements
 from marsarm.accuracy.request import MonteCarloRequest
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json

@@ -10,9 +10,14 @@ from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, rotate_back
-from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity, workspace_poses
-from marsarm.accuracy.sources import load_error_model
-from sim.params import nominal_params
+from marsarm.accuracy.propagation import (
+    Poses,
+    Sensitivity,
+    compute_sensitivity,
+    load_error_model,
+    workspace_poses,
+)
+from sim.arms import nominal_params
 
 CONFIG = configure(nominal_params())
 ARM = CONFIG.arm

@@ -9,8 +9,7 @@ from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
 from helpers.marks import slow_but
-from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity
-from marsarm.accuracy.sources import load_error_model
+from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity, load_error_model
 from marsarm.accuracy.trial import (
     Z_TURN,
     closed_loop_model,

@@ -9,7 +9,7 @@ import pytest
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
 from marsarm.arms.arm import build_arms, layout_document, save_layout_picture, show_arm
-from marsarm.arms.request import ArmRequest
+from marsarm.common.options import ArmRequest
 from sim.arm_model.load import ARMS, arm_names, default_arm
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json

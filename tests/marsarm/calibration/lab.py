@@ -10,8 +10,7 @@ from marsarm.calibration.calibrate import Calibration, calibrate
 from marsarm.calibration.campaign import CampaignPlan
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.verify import simulate_campaign, true_params
-from sim.arms import arm_named
-from sim.params import nominal_params
+from sim.arms import arm_named, nominal_params
 
 NOMINAL = nominal_params()
 

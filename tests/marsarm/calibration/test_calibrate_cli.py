@@ -14,7 +14,7 @@ from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import calibration_document, calibration_page
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.common.requests import select_arm
-from sim.params import params_over_nominal
+from sim.arms import params_over_nominal
 from simgap.common.errors import BadRequest
 from simgap.common.report import save_report_page, to_json
 from tests.marsarm.calibration.lab import calibration, campaign

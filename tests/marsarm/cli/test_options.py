@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.arms.request import ArmRequest
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.cli import analysis, diagnosis, runs
+from marsarm.common.options import ArmRequest, ViewRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
-from marsarm.view.request import ViewRequest
 from simgap.command import app
 from simgap.command import request as simgap_request
 from simgap.command.request import CheckRequest

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.common.checkpoint import Checkpoint
+from marsarm.accuracy.monte_carlo import Checkpoint
 from simgap.common.errors import BadRequest
 
 ASKED = {"case": "mars", "seed": 1}

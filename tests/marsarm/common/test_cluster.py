@@ -13,14 +13,14 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from fsw.dictionary.digest import digest
+from fsw.dictionary.params import digest
 from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
-from marsarm.common import cluster
+from marsarm.common import pool
 from marsarm.common.pool import Runner, WorkersDied, in_order, run_here, select_runner
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
@@ -145,8 +145,8 @@ def test_an_error_names_the_node(run):
 
 
 def test_a_node_with_other_software_is_refused(run, monkeypatch):
-    ours = cluster.describe_computer(("fsw",))
-    monkeypatch.setattr(cluster, "describe_computer", lambda _: ours | {"numpy": "1.0"})
+    ours = pool.describe_computer(("fsw",))
+    monkeypatch.setattr(pool, "describe_computer", lambda _: ours | {"numpy": "1.0"})
     with pytest.raises(BadRequest, match=r"has numpy [\d.]+ and not 1\.0, sources .*; make it equal"):
         list(run(square, [1]))
 
@@ -168,7 +168,7 @@ def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
     if again:
         assert list(run(square, [3])) == [9]
     else:
-        with pytest.raises(cluster.ClusterFailed, match=r"carry out a task \(.*the disk is full\); see `ray"):
+        with pytest.raises(pool.ClusterFailed, match=r"carry out a task \(.*the disk is full\); see `ray"):
             list(run(square, [3]))
 
 

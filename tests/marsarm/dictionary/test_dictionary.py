@@ -21,10 +21,9 @@ from marsarm.common.fields import unit_of
 from marsarm.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
 from marsarm.telemetry.schema import arm_names, array_shape
 from marsarm.telemetry.topics import PACKET_TOPICS
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.effects.catalogue import catalogue
 from sim.loop import ClosedLoop, Setup
-from sim.params import nominal_params
 from sim.setting import World
 from tests.marsarm.command import marsarm
 

@@ -10,7 +10,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from marsarm.render import gl
+from marsarm.render import picture
 from marsarm.render.picture import save_movie, save_picture
 from marsarm.render.rays import RayCamera, Rays
 from simgap.common.errors import BadRequest
@@ -40,7 +40,7 @@ SIZE = (160, 120)
 NO_GL = "the driver is not there"
 
 needs_gl = pytest.mark.skipif(
-    gl.unavailable_reason() is not None, reason=f"no OpenGL: {gl.unavailable_reason()}"
+    picture.unavailable_reason() is not None, reason=f"no OpenGL: {picture.unavailable_reason()}"
 )
 
 
@@ -58,7 +58,7 @@ def data(model: mujoco.MjModel) -> mujoco.MjData:
 
 @pytest.fixture
 def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
+    monkeypatch.setattr(picture, "unavailable_reason", lambda: NO_GL)
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -152,10 +152,10 @@ def test_both_renderers_see_the_same_scene(model, data, tmp_path):
 
 @pytest.mark.parametrize("wanted", ["opengl", "rays"])
 def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
-    if wanted == "opengl" and gl.unavailable_reason() is not None:
-        pytest.skip(gl.unavailable_reason())
+    if wanted == "opengl" and picture.unavailable_reason() is not None:
+        pytest.skip(picture.unavailable_reason())
     if wanted == "rays":
-        monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
+        monkeypatch.setattr(picture, "unavailable_reason", lambda: NO_GL)
     poses = [np.array([height]) for height in np.linspace(0.0, 0.5, 6)]
 
     result = save_movie(model, poses, "front", tmp_path / "lift.gif", (80, 60))
@@ -171,7 +171,7 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
 )
 def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
     (tmp_path / "file.txt").touch()
-    monkeypatch.setattr(gl, "unavailable_reason", lambda: pytest.fail("work was done"))
+    monkeypatch.setattr(picture, "unavailable_reason", lambda: pytest.fail("work was done"))
     before = sorted(tmp_path.rglob("*"))
 
     with pytest.raises(BadRequest, match=complaint):
@@ -279,12 +279,12 @@ def test_whatever_the_driver_does_becomes_a_reason(monkeypatch, outcome, reason)
         return outcome
 
     monkeypatch.setattr(subprocess, "run", run)
-    assert gl.unavailable_reason.__wrapped__() == reason
+    assert picture.unavailable_reason.__wrapped__() == reason
 
 
 def test_opengl_switched_off_is_a_reason_and_not_an_error(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disable")
-    assert "turns OpenGL off" in gl.unavailable_reason.__wrapped__()
+    assert "turns OpenGL off" in picture.unavailable_reason.__wrapped__()
 
 
 def test_importing_the_pictures_asks_nothing_of_opengl():

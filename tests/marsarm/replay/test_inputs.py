@@ -8,9 +8,8 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.replaying.inputs import NotReplayable, inputs_from_log
-from marsarm.telemetry.errors import LostMessages
 from marsarm.telemetry.events import CommandEntry
-from marsarm.telemetry.format import TICK_NS
+from marsarm.telemetry.format import TICK_NS, LostMessages
 from marsarm.telemetry.read import Log, read_log
 from tests.replay.remake import FOLDER
 

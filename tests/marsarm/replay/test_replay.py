@@ -6,13 +6,11 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from marsarm.replaying.replay import ReplayRequest, replay
-from marsarm.replaying.tables import replay_document, replay_parts, verdict_line
+from marsarm.replaying.replay import ReplayRequest, replay, replay_document, replay_parts, verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
 from marsarm.runs.scenario import run_scenario
-from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, run_header
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import SHORT_RUN

@@ -16,7 +16,7 @@ from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.evrs import Booted, ContactMade
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.schema import arm_names, array_shape, is_tool_index, strip_optional
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from sim.record import CycleRecord
 
 ARM = arm_names(nominal_params())

@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 
 from fsw.config import configure
 from fsw.dictionary.commands import Command, MoveJoint, SetParam
-from fsw.dictionary.digest import digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import Params, digest
 from fsw.estimate.reference import Reference, no_reference
-from marsarm.telemetry.errors import SchemaError
 from marsarm.telemetry.events import (
     BadJson,
     CommandEntry,
@@ -28,6 +26,7 @@ from marsarm.telemetry.events import (
     record_from_json,
     record_to_json,
 )
+from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import strip_optional
 from sim.arms import arm_named
 

@@ -11,8 +11,15 @@ import pytest
 from mcap.writer import Writer
 
 from marsarm.telemetry import mcap_columns
-from marsarm.telemetry.errors import LogDamaged, LogNotReadable
-from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
+from marsarm.telemetry.format import (
+    FORMAT,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    TICK_NS,
+    LogDamaged,
+    LogNotReadable,
+    header_crc32,
+)
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
 

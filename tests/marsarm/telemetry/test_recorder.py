@@ -21,8 +21,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
 from marsarm.replaying.replay import ReplayRequest, replay
-from marsarm.telemetry.errors import LogNotWritable
-from marsarm.telemetry.format import CHUNK_CYCLES
+from marsarm.telemetry.format import CHUNK_CYCLES, LogNotWritable
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
 from marsarm.telemetry.recover import recover

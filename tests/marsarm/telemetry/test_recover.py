@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from marsarm.telemetry.errors import LogDamaged, LostMessages
-from marsarm.telemetry.format import TICK_NS
+from marsarm.telemetry.format import TICK_NS, LogDamaged, LostMessages
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
 from validation.broken_logs import CUT_EVERY, change_records, flip_bits, is_part, original, truncate_file

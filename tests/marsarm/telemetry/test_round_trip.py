@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.commands import MoveJoint, Stop
 from fsw.dictionary.enums import Joint
-from marsarm.telemetry.header import commands_header, flight_header, model_digest, run_header
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recorder import commands_header, flight_header, model_digest, run_header
 from marsarm.telemetry.topics import topics_in
 from sim.arms import arm_named
 from sim.effects.gears import CoulombFriction

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.types import Limits
 from marsarm.telemetry import schema
-from marsarm.telemetry.errors import SchemaError
+from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.log_writer import Packer
 from marsarm.telemetry.schema import ArmNames, Layout, packet_layout
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.telemetry.header import run_header
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, run_header
 from marsarm.view.watched_run import WatchedRun, watch_log
 from tests.marsarm.view.lab import ARM, COMMANDS, TILTED, records_of, start_loop
 

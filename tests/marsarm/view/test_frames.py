@@ -9,17 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
-from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, run_header
 from marsarm.view.frames import Samples, compute_frames
 from marsarm.view.scene import build_scene
 from marsarm.view.watched_run import build_surroundings, watch_log
 from sim.arm_model.load import default_arm
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.effects.geometry import ToolOffset
 from sim.effects.structure import StandInTurret
-from sim.params import nominal_params
 from sim.plant import Plant
 from sim.setting import World
 from sim.world import build

@@ -14,10 +14,9 @@ from helpers.marks import slow_but
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, arm_names, default_arm, load_arm
 from sim.arm_model.mismatch import find_mismatches
-from sim.arms import UnknownArm, arm_named, own_name
+from sim.arms import UnknownArm, arm_named, nominal_params, own_name, params_over
 from sim.effects.effect import params_with_effects
-from sim.params import nominal_params, params_over
-from sim.params_table import read_params_toml
+from sim.params import read_params_toml
 from sim.plant import Plant
 from sim.setting import World
 from sim.world import build

@@ -123,7 +123,6 @@ def test_hypotheses_are_all_different_and_have_names_of_their_own() -> None:
 def test_a_hypothesis_has_one_place_and_its_sizes_open() -> None:
     (one,) = (hypothesis for hypothesis in HYPOTHESES if str(hypothesis) == "flex-cable:wrist")
     assert [p.field for p in one.amplitudes] == ["stiffness_Nm_rad", "drag_Nm"]
-    assert [p.field for p in one.shape_parameters] == ["neutral_rad", "transition_rad"]
     effect = one.effect(drag_Nm=2.0)
     assert (effect.joint, effect.stiffness_Nm_rad, effect.drag_Nm) == (Joint.WRIST, 0.0, 2.0)
 

@@ -6,6 +6,7 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
+from sim.arms import nominal_params
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias
 from sim.effects.sensors import (
@@ -18,7 +19,6 @@ from sim.effects.sensors import (
     ResolverEccentricity,
     ResolverScale,
 )
-from sim.params import nominal_params
 from sim.setting import World
 from tests.sim import lab
 from tests.sim.effects import bench

@@ -9,6 +9,7 @@ from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
 from helpers.marks import slow_but
+from sim.arms import nominal_params
 from sim.effects.effect import Effect
 from sim.effects.geometry import (
     WIDTH_M,
@@ -29,7 +30,6 @@ from sim.effects.structure import (
     TurretCentre,
     TurretMass,
 )
-from sim.params import nominal_params
 from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import tool_index

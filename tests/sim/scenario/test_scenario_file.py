@@ -19,9 +19,9 @@ from fsw.dictionary.commands import (
     Retract,
 )
 from fsw.dictionary.enums import Joint
+from sim.arms import nominal_params
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
-from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
 from sim.scenario.file import BadScenario, built_in_scenarios, load_scenario, parse_scenario
 from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake

@@ -17,11 +17,10 @@ from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import list_candidates
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects
 from sim.effects.sensors import EncoderScale
-from sim.params import nominal_params, params_over_nominal
-from sim.params_table import params_table
+from sim.params import params_table
 from tests.marsarm.command import marsarm
 
 

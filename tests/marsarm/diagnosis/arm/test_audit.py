@@ -10,8 +10,7 @@ import pytest
 
 from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_missing_motion, refusals
 from marsarm.diagnosis.arm.logs import Recording, world_from_imu
-from sim.arms import arm_named
-from sim.params import nominal_params
+from sim.arms import arm_named, nominal_params
 from sim.setting import World
 
 BASE = nominal_params()

@@ -47,13 +47,13 @@ from marsarm.diagnosis.arm.simulator import (
     moves,
 )
 from marsarm.diagnosis.sensitivity import Sensitivities
+from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.effects.geometry import LinkLength, ToolOffset
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
-from sim.params import nominal_params
 from validation.cases.arm_truth import list_uncatalogued
 
 BASE = nominal_params()

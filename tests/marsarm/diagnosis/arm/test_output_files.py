@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.common.effects import parse_effects
+from marsarm.common.requests import parse_effects
 from marsarm.diagnosis.arm.output_files import (
     NothingToWrite,
     effects_of_findings,
@@ -13,9 +13,9 @@ from marsarm.diagnosis.arm.output_files import (
     save_patch,
 )
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
+from sim.arms import nominal_params, params_over_nominal
 from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness
-from sim.params import nominal_params, params_over_nominal
 from tests.marsarm.diagnosis.results import as_of
 from tests.tools import TOOLS
 

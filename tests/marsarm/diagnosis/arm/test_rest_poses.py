@@ -12,8 +12,8 @@ from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop
 from marsarm.diagnosis.arm.simulator import SHORT_SETTLING
+from sim.arms import nominal_params
 from sim.effects.structure import LinkCreep
-from sim.params import nominal_params
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from fsw.config import configure
 from marsarm.diagnosis.arm.case import compute_tool_error
-from sim.params import nominal_params
+from sim.arms import nominal_params
 from sim.plant import SCREW_AXES
 
 DRAWING = nominal_params()
