@@ -7,15 +7,7 @@ from scipy.stats import chi2, norm
 
 from helpers.marks import slow_but
 from simgap.arrays import orthonormal
-from simgap.selection.chance import (
-    ASYMPTOTIC_FROM,
-    alternative_p,
-    chi_square_log_p,
-    count_distinct,
-    known_noise_log_p,
-    stationary_p,
-    wald_p,
-)
+from simgap.selection import chance
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -36,7 +28,7 @@ def probability(random, n_motions, columns):
     basis, _ = np.linalg.qr(base)
     change, noise = (part - basis @ (basis.T @ part) for part in (change[:, columns], noise))
     best = change @ np.linalg.lstsq(change, noise, rcond=None)[0]
-    return wald_p(basis, best, noise, np.repeat(np.arange(n_motions), N), len(columns))
+    return chance.wald_p(basis, best, noise, np.repeat(np.arange(n_motions), N), len(columns))
 
 
 def most_of(n, level):
@@ -57,7 +49,7 @@ def test_an_effect_that_shows_in_one_motion_alone_is_no_proof():
     basis, change = np.zeros((4 * N, 0)), np.zeros(4 * N)
     change[:N] = 1.0
     residual = change + 1e-3 * np.random.default_rng(1).standard_normal(4 * N)
-    assert wald_p(basis, change, residual, np.repeat(np.arange(4), N), 1) == 1.0
+    assert chance.wald_p(basis, change, residual, np.repeat(np.arange(4), N), 1) == 1.0
 
 
 def test_a_strong_effect_is_proven_by_four_motions():
@@ -66,7 +58,7 @@ def test_a_strong_effect_is_proven_by_four_motions():
     basis, _ = np.linalg.qr(base)
     part = change[:, 0] - basis @ (basis.T @ change[:, 0])
     noise = noise - basis @ (basis.T @ noise)
-    assert wald_p(basis, part, 3000.0 * part + noise, np.repeat(np.arange(4), N), 1) < 1e-3
+    assert chance.wald_p(basis, part, 3000.0 * part + noise, np.repeat(np.arange(4), N), 1) < 1e-3
 
 
 def stationary(random, columns, strength=0.0):
@@ -79,8 +71,8 @@ def stationary(random, columns, strength=0.0):
     residual = noise + strength * change[:, 0]
     best = change @ np.linalg.lstsq(change, residual, rcond=None)[0]
     cluster = np.arange(6 * N) // 20
-    beside = stationary_p(1, best, residual, cluster, len(columns))
-    return beside, wald_p(basis, best, residual, cluster, len(columns))
+    beside = chance.stationary_p(1, best, residual, cluster, len(columns))
+    return beside, chance.wald_p(basis, best, residual, cluster, len(columns))
 
 
 @pytest.mark.parametrize("columns", slow_but([[0], [0, 1], [2]], [0]))
@@ -104,7 +96,7 @@ def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_
     table = np.column_stack([common @ random.standard_normal(3) for _ in range(12)])
     table += 0.1 * random.standard_normal(table.shape)
     unit = table / np.linalg.norm(table, axis=0)
-    level = 0.05 / count_distinct(list(unit.T))
+    level = 0.05 / chance.count_distinct(list(unit.T))
     z = random.standard_normal((4000, 400)) @ unit
     false_alarms = np.sum(np.max(np.abs(z), axis=1) > norm.isf(level / 2.0))
     assert false_alarms <= most_of(4000, 0.05)
@@ -122,8 +114,8 @@ def alternative(random, n_motions, strength, others):
     cause, *wrong = models
     wrong.sort(key=lambda model: model[0] @ model[0])
     fits_better = wrong[0][0] @ wrong[0][0] < cause[0] @ cause[0]
-    is_cause = alternative_p(cause, wrong, cluster, 1) if fits_better else 1.0
-    return is_cause, alternative_p(wrong[0], [cause], cluster, 1)
+    is_cause = chance.alternative_p(cause, wrong, cluster, 1) if fits_better else 1.0
+    return is_cause, chance.alternative_p(wrong[0], [cause], cluster, 1)
 
 
 @pytest.mark.parametrize("others", slow_but([[1], [2], [1, 2]], [1, 2]))
@@ -152,10 +144,10 @@ def test_a_basis_leaves_out_what_changes_nothing_and_what_others_can_do():
 @pytest.mark.parametrize("freedom", [1, 2, 3.5])
 def test_the_tail_of_a_chi_square_goes_on_where_it_underflows(freedom):
     for statistic in (0.0, 3.0, 500.0):
-        assert chi_square_log_p(statistic, freedom) == pytest.approx(chi2.logsf(statistic, freedom))
-    near, far = (chi_square_log_p(2.0 * ASYMPTOTIC_FROM + by, freedom) for by in (0.0, 1e-9))
+        assert chance.chi_square_log_p(statistic, freedom) == pytest.approx(chi2.logsf(statistic, freedom))
+    near, far = (chance.chi_square_log_p(2.0 * chance.ASYMPTOTIC_FROM + by, freedom) for by in (0.0, 1e-9))
     assert far == pytest.approx(near, rel=1e-4)
-    assert chi_square_log_p(5000.0, freedom) < chi_square_log_p(4900.0, freedom) - 49.0
+    assert chance.chi_square_log_p(5000.0, freedom) < chance.chi_square_log_p(4900.0, freedom) - 49.0
 
 
 def test_in_known_noise_an_absent_effect_is_as_rare_as_its_probability_says():
@@ -163,7 +155,7 @@ def test_in_known_noise_an_absent_effect_is_as_rare_as_its_probability_says():
     basis = orthonormal(rng.normal(size=(40, n_sizes)))
     for _ in range(2000):
         before = rng.normal(size=40)
-        found.append(np.exp(known_noise_log_p(before, before - basis @ (basis.T @ before), n_sizes)))
+        found.append(np.exp(chance.known_noise_log_p(before, before - basis @ (basis.T @ before), n_sizes)))
     assert np.mean(np.array(found) <= 0.05) == pytest.approx(0.05, abs=0.015)
 
 
@@ -179,5 +171,5 @@ def test_in_known_noise_the_cause_is_excluded_as_rarely_as_its_probability_says(
         cause = next(one for one in fits if one[1] is shapes[1])
         rivals = [one for one in fits if one is not cause]
         if rivals[0][0] @ rivals[0][0] < cause[0] @ cause[0]:
-            excluded += alternative_p(cause, rivals, np.arange(30), k, std) <= 0.05
+            excluded += chance.alternative_p(cause, rivals, np.arange(30), k, std) <= 0.05
     assert excluded <= 0.05 * draws

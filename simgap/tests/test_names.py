@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import simgap
+from helpers.command import run_simgap
 from simgap.common.names import list_names
 
 
@@ -38,4 +39,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
 
 def test_the_module_runs_the_command_line():
     assert "Usage: simgap" in run_python("-m", "simgap", "--help")
-    assert run_python("-m", "simgap", "--version").startswith("simgap ")
+
+
+def test_the_version_is_told(tmp_path):
+    assert run_simgap(tmp_path, "--version").stdout.startswith("simgap ")

@@ -9,18 +9,7 @@ from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
 from simgap.common.record import Record
-from simgap.files.robot_file import (
-    ConditionTable,
-    CsvTable,
-    JointTable,
-    MotionTable,
-    RobotFile,
-    SerialFile,
-    SettingTable,
-    SignalColumn,
-    TimeTable,
-    read_robot_file,
-)
+from simgap.files import robot_file
 from simgap.files.splits import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
 
@@ -108,8 +97,8 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
     (tmp_path / "robot.toml").write_text(
         'name = "arm"\nserial_arm = "arm.toml"\n[poses]\n"poses.csv" = "map.toml"'
     )
-    found = read_robot_file(tmp_path / "robot.toml")
-    assert isinstance(found, SerialFile)
+    found = robot_file.read_robot_file(tmp_path / "robot.toml")
+    assert isinstance(found, robot_file.SerialFile)
     assert found.poses == {"poses.csv": "map.toml"}
     with pytest.raises(RobotError, match="serial_arm: has tracker poses and no MJCF model"):
         Robot.from_toml(tmp_path / "robot.toml")
@@ -187,17 +176,17 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 
 TABLES = {
-    "Robot": RobotFile,
-    "`[time]`": TimeTable,
-    "`[motion]`": MotionTable,
-    "`[conditions.NAME]`": ConditionTable,
-    "Numbers that a condition sets": SettingTable,
-    "`[csv]`": CsvTable,
-    "`[joints.NAME]`": JointTable,
-    "Columns": SignalColumn,
+    "Robot": robot_file.RobotFile,
+    "`[time]`": robot_file.TimeTable,
+    "`[motion]`": robot_file.MotionTable,
+    "`[conditions.NAME]`": robot_file.ConditionTable,
+    "Numbers that a condition sets": robot_file.SettingTable,
+    "`[csv]`": robot_file.CsvTable,
+    "`[joints.NAME]`": robot_file.JointTable,
+    "Columns": robot_file.SignalColumn,
     "Split file": SplitFile,
     "`[splits.NAME]`": SplitTable,
-    "Arm with tracker poses": SerialFile,
+    "Arm with tracker poses": robot_file.SerialFile,
 }
 
 

@@ -14,7 +14,7 @@ from marsarm.common.rates import median_with_interval
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from validation.campaigns import Context
-from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out, list_clear_cases
+from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out
 from validation.cases.arm_score import (
     CLASSES_FILE,
     EquivalenceClasses,
@@ -250,11 +250,6 @@ def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved: P
         "case-001: rub at hip: drag at knee",
     ]
     assert (found["named"]["hits"], found["named"]["of"], found["right_place"]["hits"]) == (2, 2, 0)
-
-
-def test_only_single_effects_from_the_limit_on_are_taken_largest_first() -> None:
-    chosen = list_clear_cases(TRUTH.cases, CLASSES)
-    assert [case.name for case in chosen] == ["case-002", "case-001"]
 
 
 GOOD = said(finding(*HIP))

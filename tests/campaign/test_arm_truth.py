@@ -9,17 +9,9 @@ import pytest
 from marsarm.diagnosis.arm.blind_case import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
 from marsarm.diagnosis.problem import Hypothesis, Parameter
 from simgap.common.errors import BadRequest
+from validation.cases import sealed
 from validation.cases.arm import ArmCases
 from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
-from validation.cases.sealed import (
-    DIGEST,
-    SEALED_FOLDER,
-    TRUTH,
-    SealedTruth,
-    load_existing_truth,
-    load_truth,
-    seal,
-)
 
 MAKER = ArmCases()
 
@@ -103,35 +95,35 @@ def test_the_same_seed_plans_the_same() -> None:
 
 
 EFFECT = SealedEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")
-SEALED = SealedTruth(
+SEALED = sealed.SealedTruth(
     "00ff", (TrueCase("case-000", "single", (EFFECT,), ("b:p",), 5), TrueCase("case-001", "none", (), (), 6))
 )
 
 
 def test_a_truth_comes_back_and_one_that_was_changed_is_refused(tmp_path: Path) -> None:
-    assert seal(tmp_path, SEALED) == (tmp_path / DIGEST).read_text().strip()
-    assert load_truth(tmp_path, MAKER) == SEALED
-    path = tmp_path / SEALED_FOLDER / TRUTH
+    assert sealed.seal(tmp_path, SEALED) == (tmp_path / sealed.DIGEST).read_text().strip()
+    assert sealed.load_truth(tmp_path, MAKER) == SEALED
+    path = tmp_path / sealed.SEALED_FOLDER / sealed.TRUTH
     path.write_text(path.read_text().replace("1.25", "1.26"))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        load_truth(tmp_path, MAKER)
+        sealed.load_truth(tmp_path, MAKER)
 
 
 def test_a_folder_of_an_earlier_version_can_be_scored(tmp_path: Path) -> None:
-    seal(tmp_path, SEALED)
-    (tmp_path / SEALED_FOLDER / TRUTH).rename(tmp_path / TRUTH)
-    assert load_truth(tmp_path, MAKER) == SEALED
+    sealed.seal(tmp_path, SEALED)
+    (tmp_path / sealed.SEALED_FOLDER / sealed.TRUTH).rename(tmp_path / sealed.TRUTH)
+    assert sealed.load_truth(tmp_path, MAKER) == SEALED
     assert SEALED.digest() == "3ffc020780e17eca760d5a8a2f31ef1862882339dc1ea0def711e7d99bef97dd"
 
 
 def test_cases_of_another_seed_or_number_are_not_gone_on_with(tmp_path: Path) -> None:
-    assert load_existing_truth(tmp_path, MAKER, "00ff", 2) is None
-    seal(tmp_path, SEALED)
-    assert load_existing_truth(tmp_path, MAKER, "00ff", 2) == SEALED
+    assert sealed.load_existing_truth(tmp_path, MAKER, "00ff", 2) is None
+    sealed.seal(tmp_path, SEALED)
+    assert sealed.load_existing_truth(tmp_path, MAKER, "00ff", 2) == SEALED
     with pytest.raises(BadRequest, match="holds 2 cases; give"):
-        load_existing_truth(tmp_path, MAKER, "00ff", 3)
+        sealed.load_existing_truth(tmp_path, MAKER, "00ff", 3)
     with pytest.raises(BadRequest, match="holds 2 cases of another seed"):
-        load_existing_truth(tmp_path, MAKER, "00fe", 2)
+        sealed.load_existing_truth(tmp_path, MAKER, "00fe", 2)
 
 
 def test_a_truth_that_is_thought_of_cannot_be_tried_without_the_salt() -> None:

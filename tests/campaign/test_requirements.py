@@ -6,18 +6,10 @@ from dataclasses import replace
 import pytest
 
 from helpers.marks import slow_but
-from validation.requirements import (
-    MEASURED,
-    RequirementRow,
-    find_problems,
-    load_table,
-    make_page,
-    measure,
-    select,
-)
+from validation import requirements
 
-TABLE = load_table()
-KEPT = json.loads(MEASURED.read_text())
+TABLE = requirements.load_table()
+KEPT = json.loads(requirements.MEASURED.read_text())
 SHORT = ("reach", "budget", "mars", "calibration")
 """Campaigns of less than a minute."""
 SAME = 1e-3
@@ -45,7 +37,7 @@ def test_every_subject_of_the_paper_has_a_requirement():
 @pytest.mark.parametrize("name", slow_but(SHORT))
 def test_a_short_campaign_measures_the_numbers_of_the_page(name):
     campaign = next(one for one in TABLE.campaigns if one.name == name)
-    assert measure(TABLE, campaign) == pytest.approx(KEPT[name]["values"], rel=SAME)
+    assert requirements.measure(TABLE, campaign) == pytest.approx(KEPT[name]["values"], rel=SAME)
 
 
 @pytest.mark.parametrize(
@@ -63,22 +55,22 @@ def test_a_short_campaign_measures_the_numbers_of_the_page(name):
 )
 def test_a_wrong_row_is_named(change, sentence):
     row = replace(TABLE.rows[0], **change)
-    (problem,) = find_problems(replace(TABLE, rows=(row,)), KEPT)
+    (problem,) = requirements.find_problems(replace(TABLE, rows=(row,)), KEPT)
     with pytest.raises(AssertionError, match=sentence):
         raise AssertionError(problem)
 
 
 def test_a_number_of_another_command_is_named():
     other = {"reach": {**KEPT["reach"], "command": "python -m marsarm reach"}}
-    (problem,) = find_problems(replace(TABLE, rows=()), other)
+    (problem,) = requirements.find_problems(replace(TABLE, rows=()), other)
     assert problem.startswith("campaign reach: was measured by another command")
 
 
 def test_the_worst_value_counts_and_the_margin_is_what_is_left_of_the_bound():
     document = {"a": [{"x": 1.0}, {"x": 3.0}], "b": [{"x": 2.0}]}
-    most = RequirementRow("", "", "mm", "", ("*", "*", "x"), (), most=6.0)
+    most = requirements.RequirementRow("", "", "mm", "", ("*", "*", "x"), (), most=6.0)
     least = replace(most, most=None, least=0.5)
-    assert sorted(select(document, most.value)) == [1.0, 2.0, 3.0]
+    assert sorted(requirements.select(document, most.value)) == [1.0, 2.0, 3.0]
     assert most.measure(document) == 3.0
     assert most.margin(3.0) == 0.5
     assert least.measure(document) == 1.0
@@ -89,4 +81,4 @@ def test_the_worst_value_counts_and_the_margin_is_what_is_left_of_the_bound():
 
 def test_the_number_of_a_changed_tree_is_marked():
     kept = {name: {**campaign, "commit": 40 * "a" + "-dirty"} for name, campaign in KEPT.items()}
-    assert make_page(TABLE, kept).count("`aaaaaaa-dirty`") == len(TABLE.campaigns)
+    assert requirements.make_page(TABLE, kept).count("`aaaaaaa-dirty`") == len(TABLE.campaigns)

@@ -55,11 +55,6 @@ def test_a_fragment_says_so_and_is_included(name: str) -> None:
     assert any(f'<include file="{name}"/>' in path_of(f).read_text() for f in FILES)
 
 
-@pytest.mark.parametrize("name", FILES + FRAGMENTS)
-def test_files_stay_readable(name: str) -> None:
-    assert len(path_of(name).read_text().splitlines()) < 400
-
-
 @pytest.mark.parametrize(("scene", "gravity_m_s2"), SCENES.items())
 def test_a_scene_changes_only_the_gravity_of_the_arm(scene: str, gravity_m_s2: float) -> None:
     arm, model = load("arm.xml"), load(scene)

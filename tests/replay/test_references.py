@@ -20,7 +20,7 @@ from marsarm.replaying.replay import (
 )
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import cpu_features
-from tests.replay.remake import FOLDER, main, make, path_of, tell
+from tests.replay.remake import FOLDER, make, path_of, tell
 from tests.replay.runs import RUNS
 
 MOST_BYTES = 1_500_000
@@ -111,8 +111,3 @@ def test_what_differs_is_printed():
     assert "recorded is what the file held, replayed the run made anew" in printed
     assert "missing  ResolverDisagrees" in printed
     assert "header    has another commands" in printed
-
-
-def test_a_name_that_is_no_run_is_refused():
-    with pytest.raises(SystemExit, match="jump: no such run; there are joints, contact"):
-        main(["jump"])

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from helpers.arm_folder import ROBOT
+from helpers.command import run_simgap
 from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from simgap.command.diagnosis import GOES_ON
 from simgap.effects.actuation import GainError
@@ -68,12 +68,10 @@ start()
 """
 
 
-def run(
-    folder: Path, cache: Path, *start: str, words: Sequence[str] = WORDS
-) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, cache: Path, *start: str) -> subprocess.CompletedProcess[str]:
     """Run a diagnosis to its end, or as a program says."""
     env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, *(start or ("-m", "simgap")), *words]
+    command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
     return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
 
 
@@ -83,8 +81,11 @@ def end_at_step(number: signal.Signals, folder: Path, cache: Path) -> tuple[int,
     return ended.returncode, ended.stderr
 
 
-def test_base_parameters_alone_are_fitted_without_the_catalogue(folder: Path, tmp_path: Path) -> None:
-    done = run(folder, tmp_path, words=(*WORDS, "--terms", "none"))
+def test_base_parameters_alone_are_fitted_without_the_catalogue(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    done = run_simgap(folder, *WORDS, "--terms", "none")
     found = json.loads(done.stdout)
     assert (found["findings"], found["verdict"], steps(tmp_path)) == ([], "unknown", [])
     (error,) = found["errors"]

@@ -368,17 +368,6 @@ def test_the_tool_channels_follow_the_tool_of_the_last_tool_command(command):
     assert rig.state.tool == "apxs"
 
 
-def test_a_move_without_deflection_is_another_move():
-    rig = deployed()
-    command = rig.here("apxs", 0.01)
-    ends = []
-    for deflection in ("off", "absolute"):
-        rig = deployed()
-        rig.run(replace(command, deflection=deflection))
-        ends.append(rig.state.joints.motor_rad)
-    assert 1e-3 < np.abs(ends[0] - ends[1]).max() < 0.05
-
-
 def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
     rig = stowed()
     rig.cycle(Unstow())

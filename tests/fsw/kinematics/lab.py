@@ -13,23 +13,10 @@ from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_ki
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import tool_index
-from validation.kinematics import (
-    DEFLECTED_M,
-    RIGID_M,
-    SAME_RAD,
-    Near,
-    Trial,
-    arm_of,
-    claimed_roots,
-    draw_vectors,
-    find_regular,
-    root_distances,
-    root_errors,
-    smallest_singular_value,
-)
+from validation import kinematics
 
 GRAVITIES = {"rigid": None, "mars": MARS_R_m_s2, "tilted": np.array([0.9, -1.2, 3.4])}
-DOUBLE_ROOT = Near.ELBOW | Near.WRIST | Near.SHOULDER
+DOUBLE_ROOT = kinematics.Near.ELBOW | kinematics.Near.WRIST | kinematics.Near.SHOULDER
 INSIDE_RAD = 1e-6
 
 
@@ -37,7 +24,7 @@ INSIDE_RAD = 1e-6
 class SolvedTargets:
     """Targets, the joint vectors from which they were computed, and the result of the inverse kinematics."""
 
-    trial: Trial
+    trial: kinematics.Trial
     q: np.ndarray
     p: np.ndarray
     a: np.ndarray
@@ -47,18 +34,18 @@ class SolvedTargets:
 
     @property
     def tolerance(self) -> float:
-        return RIGID_M if self.trial.gravity_R_m_s2 is None else DEFLECTED_M
+        return kinematics.RIGID_M if self.trial.gravity_R_m_s2 is None else kinematics.DEFLECTED_M
 
 
-def trial_of(name: str, gravity: str, tool: str) -> Trial:
-    return Trial(name, arm_of(name), tool, GRAVITIES[gravity])
+def trial_of(name: str, gravity: str, tool: str) -> kinematics.Trial:
+    return kinematics.Trial(name, kinematics.arm_of(name), tool, GRAVITIES[gravity])
 
 
-def solve_poses(trial: Trial, q: np.ndarray) -> SolvedTargets:
+def solve_poses(trial: kinematics.Trial, q: np.ndarray) -> SolvedTargets:
     X = trial.tool_pose(q)
     p, a = X.p, X.R[:, 0]
     result = inverse_kinematics(trial.arm, trial.tool, p, a, trial.gravity_R_m_s2)
-    return SolvedTargets(trial, q, p, a, result, smallest_singular_value(trial, q))
+    return SolvedTargets(trial, q, p, a, result, kinematics.smallest_singular_value(trial, q))
 
 
 @lru_cache
@@ -72,14 +59,14 @@ def random_poses(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
 def near_double_roots(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors that are a microradian to a third of a radian from a double root."""
     trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool_index(tool)])
-    q, near = draw_vectors(trial, rng, 9 * n)
+    q, near = kinematics.draw_vectors(trial, rng, 9 * n)
     return solve_poses(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
 
 
 def assert_poses_found(solved: SolvedTargets) -> None:
     """Assert that each regular pose is among its roots, and each that is found valid inside the limits."""
-    distance = root_distances(solved.result, solved.q)
-    found, clear = distance.min(axis=0) < SAME_RAD, find_regular(solved.trial, solved.q)
+    distance = kinematics.root_distances(solved.result, solved.q)
+    found, clear = distance.min(axis=0) < kinematics.SAME_RAD, kinematics.find_regular(solved.trial, solved.q)
     assert clear.any()
     lost = np.flatnonzero(clear & ~found)
     assert not lost.size, [(solved.q[:, k].tolist(), solved.sigma[k]) for k in lost[:3]]
@@ -89,8 +76,8 @@ def assert_poses_found(solved: SolvedTargets) -> None:
 
 def assert_roots_meet(solved: SolvedTargets, bound_m: float, told: float = 2e-8) -> None:
     """Assert that every root meets its target, and that the result tells by how much."""
-    there = claimed_roots(solved.result)
-    error = root_errors(solved.trial, solved.result, solved.p, solved.a)[there]
+    there = kinematics.claimed_roots(solved.result)
+    error = kinematics.root_errors(solved.trial, solved.result, solved.p, solved.a)[there]
     assert error.max() < bound_m
     np.testing.assert_allclose(solved.result.error[there], error, rtol=0, atol=told)
 
@@ -114,7 +101,7 @@ def assert_consistent(arm, result: IkResult) -> None:
     assert verdict.shape == result.joint.shape == excess.shape == result.error.shape
     assert angles.shape == result.torque_Nm.shape == (5, *verdict.shape)
     assert verdict.shape[0] == len(BRANCHES)
-    is_root = claimed_roots(result)
+    is_root = kinematics.claimed_roots(result)
     assert np.isfinite(angles[:, is_root]).all()
     assert np.isnan(angles[:, ~is_root]).all()
     assert np.isfinite(result.torque_Nm).all()

@@ -7,34 +7,16 @@ from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import assert_consistent, assert_poses_found, assert_roots_meet, solve_poses
-from validation.kinematics import (
-    CASES,
-    FARTHEST,
-    NEAREST,
-    SAME_RAD,
-    Near,
-    Trial,
-    arm_of,
-    claimed_roots,
-    draw_targets,
-    draw_vectors,
-    find_regular,
-    log_distances,
-    root_distances,
-    root_errors,
-    smallest_singular_value,
-    task_jacobian,
-    trials,
-)
+from validation import kinematics
 
 EACH = 500
 """Targets, and vectors, for each tool of an arm that is drawn."""
 SEED = 2024
-by_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.replace(" ", "-"))
+by_case = pytest.mark.parametrize("case", kinematics.CASES, ids=lambda case: case.name.replace(" ", "-"))
 
 
 def drawn_trials(case, rng):
-    return (trial for _ in range(case.arms) for trial in trials(case, rng))
+    return (trial for _ in range(case.arms) for trial in kinematics.trials(case, rng))
 
 
 @pytest.mark.slow
@@ -42,16 +24,16 @@ def drawn_trials(case, rng):
 def test_no_vector_is_missed_or_called_by_another_name_and_every_root_meets_its_target(case):
     rng, indistinct = np.random.default_rng(SEED), 0
     for trial in drawn_trials(case, rng):
-        q, _ = draw_vectors(trial, rng, EACH)
+        q, _ = kinematics.draw_vectors(trial, rng, EACH)
         solved = solve_poses(trial, q)
         assert_poses_found(solved)
         assert_roots_meet(solved, case.tolerance_m)
-        lost = root_distances(solved.result, q).min(axis=0) >= SAME_RAD
-        lost[lost] = ~find_regular(trial, q[:, lost])
+        lost = kinematics.root_distances(solved.result, q).min(axis=0) >= kinematics.SAME_RAD
+        lost[lost] = ~kinematics.find_regular(trial, q[:, lost])
         indistinct += lost.sum()
         if trial.is_exact:
             named = (solved.result.verdict == BranchVerdict.SINGULAR).any(axis=0)
-            assert (named | claimed_roots(solved.result).any(axis=0))[lost].all()
+            assert (named | kinematics.claimed_roots(solved.result).any(axis=0))[lost].all()
     assert indistinct > 0 or case.arm == "skew"  # it has none or two in 2,500, as the processor rounds
 
 
@@ -60,10 +42,10 @@ def test_no_vector_is_missed_or_called_by_another_name_and_every_root_meets_its_
 def test_every_root_of_a_target_meets_it_and_at_most_four_of_the_workspace_are_valid(case):
     rng, few = np.random.default_rng(SEED), []
     for trial in drawn_trials(case, rng):
-        p_m, approach, in_workspace = draw_targets(trial, rng, EACH)
+        p_m, approach, in_workspace = kinematics.draw_targets(trial, rng, EACH)
         result = inverse_kinematics(trial.arm, trial.tool, p_m, approach, trial.gravity_R_m_s2)
         assert_consistent(trial.arm, result)
-        assert np.nanmax(root_errors(trial, result, p_m, approach)) <= case.tolerance_m
+        assert np.nanmax(kinematics.root_errors(trial, result, p_m, approach)) <= case.tolerance_m
         few += ((result.verdict == BranchVerdict.VALID).sum(axis=0)[in_workspace] <= 4).tolist()
     assert np.mean(few) > 0.98
 
@@ -72,34 +54,31 @@ def test_every_root_of_a_target_meets_it_and_at_most_four_of_the_workspace_are_v
 @by_case
 def test_vectors_are_inside_their_limits_and_many_are_near_double_roots(case):
     rng = np.random.default_rng(1)
-    for trial in trials(case, rng):
-        q, near = draw_vectors(trial, rng, 2000)
+    for trial in kinematics.trials(case, rng):
+        q, near = kinematics.draw_vectors(trial, rng, 2000)
         assert (limit_excess(trial.arm, q) <= 0).all()
-        for flag in (Near.ELBOW, Near.WRIST, Near.SHOULDER):
+        for flag in (kinematics.Near.ELBOW, kinematics.Near.WRIST, kinematics.Near.SHOULDER):
             there = (near & flag) > 0
             assert there.sum() > 100
-            assert np.median(smallest_singular_value(trial, q[:, there])) < 0.01
+            assert np.median(kinematics.smallest_singular_value(trial, q[:, there])) < 0.01
 
 
-@pytest.mark.parametrize("case", slow_but(CASES, CASES[0], CASES[-1]), ids=[case.name for case in CASES])
+@pytest.mark.parametrize(
+    "case",
+    slow_but(kinematics.CASES, kinematics.CASES[0], kinematics.CASES[-1]),
+    ids=[case.name for case in kinematics.CASES],
+)
 def test_some_vectors_are_measured_from_the_double_roots_of_the_arm_as_it_is(case):
-    trial = next(trials(case, np.random.default_rng(2)))
-    q, near = draw_vectors(trial, np.random.default_rng(3), 3000)
-    assert (smallest_singular_value(trial, q[:, near > 0]) < 1e-4).sum() > 10
-
-
-def test_distances_come_in_every_size():
-    sizes = np.abs(log_distances(np.random.default_rng(4), 10_000))
-    assert NEAREST <= sizes.min() < sizes.max() <= FARTHEST
-    decades = np.histogram(np.log10(sizes), bins=[-6, -5, -4, -3, -2, -1])[0]
-    assert decades.min() > 0.8 * decades.max()
+    trial = next(kinematics.trials(case, np.random.default_rng(2)))
+    q, near = kinematics.draw_vectors(trial, np.random.default_rng(3), 3000)
+    assert (kinematics.smallest_singular_value(trial, q[:, near > 0]) < 1e-4).sum() > 10
 
 
 def test_the_jacobian_of_a_deflected_tool_counts_the_load_s_response():
     """The Jacobian differs from the rigid one by a few parts in a thousand."""
     q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
     rigid, deflected = (
-        task_jacobian(Trial("nominal", arm_of("nominal"), "drill", pull), q)
+        kinematics.task_jacobian(kinematics.Trial("nominal", kinematics.arm_of("nominal"), "drill", pull), q)
         for pull in (None, np.array([0.0, 0.0, 3.711]))
     )
     assert 1e-3 < np.abs(deflected - rigid).max() < 0.1

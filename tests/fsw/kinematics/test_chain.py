@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Transform6
 from fsw.kinematics.arm import heat_arm, pose_to_transform6, transform6_to_pose
-from fsw.kinematics.chain import forward, frame_jacobian, frame_poses, joint_jacobian, spring_pose, tool_pose
+from fsw.kinematics.chain import forward, frame_jacobian, frame_poses, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z, screw_exp
 from helpers.marks import slow_but
 from tests.fsw.rig import config_of, in_limits, matrix
@@ -75,17 +75,6 @@ def test_no_strain_is_zero_strain():
     np.testing.assert_array_equal(rigid_arm.X_LD.p[..., 0], config.arm.p_LC_m)
 
 
-@pytest.mark.parametrize("size", [1.0, 3.0])
-def test_a_spring_translates_then_turns_about_x_y_and_z(size):
-    arm = config_of().arm
-    strain = size * np.random.default_rng(4).uniform(-0.03, 0.03, (6, 6, 40))
-    X_LD = spring_pose(arm, strain)
-    for i in range(6):
-        for k in range(40):
-            expected = translation(arm.p_LC_m[:, i]) @ spring(strain[:, i, k])
-            np.testing.assert_allclose(matrix(X_LD[i, k]), expected, atol=1e-13)
-
-
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("tool", TOOLS)
 def test_the_jacobian_agrees_with_finite_differences(name, tool):
@@ -137,14 +126,6 @@ def test_the_poses_of_the_frames_are_those_of_the_chain_and_of_the_tool(tool):
         expected = X_RT if frame is Frame.TOOL else frames.X_RF[int(frame)]
         np.testing.assert_array_equal(X[int(frame)].R, expected.R)
         np.testing.assert_array_equal(X[int(frame)].p, expected.p)
-
-
-def test_an_error_of_the_tool_s_own_frame_is_itself_in_rover_axes():
-    config = config_of()
-    frames = forward(config.arm, in_limits(config, np.random.default_rng(9), 1)[:, 0])
-    X_RT = tool_pose(config.arm, frames, "apxs")
-    own = np.kron(np.eye(2), X_RT.R)
-    np.testing.assert_allclose(frame_jacobian(frames, X_RT)[:, :, Frame.TOOL], own, atol=1e-15)
 
 
 def test_a_batch_of_poses_is_its_single_poses():

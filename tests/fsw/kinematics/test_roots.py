@@ -11,9 +11,7 @@ from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import (
     BEND,
-    DEFLECTED_TOLERANCE,
     MOST_MISSING_M,
-    RIGID_TOLERANCE,
     TASK_TOLERANCE,
     find_straight,
     refine_roots,
@@ -225,10 +223,6 @@ def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
     assert not roots.followed.any()
     # the first iteration gives a rough estimate
     assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
-
-
-def test_the_tolerance_is_tighter_for_the_rigid_arm():
-    assert root_tolerance(np.zeros(3)) == RIGID_TOLERANCE < root_tolerance(MARS_R_m_s2) == DEFLECTED_TOLERANCE
 
 
 N_STRAIGHT = 300

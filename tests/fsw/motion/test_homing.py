@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fsw.dictionary import faults
 from fsw.dictionary.commands import Calibrate, CalibrateAll, MoveJoint
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode
 from fsw.dictionary.evrs import (
@@ -11,14 +12,6 @@ from fsw.dictionary.evrs import (
     CommandCompleted,
     FaultResponse,
     JointCalibrated,
-)
-from fsw.dictionary.faults import (
-    CurrentImplausible,
-    HardstopImplausible,
-    HardstopMoved,
-    HardstopUnclear,
-    MotorStuck,
-    StalledEarly,
 )
 from fsw.executive.poses import HOMED_TWICE
 from fsw.motion.homing import HomingStage
@@ -88,7 +81,7 @@ def test_a_joint_that_already_stands_at_its_hardstop_finds_it_too(joint):
 @pytest.mark.parametrize("joint", EACH_JOINT)
 def test_a_joint_that_stalls_before_its_hardstop_says_so(joint):
     window = CONFIG.params.hardstop.window_rad
-    early = faulted(StopRig(CONFIG, START, stop_off_rad=1.5 * window), joint, StalledEarly)
+    early = faulted(StopRig(CONFIG, START, stop_off_rad=1.5 * window), joint, faults.StalledEarly)
     assert early.stop_rad == STOPS_RAD[joint]
     assert early.angle_rad == pytest.approx(STOPS_RAD[joint] + 1.5 * window, abs=3e-3)
 
@@ -98,7 +91,7 @@ def test_what_gives_way_like_no_hardstop_is_none(joint):
     gear = 1 / CONFIG.arm.gear_stiffness_Nm_rad[joint]
     too_soft = (1.5 * CONFIG.params.hardstop.stiffness_ratio * COMPLIANCE_RAD_NM[joint] - gear) * STOP_NM_RAD
     rig = StopRig(CONFIG, START, softer=too_soft)
-    evr = faulted(rig, joint, HardstopImplausible)
+    evr = faulted(rig, joint, faults.HardstopImplausible)
     assert evr.compliance_urad_Nm > CONFIG.params.hardstop.stiffness_ratio * evr.nominal_urad_Nm
     assert evr.nominal_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint])
 
@@ -112,7 +105,7 @@ def test_a_hardstop_is_not_to_be_elsewhere_than_it_was_found_before(joint, sign)
         off = sign * share * bound * (np.arange(5) == joint)
         rig = StopRig(CONFIG, START, off)
         if moved:
-            evr = faulted(rig, joint, HardstopMoved)
+            evr = faulted(rig, joint, faults.HardstopMoved)
             assert evr.bound_rad == bound
             assert evr.moved_rad == pytest.approx(sign * share * bound, abs=0.1e-3)
         else:
@@ -125,7 +118,7 @@ def test_a_hardstop_is_not_to_be_elsewhere_than_it_was_found_before(joint, sign)
 def test_a_motor_that_neither_turns_nor_draws_current_is_stuck(joint):
     rig = StopRig(CONFIG, START)
     rig.dead = True
-    evr = faulted(rig, joint, MotorStuck)
+    evr = faulted(rig, joint, faults.MotorStuck)
     assert abs(evr.current_A) < 0.1 < evr.limit_A
 
 
@@ -134,15 +127,15 @@ def test_a_stall_without_a_rise_of_torque_is_unclear():
     rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.homing.stage is HomingStage.FINE)
     rig.seized = True
     evrs = rig.run(at_most=2000)
-    assert HardstopUnclear(Joint.WRIST) in evrs
+    assert faults.HardstopUnclear(Joint.WRIST) in evrs
     assert not rig.outputs.joint.calibrated[Joint.WRIST]
 
 
 def test_a_current_that_cannot_be_is_not_believed():
     rig = StopRig(CONFIG, START)
     rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.homing.stage is HomingStage.COARSE)
-    (evr,) = of(rig.run(at_most=200, current_A=np.full(5, -2.9)), CurrentImplausible)
-    assert evr == CurrentImplausible(Joint.WRIST, -2.9, evr.limit_A)
+    (evr,) = of(rig.run(at_most=200, current_A=np.full(5, -2.9)), faults.CurrentImplausible)
+    assert evr == faults.CurrentImplausible(Joint.WRIST, -2.9, evr.limit_A)
     assert evr.limit_A < 2.9
 
 

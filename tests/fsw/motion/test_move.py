@@ -25,7 +25,6 @@ from fsw.motion.move import (
 )
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.motion.plan import Refusal
-from fsw.state import boot
 from helpers.marks import slow_but
 from tests.fsw.rig import Rig, config_of, floats, in_limits, quiet_sensors
 from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
@@ -108,13 +107,6 @@ def test_a_tool_without_switches_never_touches():
     for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
             assert find_closed_switch(CONFIG, tool, np.isin(SWITCHES, [switch])) == switch
-
-
-def test_without_a_move_brakes_are_on_and_power_is_off():
-    state = boot(CONFIG, Mode.DEPLOYED)
-    drive = command_actuators(CONFIG, None, state.joints, state.drive)
-    assert not drive.power_on.any()
-    assert not drive.brake_release.any()
 
 
 @pytest.mark.parametrize("phase", Phase)

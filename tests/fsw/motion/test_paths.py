@@ -227,14 +227,6 @@ def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_it
         np.testing.assert_allclose(numeric[2:-2], rate[2:-2], atol=2e-5)
 
 
-def test_no_joint_is_above_its_speed_where_the_line_crosses_a_gap_close_to_a_singular_pose():
-    pose = np.array([0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724])
-    rig = Rig(CONFIG, start_rad=pose)
-    for path in plan_guarded(CONFIG, rig.state.joints, rig.touch("portion", 0.09)).paths:
-        _, _, rate = sampled(path, 800)
-        assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
-
-
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9))
 def test_no_joint_is_above_its_speed_on_any_knots(seed, count):
     rng = np.random.default_rng(seed)

@@ -9,17 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_S
+from fsw.dictionary import faults
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.faults import (
-    FollowingErrorHigh,
-    MotorStalled,
-    OverCurrent,
-    OverTemperature,
-    ResolverDisagrees,
-    SetpointUnsafe,
-    SoftLimitPassed,
-    UnderTemperature,
-)
 from fsw.protect.monitors import (
     ROUNDING_RAD,
     check_current,
@@ -68,7 +59,7 @@ def unsafe_setpoint(last_rad, setpoint_rad, homing=None, bounds=BOUNDS):
 @pytest.mark.parametrize("value", BAD)
 def test_what_is_no_number_does_not_go_out_and_nothing_after_it(joint, value):
     (evr,) = unsafe_setpoint(READY, at(joint, value, READY))
-    assert isinstance(evr, SetpointUnsafe)
+    assert isinstance(evr, faults.SetpointUnsafe)
     assert evr.joint is joint
     assert evr.last_rad == READY[joint]
     assert unsafe_setpoint(at(joint, np.nan, READY), READY) != ()
@@ -80,12 +71,14 @@ def test_a_jump_is_a_step_larger_than_speed_and_factor_allow(joint, sign):
     step = sign * STEP[joint]
     assert unsafe_setpoint(ZERO, at(joint, step), bounds=WIDE) == ()
     for jump in (sign * above(STEP[joint]), 1e6 * step):
-        assert unsafe_setpoint(ZERO, at(joint, jump), bounds=WIDE) == (SetpointUnsafe(joint, jump, 0.0),)
+        assert unsafe_setpoint(ZERO, at(joint, jump), bounds=WIDE) == (
+            faults.SetpointUnsafe(joint, jump, 0.0),
+        )
 
 
 def test_of_several_set_points_that_must_not_go_out_the_first_is_named_and_none_is_left_out():
     (evr,) = unsafe_setpoint(ZERO, np.array([0.0, 0.0, 5.0, 0.0, 9.0]), bounds=WIDE)
-    assert evr == SetpointUnsafe(Joint.ELBOW, 5.0, 0.0)
+    assert evr == faults.SetpointUnsafe(Joint.ELBOW, 5.0, 0.0)
     with pytest.raises(ValueError, match="shorter"):
         unsafe_setpoint(READY[:4], READY)
 
@@ -218,7 +211,7 @@ def test_a_joint_that_is_moved_outward_beyond_soft_limit_and_margin_is_reported_
     out = a_move(setpoint_rate_rad_s=at(joint, outward * 1e-9))
     assert check_soft_limits(BOUNDS, out, at(joint, limit, READY)) == ()
     found = check_soft_limits(BOUNDS, out, at(joint, angle, READY))
-    assert found == (SoftLimitPassed(joint, angle, soft),)
+    assert found == (faults.SoftLimitPassed(joint, angle, soft),)
     for rate_rad_s in (0.0, -outward * 1e-9):
         back = a_move(setpoint_rate_rad_s=at(joint, rate_rad_s))
         assert check_soft_limits(BOUNDS, back, at(joint, angle, READY)) == ()
@@ -230,7 +223,7 @@ def test_a_joint_in_homing_has_its_limit_beyond_it(joint):
     down = a_move(homing=joint, setpoint_rate_rad_s=at(joint, -0.01))
     assert check_soft_limits(BOUNDS, down, at(joint, farthest, READY)) == ()
     found = check_soft_limits(BOUNDS, down, at(joint, below(farthest), READY))
-    assert found == (SoftLimitPassed(joint, below(farthest), farthest),)
+    assert found == (faults.SoftLimitPassed(joint, below(farthest), farthest),)
     other = Joint((joint + 1) % 5)
     found = check_soft_limits(
         BOUNDS,
@@ -245,7 +238,7 @@ def test_of_two_joints_beyond_their_limits_the_one_that_is_moved_outward_is_name
     outside[Joint.ELEVATION], outside[Joint.WRIST] = LOWEST[Joint.ELEVATION] - 0.1, HIGHEST[Joint.WRIST] + 0.1
     inward_and_outward = a_move(setpoint_rate_rad_s=np.array([0.0, 0.01, 0.0, 0.01, 0.0]))
     (evr,) = check_soft_limits(BOUNDS, inward_and_outward, outside)
-    assert evr == SoftLimitPassed(Joint.WRIST, outside[Joint.WRIST], HIGH[Joint.WRIST])
+    assert evr == faults.SoftLimitPassed(Joint.WRIST, outside[Joint.WRIST], HIGH[Joint.WRIST])
     both = a_move(setpoint_rate_rad_s=np.array([0.0, -0.01, 0.0, 0.01, 0.0]))
     (evr,) = check_soft_limits(BOUNDS, both, outside)
     assert evr.joint is Joint.ELEVATION
@@ -256,7 +249,7 @@ def test_a_following_error_is_reported_of_the_joint_that_is_farthest(joint):
     bound, persistence = MONITORS.following_error_rad, MONITORS.following_persistence
     assert check_following(BOUNDS, 100, at(joint, bound, 0.5 * bound)) == (0, ())
     far = at(joint, above(bound), bound)
-    event = FollowingErrorHigh(joint, above(bound), bound)
+    event = faults.FollowingErrorHigh(joint, above(bound), bound)
     assert_reports_from(persistence, lambda count: check_following(BOUNDS, count, far), event)
 
 
@@ -275,9 +268,9 @@ def stall(count, joint, rate_rad_s, commanded_rad_s, error_rad=1.0, homing=None)
 def test_a_motor_has_stalled_if_it_turns_less_than_its_share_of_what_is_asked(joint, sign):
     commanded, slow = sign * ASKED, sign * below(SHARE * ASKED)
     assert stall(100, joint, sign * SHARE * ASKED, commanded) == (0, ())
-    event = MotorStalled(joint, slow, commanded)
+    event = faults.MotorStalled(joint, slow, commanded)
     assert_reports_from(MONITORS.stall_persistence, lambda count: stall(count, joint, slow, commanded), event)
-    wrong_way = MotorStalled(joint, -commanded, commanded)
+    wrong_way = faults.MotorStalled(joint, -commanded, commanded)
     assert stall(1000, joint, -commanded, commanded) == (1001, (wrong_way,))
 
 
@@ -295,7 +288,7 @@ def test_motors_that_all_lag_have_stalled_only_if_they_lack_their_rate_and_the_w
     assert check_stall(BOUNDS, 100, move, np.ones(5), move.setpoint_rate_rad_s) == (0, ())
     move = a_move(setpoint_rate_rad_s=np.array([0.01, 0.02, 0.01, 0.01, 0.01]))
     _, (evr,) = check_stall(BOUNDS, 1000, move, np.ones(5), ZERO)
-    assert evr == MotorStalled(Joint.ELEVATION, 0.0, 0.02)
+    assert evr == faults.MotorStalled(Joint.ELEVATION, 0.0, 0.02)
 
 
 @joints
@@ -304,7 +297,7 @@ def test_an_over_current_is_reported_of_the_motor_that_is_farthest_beyond_its_bo
     bound = OVER_A[joint]
     assert check_current(BOUNDS, 100, sign * OVER_A) == (0, ())
     high = at(joint, sign * (bound + 0.01), sign * OVER_A + sign * 0.005)
-    event = OverCurrent(joint, sign * (bound + 0.01), bound)
+    event = faults.OverCurrent(joint, sign * (bound + 0.01), bound)
     assert_reports_from(
         MONITORS.over_current_persistence, lambda count: check_current(BOUNDS, count, high), event
     )
@@ -317,7 +310,7 @@ def test_a_hot_winding_is_reported_whether_the_arm_moves_or_not(joint, is_moving
     bound, persistence = MONITORS.winding_max_C, MONITORS.winding_persistence
     assert check_windings(BOUNDS, 100, is_moving, at(joint, bound, 20.0)) == (0, ())
     hot = at(joint, above(bound), bound)
-    event = OverTemperature(joint, above(bound), bound)
+    event = faults.OverTemperature(joint, above(bound), bound)
     assert_reports_from(persistence, lambda count: check_windings(BOUNDS, count, is_moving, hot), event)
 
 
@@ -326,11 +319,11 @@ def test_a_cold_winding_is_reported_of_an_arm_that_moves_unless_another_is_hot(j
     bound, persistence = MONITORS.winding_min_C, MONITORS.winding_persistence
     assert check_windings(BOUNDS, 100, True, at(joint, bound, 20.0)) == (0, ())
     cold = at(joint, below(bound), bound)
-    event = UnderTemperature(joint, below(bound), bound)
+    event = faults.UnderTemperature(joint, below(bound), bound)
     assert_reports_from(persistence, lambda count: check_windings(BOUNDS, count, True, cold), event)
     assert check_windings(BOUNDS, 100, False, cold) == (0, ())
     _, found = check_windings(BOUNDS, 1000, True, np.array([200.0, -140.0, 0.0, 0.0, 0.0]))
-    assert found == (OverTemperature(Joint.AZIMUTH, 200.0, MONITORS.winding_max_C),)
+    assert found == (faults.OverTemperature(Joint.AZIMUTH, 200.0, MONITORS.winding_max_C),)
 
 
 @joints
@@ -339,7 +332,7 @@ def test_a_resolver_is_reported_beyond_its_bound_and_what_is_unknown_of_its_gear
     bound = MONITORS.resolver_error_rad
     assert check_resolvers(BOUNDS, 100, resting(resolver_error_rad=at(joint, sign * bound))) == (0, ())
     off = resting(resolver_error_rad=at(joint, sign * 2 * bound, sign * 1.5 * bound))
-    event = ResolverDisagrees(joint, sign * 2 * bound, bound)
+    event = faults.ResolverDisagrees(joint, sign * 2 * bound, bound)
     assert_reports_from(
         MONITORS.resolver_persistence, lambda count: check_resolvers(BOUNDS, count, off), event
     )

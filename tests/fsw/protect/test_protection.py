@@ -5,25 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.dictionary import faults
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CyclesSkipped, FaultResponse
-from fsw.dictionary.faults import (
-    ContactInFreeSpace,
-    ContactLost,
-    FollowingErrorHigh,
-    MotorStalled,
-    NoContact,
-    OverCurrent,
-    OverTemperature,
-    PreloadOutside,
-    ResolverDisagrees,
-    SensorFrozen,
-    SensorNotFinite,
-    SetpointUnsafe,
-    SoftLimitPassed,
-    TiltChanged,
-    UnderTemperature,
-)
 from fsw.protect.contact import ApproachState
 from fsw.protect.inputs import NONE_UNCHANGED, noisy_readings
 from fsw.protect.monitors import MonitorState, protect, run_monitors
@@ -79,15 +63,15 @@ FAR = moving(a_move(setpoint_rad=READY + at(ELBOW, 0.02)))
 OUTSIDE = at(ELBOW, BOUNDS.highest_rad[ELBOW] + 0.01, READY)
 TURNED_R = np.array([2.0, 0.0, 3.0])
 PERSISTENT = {
-    FollowingErrorHigh: ("following", FAR, {}),
-    MotorStalled: ("stalled", stalling(), {}),
-    OverCurrent: ("over_current", moving(), {"current_A": HIGH_A}),
-    OverTemperature: ("winding", resting(), {"winding_C": HOT}),
-    UnderTemperature: ("winding", moving(), {"winding_C": COLD}),
-    ResolverDisagrees: ("resolver", resting(resolver_error_rad=at(ELBOW, 1.0)), {}),
-    TiltChanged: ("tilt", moving(imu_R_m_s2=TURNED_R), {}),
-    ContactLost: ("contact", pressing(), {}),
-    PreloadOutside: (
+    faults.FollowingErrorHigh: ("following", FAR, {}),
+    faults.MotorStalled: ("stalled", stalling(), {}),
+    faults.OverCurrent: ("over_current", moving(), {"current_A": HIGH_A}),
+    faults.OverTemperature: ("winding", resting(), {"winding_C": HOT}),
+    faults.UnderTemperature: ("winding", moving(), {"winding_C": COLD}),
+    faults.ResolverDisagrees: ("resolver", resting(resolver_error_rad=at(ELBOW, 1.0)), {}),
+    faults.TiltChanged: ("tilt", moving(imu_R_m_s2=TURNED_R), {}),
+    faults.ContactLost: ("contact", pressing(), {}),
+    faults.PreloadOutside: (
         "press",
         pressing(resolver_error_rad=500.0 * LEVERS_M / STIFFNESS),
         {"switch_closed": PRESSED},
@@ -95,8 +79,8 @@ PERSISTENT = {
 }
 """Name of the count, and an arm with readings beyond the bound."""
 AT_ONCE = {
-    ContactInFreeSpace: (resting(), {"switch_closed": closed("drt_1")}),
-    SoftLimitPassed: (
+    faults.ContactInFreeSpace: (resting(), {"switch_closed": closed("drt_1")}),
+    faults.SoftLimitPassed: (
         moving(a_move(setpoint_rad=OUTSIDE, setpoint_rate_rad_s=at(ELBOW, 0.01)), motor_rad=OUTSIDE),
         {},
     ),
@@ -156,24 +140,24 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
     state, found = run_monitors(BOUNDS, last, arm, readings, usable=True)
     assert kinds(found) == [
         CyclesSkipped,
-        *[SensorFrozen] * 4,
-        ContactInFreeSpace,
-        ResolverDisagrees,
-        OverTemperature,
-        SoftLimitPassed,
-        MotorStalled,
-        FollowingErrorHigh,
-        OverCurrent,
-        TiltChanged,
-        ContactLost,
-        PreloadOutside,
-        PreloadOutside,
+        *[faults.SensorFrozen] * 4,
+        faults.ContactInFreeSpace,
+        faults.ResolverDisagrees,
+        faults.OverTemperature,
+        faults.SoftLimitPassed,
+        faults.MotorStalled,
+        faults.FollowingErrorHigh,
+        faults.OverCurrent,
+        faults.TiltChanged,
+        faults.ContactLost,
+        faults.PreloadOutside,
+        faults.PreloadOutside,
     ]
     assert state.counts == replace(counts, **dict.fromkeys(counts.__slots__, 1001))
     assert state.unchanged == (1001,) * 14
 
 
-@pytest.mark.parametrize("kind", [MotorStalled, FollowingErrorHigh, OverCurrent])
+@pytest.mark.parametrize("kind", [faults.MotorStalled, faults.FollowingErrorHigh, faults.OverCurrent])
 def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(kind):
     persistence, (_, arm, readings) = persistence_of(kind), PERSISTENT[kind]
     arm = arm._replace(move=arm.move._replace(is_releasing=True))
@@ -185,7 +169,10 @@ def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(
 
 
 def test_an_arm_that_is_being_stopped_may_be_cold():
-    persistence, (_, arm, readings) = persistence_of(UnderTemperature), PERSISTENT[UnderTemperature]
+    persistence, (_, arm, readings) = (
+        persistence_of(faults.UnderTemperature),
+        PERSISTENT[faults.UnderTemperature],
+    )
     for cold in (arm._replace(move=arm.move._replace(is_stopping=True)), resting()):
         state = MonitorState()
         for cycle in range(1, 2 * persistence):
@@ -233,7 +220,7 @@ def test_a_force_on_a_tool_that_approaches_is_reported():
     shown = READY + arm.gear_rad + 500.0 * state.approach.rad_per_N
     for cycle in range(2, 4):
         state, found = run_monitors(BOUNDS, state, arm, live(cycle, resolver_rad=shown), usable=True)
-    assert kinds(found) == [PreloadOutside]
+    assert kinds(found) == [faults.PreloadOutside]
     assert found[0].tool == "apxs"
 
 
@@ -259,14 +246,17 @@ def test_nothing_is_decided_unless_something_happens():
         assert state.cycle == 1
     for closed_ones in (closed("drt_1"), closed(*SWITCHES)):
         _, decision = protected(resting(), switch_closed=closed_ones)
-        assert kinds(decision.evrs) == [ContactInFreeSpace, FaultResponse]
+        assert kinds(decision.evrs) == [faults.ContactInFreeSpace, FaultResponse]
 
 
 def test_what_readings_monitors_set_point_and_move_say_is_decided_upon_together():
-    unusable, of_move = (SensorNotFinite("winding_C"),), (NoContact(0.1), CommandAborted("GuardedMove"))
+    unusable, of_move = (
+        (faults.SensorNotFinite("winding_C"),),
+        (faults.NoContact(0.1), CommandAborted("GuardedMove")),
+    )
     jump = moving(a_move(setpoint_rad=READY + at(WRIST, 1.0)))
     _, decision = protected(jump, None, unusable, of_move, state=MonitorState(cycle=-1))
-    unsafe = SetpointUnsafe(WRIST, READY[WRIST] + 1.0, READY[WRIST])
+    unsafe = faults.SetpointUnsafe(WRIST, READY[WRIST] + 1.0, READY[WRIST])
     found = (*unusable, CyclesSkipped(1), unsafe, *of_move)
     assert decision.evrs == (*found, FaultResponse("BRAKE_AND_REFUSE"))
     assert decision.response is Response.BRAKE_AND_REFUSE
@@ -278,14 +268,14 @@ def test_a_set_point_is_compared_with_the_last_one_and_only_that_of_a_move():
     ahead = READY + at(WRIST, 1.0)
     assert protected(moving(a_move(setpoint_rad=READY)), last_rad=READY)[1] is None
     _, decision = protected(moving(), last_rad=ahead)
-    assert decision.evrs[0] == SetpointUnsafe(WRIST, READY[WRIST], ahead[WRIST])
+    assert decision.evrs[0] == faults.SetpointUnsafe(WRIST, READY[WRIST], ahead[WRIST])
     bound = MONITORS.following_error_rad
     np.testing.assert_allclose(decision.hold_rad, ahead - at(WRIST, bound), atol=1e-15)
     assert protected(resting(), last_rad=ahead)[1] is None
 
 
 def test_with_unusable_readings_nothing_is_monitored_by_them():
-    unusable = (SensorNotFinite("current_A"),)
+    unusable = (faults.SensorNotFinite("current_A"),)
     _, decision = protected(resting(), None, unusable, switch_closed=closed("drt_1"))
     assert decision.evrs == (*unusable, FaultResponse("BRAKE_AND_REFUSE"))
 
@@ -294,7 +284,7 @@ def test_events_that_are_no_faults_pass_and_a_standing_fault_goes_on_to_stand():
     done = (CommandCompleted("MoveJoints"),)
     _, decision = protected(moving(), of_move=done)
     assert (decision.response, decision.evrs, decision.fault) == (None, done, None)
-    fault = StandingFault(Mode.GUARDED, frozenset({(NoContact, None)}))
-    _, decision = protected(resting(mode=Mode.FAULTED), fault, of_move=(NoContact(0.3), *done))
+    fault = StandingFault(Mode.GUARDED, frozenset({(faults.NoContact, None)}))
+    _, decision = protected(resting(mode=Mode.FAULTED), fault, of_move=(faults.NoContact(0.3), *done))
     assert (decision.response, decision.evrs) == (None, done)
     assert decision.fault.mode is Mode.GUARDED

@@ -19,14 +19,7 @@ from fsw.dictionary.faults import (
     StructureTemperatureImplausible,
     TiltChanged,
 )
-from fsw.protect.inputs import (
-    NONE_UNCHANGED,
-    check_cycle_count,
-    check_frozen,
-    check_readings,
-    check_tilt,
-    noisy_readings,
-)
+from fsw.protect import inputs
 from tests.fsw.protect.lab import BOUNDS, MONITORS, above, assert_reports_from, below, sensors
 from tests.fsw.rig import MARS_R_m_s2
 
@@ -52,7 +45,7 @@ def corrupted(name, place, value):
 
 
 def found_in(**readings):
-    return check_readings(BOUNDS, sensors(**readings))
+    return inputs.check_readings(BOUNDS, sensors(**readings))
 
 
 @pytest.mark.parametrize("value", BAD)
@@ -113,13 +106,13 @@ def test_gravity_and_structure_at_their_bounds_are_plausible_and_the_next_number
 
 
 def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
-    quiet = noisy_readings(sensors(**QUIET))
-    assert len(quiet) == len(NONE_UNCHANGED)
+    quiet = inputs.noisy_readings(sensors(**QUIET))
+    assert len(quiet) == len(inputs.NONE_UNCHANGED)
     noisy = [place for place in PLACES if place[0] != "winding_C"]
     for k, place in enumerate(noisy):
-        changed = noisy_readings(sensors(**{**QUIET, **corrupted(*place, 7.0)}))
+        changed = inputs.noisy_readings(sensors(**{**QUIET, **corrupted(*place, 7.0)}))
         assert [a != b for a, b in zip(quiet, changed, strict=True)] == [k == j for j in range(len(noisy))]
-    assert noisy_readings(sensors(**{**QUIET, "winding_C": np.ones(5)})) == quiet
+    assert inputs.noisy_readings(sensors(**{**QUIET, "winding_C": np.ones(5)})) == quiet
 
 
 BEFORE = tuple(float(k) for k in range(14))
@@ -133,14 +126,14 @@ def with_one_the_same(place):
 
 
 def test_readings_that_change_are_alive_however_long_they_stood_and_frozen_sensors_are_named_once_each():
-    assert check_frozen(BOUNDS, (10_000,) * 14, BEFORE, LATER) == ((0,) * 14, ())
+    assert inputs.check_frozen(BOUNDS, (10_000,) * 14, BEFORE, LATER) == ((0,) * 14, ())
     bound = MONITORS.frozen_persistence
     stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3 + (0,)
-    _, found = check_frozen(BOUNDS, stood, BEFORE, BEFORE)
+    _, found = inputs.check_frozen(BOUNDS, stood, BEFORE, BEFORE)
     assert found == (SensorFrozen("resolver_rad", bound), SensorFrozen("gravity_R_m_s2", bound + 4))
-    counts = NONE_UNCHANGED
+    counts = inputs.NONE_UNCHANGED
     for before, now in pairwise([BEFORE, BEFORE, BEFORE, LATER, LATER]):
-        counts, _ = check_frozen(BOUNDS, counts, before, now)
+        counts, _ = inputs.check_frozen(BOUNDS, counts, before, now)
     assert counts == (1,) * 14
 
 
@@ -148,36 +141,36 @@ def test_readings_that_change_are_alive_however_long_they_stood_and_frozen_senso
 def test_a_number_that_stays_the_same_is_counted_by_itself_and_named_from_its_persistence_on(place):
     now, bound = with_one_the_same(place), MONITORS.frozen_persistence
     for stood in (0, 1, bound - 2):
-        counts, found = check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
+        counts, found = inputs.check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
         assert counts == tuple(stood + 1 if k == place else 0 for k in range(14))
         assert found == ()
     for stood in (bound - 1, bound, 5 * bound):
-        counts, found = check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
+        counts, found = inputs.check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
         assert counts[place] == stood + 1
         assert found == (SensorFrozen(SENSOR_AT[place], stood + 1),)
 
 
 def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
     with pytest.raises(ValueError, match="shorter"):
-        check_frozen(BOUNDS, (0,) * 13, BEFORE, BEFORE)
+        inputs.check_frozen(BOUNDS, (0,) * 13, BEFORE, BEFORE)
     with pytest.raises(ValueError, match="shorter"):
-        check_frozen(BOUNDS, (10_000,) * 13, BEFORE[:13], BEFORE[:13])
+        inputs.check_frozen(BOUNDS, (10_000,) * 13, BEFORE[:13], BEFORE[:13])
 
 
 def test_cycles_are_counted_from_the_second_call_on_and_a_count_that_repeats_or_goes_back_is_a_fault():
     for before, now in ((None, 12345), (7, 8), (-2, -1)):
-        assert check_cycle_count(BOUNDS, before, now) == ()
+        assert inputs.check_cycle_count(BOUNDS, before, now) == ()
     for now in (7, 6, -43, -(10**9)):
-        assert check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
+        assert inputs.check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
 
 
 @pytest.mark.parametrize("before", [-5, 0, 1000])
 def test_a_few_missed_cycles_are_reported_and_more_are_a_fault(before):
     most = MONITORS.missed_cycles
     for missed in range(1, most + 1):
-        assert check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesSkipped(missed),)
+        assert inputs.check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesSkipped(missed),)
     for missed in (most + 1, most + 100):
-        assert check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesMissed(missed, most),)
+        assert inputs.check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesMissed(missed, most),)
 
 
 directions = st.tuples(st.floats(-1, 1), st.floats(0, 2 * np.pi)).map(
@@ -203,7 +196,7 @@ def test_gravity_that_turns_by_more_than_its_bound_is_reported_whatever_its_dire
     bound = MONITORS.tilt_rad
     for share, said in ((0.0, False), (0.999, False), (1.001, True), (1.5, True), (20.0, True)):
         now = read * turned(direction, share * bound, about_rad)
-        count, found = check_tilt(BOUNDS, 1000, planned * direction, now)
+        count, found = inputs.check_tilt(BOUNDS, 1000, planned * direction, now)
         assert count == (1001 if said else 0)
         assert [evr.turned_rad for evr in found] == pytest.approx([share * bound] if said else [], rel=1e-9)
 
@@ -213,7 +206,7 @@ def test_a_turn_is_reported_from_its_persistence_on_even_to_the_opposite():
     planned, read = np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -3.0])
     event = TiltChanged(np.pi, bound)
     assert_reports_from(
-        MONITORS.tilt_persistence, lambda count: check_tilt(BOUNDS, count, planned, read), event
+        MONITORS.tilt_persistence, lambda count: inputs.check_tilt(BOUNDS, count, planned, read), event
     )
 
 
@@ -223,4 +216,4 @@ def test_a_turn_of_exactly_the_bound_is_none(angle_rad):
     exactly = atan2(read[1], read[0])
     for bound, said in ((exactly, False), (below(exactly), True)):
         bounds = replace(BOUNDS, monitors=replace(MONITORS, tilt_rad=bound))
-        assert bool(check_tilt(bounds, 0, planned, read)[0]) is said
+        assert bool(inputs.check_tilt(bounds, 0, planned, read)[0]) is said

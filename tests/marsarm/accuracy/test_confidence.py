@@ -31,10 +31,6 @@ def test_near_the_end_of_the_values_an_interval_is_no_rank_too_short():
     assert np.mean([low <= 0.9973 <= high for low, high in found]) > 0.96
 
 
-def test_too_few_arms_do_not_tell_how_wide_a_bound_must_be():
-    assert quantile_interval(np.arange(100.0), 0.9973, 100)[1] == np.inf
-
-
 @pytest.mark.parametrize("arms", [1, 3, 50, 2000])
 def test_an_interval_holds_the_quantile_of_the_values_themselves(arms):
     values = np.random.default_rng(4).random(20 * arms)
@@ -72,7 +68,7 @@ def test_many_errors_of_few_arms_count_as_few():
 
 
 COVERAGE = 0.9973
-DRAWS = 400_000
+DRAWS = 100_000
 
 
 @pytest.mark.parametrize("distribution", CUMULANTS)

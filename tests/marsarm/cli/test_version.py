@@ -5,6 +5,9 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import pytest
+
+from helpers.marks import slow_but
 from tests.marsarm.command import ROOT, marsarm
 
 AS_INSTALLED = "import sys; sys.argv[0] = 'marsarm'; from marsarm.__main__ import start; start()"
@@ -15,25 +18,17 @@ def test_the_version_is_that_of_the_package(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, f"marsarm {version('marsarm')}\n", "")
 
 
-def test_the_shell_completes_verbs_and_options():
-    for words, expected in (
-        ("marsarm re", {"reach", "replay"}),
-        ("marsarm ik --js", {"--json"}),
-    ):
-        variables = {
-            "_MARSARM_COMPLETE": "complete_bash",
-            "COMP_WORDS": words,
-            "COMP_CWORD": str(words.count(" ")),
-        }
-        done = subprocess.run(
-            [sys.executable, "-c", AS_INSTALLED],
-            cwd=ROOT,
-            env=os.environ | variables,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert set(done.stdout.split()) == expected
+COMPLETIONS = {"marsarm re": {"reach", "replay"}, "marsarm ik --js": {"--json"}}
+
+
+@pytest.mark.parametrize("words", slow_but(COMPLETIONS, "marsarm ik --js"))
+def test_the_shell_completes_verbs_and_options(words):
+    asked = {"_MARSARM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    command = [sys.executable, "-c", AS_INSTALLED]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | asked, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == COMPLETIONS[words]
 
 
 def test_the_citation_has_the_version_of_the_package():

@@ -115,12 +115,6 @@ def test_text_cannot_break_out_of_the_page(page):
     assert "<script" not in text
 
 
-def test_numbers_stay_on_a_line_and_text_wraps():
-    text = table(("name", "size", "remark"), [("a", "-1.5 mm", "2 of 3"), ("b", "± 2 deg", "none at all")])
-    assert '<th class="number">size</th><th>remark</th>' in text
-    assert '<td>a</td><td class="number">-1.5 mm</td><td>2 of 3</td>' in text
-
-
 @pytest.mark.parametrize(
     ("verb", "request_", "words"),
     [

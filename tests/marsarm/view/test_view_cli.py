@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from marsarm.view import server
 from marsarm.view.browser import OpenedPage
 from marsarm.view.scene import TRAIL_STEP_M
@@ -133,7 +134,7 @@ def read_until(stream, last):
 
 
 @needs_viser
-@pytest.mark.parametrize("words", [(), ("--json",)])
+@pytest.mark.parametrize("words", slow_but([[], ["--json"]], ["--json"]))
 def test_ctrl_c_closes_the_viewer_with_the_status_of_the_run(log, tmp_path, words):
     command = [sys.executable, "-c", "from marsarm.cli.app import main; main()", "view", str(log), *words]
     port = ("--port", str(_free_port()))

@@ -7,30 +7,9 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from helpers.marks import slow_but
+from sim.effects import gears, joints
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient
-from sim.effects.gears import (
-    AsymmetricFriction,
-    ColdFriction,
-    CoulombFriction,
-    GearEfficiency,
-    GearHysteresis,
-    JointCoupling,
-    LoadFriction,
-    OutputFriction,
-    StribeckFriction,
-    TransmissionError,
-    ViscousFriction,
-)
-from sim.effects.joints import (
-    BusSag,
-    CommandDelay,
-    Counterbalance,
-    FlexCable,
-    GearStiffness,
-    MotorConstant,
-    ServoGain,
-)
 from sim.mujoco_settings import BUS_V, GAINS
 from tests.sim import lab
 from tests.sim.effects import bench
@@ -54,7 +33,7 @@ def added_torque_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds:
 @TIMES
 @JOINTS
 def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_constant(joint, times):
-    assert added_torque_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(
+    assert added_torque_Nm(joint, gears.CoulombFriction(joint, 20.0 * times)) == pytest.approx(
         20.0 * times, rel=1e-3
     )
 
@@ -65,7 +44,7 @@ def test_asymmetric_friction_costs_its_torque_in_its_direction_and_nothing_in_th
     direction, speed, times
 ):
     joint = Joint.AZIMUTH
-    effect = AsymmetricFriction(joint, direction, 20.0 * times)
+    effect = gears.AsymmetricFriction(joint, direction, 20.0 * times)
     assert added_torque_Nm(joint, effect, speed=speed) * speed == pytest.approx(20.0 * times, rel=1e-3)
     assert added_torque_Nm(joint, effect, speed=-speed) == pytest.approx(0.0, abs=0.01)
 
@@ -74,7 +53,7 @@ def test_asymmetric_friction_costs_its_torque_in_its_direction_and_nothing_in_th
 @JOINTS
 def test_friction_of_an_output_is_paid_by_the_motor(joint, times):
     # the outer arm swings for a while on the springs of the links
-    costs_Nm = added_torque_Nm(joint, OutputFriction(joint, 5.0 * times), seconds=5.0)
+    costs_Nm = added_torque_Nm(joint, gears.OutputFriction(joint, 5.0 * times), seconds=5.0)
     assert costs_Nm == pytest.approx(5.0 * times, rel=5e-3)
 
 
@@ -83,7 +62,7 @@ def test_friction_of_an_output_is_paid_by_the_motor(joint, times):
 def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
     joint = Joint.AZIMUTH
     expected = 300.0 * times * speed * bench.SPEED_RAD_S[joint]
-    assert added_torque_Nm(joint, ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(
+    assert added_torque_Nm(joint, gears.ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(
         expected, rel=0.02
     )
 
@@ -93,9 +72,9 @@ def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
 def test_stribeck_friction_falls_with_the_speed(speed, times):
     joint, knee = Joint.AZIMUTH, 0.01
     expected = 20.0 * times * np.exp(-((speed * bench.SPEED_RAD_S[joint] / knee) ** 2))
-    assert added_torque_Nm(joint, StribeckFriction(joint, 20.0 * times, knee), speed=speed) == pytest.approx(
-        expected, rel=0.02
-    )
+    assert added_torque_Nm(
+        joint, gears.StribeckFriction(joint, 20.0 * times, knee), speed=speed
+    ) == pytest.approx(expected, rel=0.02)
 
 
 @cache
@@ -115,7 +94,7 @@ def gear_load_Nm(joint: Joint, way: float) -> float:
 def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed, times):
     joint = Joint.ELEVATION
     assert abs(gravity_Nm(joint)) > 100.0
-    found = added_torque_Nm(joint, LoadFriction(joint, 0.1 * times), speed=speed) * speed
+    found = added_torque_Nm(joint, gears.LoadFriction(joint, 0.1 * times), speed=speed) * speed
     assert found == pytest.approx(0.1 * times * gear_load_Nm(joint, speed), rel=0.04)
 
 
@@ -123,8 +102,8 @@ def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed, time
 def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor):
     joint = Joint.ELEVATION
     helps = np.sign(gravity_Nm(joint))
-    against = added_torque_Nm(joint, GearEfficiency(joint, factor), speed=-helps) * -helps
-    with_it = added_torque_Nm(joint, GearEfficiency(joint, factor), speed=helps) * helps
+    against = added_torque_Nm(joint, gears.GearEfficiency(joint, factor), speed=-helps) * -helps
+    with_it = added_torque_Nm(joint, gears.GearEfficiency(joint, factor), speed=helps) * helps
     assert against == pytest.approx((1 / factor - 1) * gear_load_Nm(joint, -helps), rel=0.04)
     assert with_it == pytest.approx((1 - factor) * gear_load_Nm(joint, helps), rel=0.04)
 
@@ -132,8 +111,8 @@ def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(fact
 @pytest.mark.parametrize("factor", slow_but([0.8, 1.25], 0.8))
 def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor):
     """Added friction loads the motor."""
-    joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
-    rubs = CoulombFriction(joint, 20.0)
+    joint, other = Joint.AZIMUTH, joints.MotorConstant(Joint.AZIMUTH, factor)
+    rubs = gears.CoulombFriction(joint, 20.0)
     more_A = bench.turn_joint(joint, other, rubs).steady_A() - bench.turn_joint(joint, other).steady_A()
     assert more_A == pytest.approx(20.0 / (factor * bench.TORQUE_CONSTANT_NM_A[joint]), rel=1e-3)
 
@@ -141,7 +120,7 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
 @pytest.mark.parametrize("factor", slow_but([0.7, 1.3], 1.3))
 def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor):
     joint = Joint.AZIMUTH
-    effect = ColdFriction(joint, factor)
+    effect = gears.ColdFriction(joint, factor)
     assert added_torque_Nm(joint, effect) == 0.0
     cold_Nm = bench.build_arm(Ambient(COLD_C))[0].built_friction()[0][joint]
     viscous = bench.build_arm(Ambient(COLD_C))[0].built_friction()[1][joint] * bench.SPEED_RAD_S[joint]
@@ -154,7 +133,7 @@ def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_del
     joint = Joint.AZIMUTH
     behind = (
         turn_nominal(joint).motor_rad[-64:]
-        - bench.turn_joint(joint, CommandDelay(joint, delay_s)).motor_rad[-64:]
+        - bench.turn_joint(joint, joints.CommandDelay(joint, delay_s)).motor_rad[-64:]
     )
     assert behind.mean() == pytest.approx(bench.SPEED_RAD_S[joint] * delay_s, rel=0.02)
 
@@ -162,7 +141,7 @@ def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_del
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor):
     answers = []
-    for effects in ((), (ServoGain(Joint.ELBOW, factor),)):
+    for effects in ((), (joints.ServoGain(Joint.ELBOW, factor),)):
         plant, _ = bench.build_arm(*effects)
         bench.set_angles(plant, lab.READY_RAD)
         plant.data.ctrl[0::2] = lab.READY_RAD + 1e-5
@@ -171,7 +150,7 @@ def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor):
 
 
 def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it():
-    effect = BusSag(2.0)
+    effect = joints.BusSag(2.0)
     plant, hardware = bench.build_arm(effect)
     drawn = plant.model.actuator_gainprm[plant.at.actuators, GAINS].copy()
     plant.data.actuator_force[:] = [228.6, -114.3, 0.0, 86.33, 0.0]
@@ -182,7 +161,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
 
 @pytest.mark.parametrize("resistance_Ohm", [0.0, 1.0, 4.0, 5.5])
 def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_bus_can_drive(resistance_Ohm):
-    effect, total_A = BusSag(resistance_Ohm), 5.0
+    effect, total_A = joints.BusSag(resistance_Ohm), 5.0
     plant, hardware = bench.build_arm(effect)
     plant.data.actuator_force[:] = [total_A * 228.6, 0.0, 0.0, 0.0, 0.0]
     bench.apply_cycle_effects(plant, hardware)
@@ -199,7 +178,7 @@ def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_b
 def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times):
     """Turn in both directions: the drag changes sign, the spring torque does not."""
     joint, laid = Joint.TURRET, -0.5
-    effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, transition_rad=0.01)
+    effect = joints.FlexCable(joint, 10.0 * times, 2.0 * times, laid, transition_rad=0.01)
     start = lab.READY_RAD.copy()
     start[joint] = 0.0
     found = [bench.turn_joint(joint, *effects, start_rad=start, back=True) for effects in ((), (effect,))]
@@ -211,7 +190,7 @@ def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times):
 
 @TIMES
 def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(times):
-    effect = TransmissionError(Joint.ELBOW, 3e-4 * times, -2e-4 * times, turns=5)
+    effect = gears.TransmissionError(Joint.ELBOW, 3e-4 * times, -2e-4 * times, turns=5)
     for angle in (0.3, 1.4):
         pose = lab.LEFT_RAD.copy()
         pose[Joint.ELBOW] = angle
@@ -230,8 +209,8 @@ def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(t
 def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffness(times):
     """Load with 150 N m and release slowly, without gravity: friction of gear and output holds the rest."""
     joint, twist = Joint.ELBOW, []
-    stiff = [GearStiffness(other, 1.0) for other in Joint]
-    for effects in (stiff, [*stiff, GearHysteresis(joint, 10.0 * times)]):
+    stiff = [joints.GearStiffness(other, 1.0) for other in Joint]
+    for effects in (stiff, [*stiff, gears.GearHysteresis(joint, 10.0 * times)]):
         plant, _ = bench.build_arm(*effects)
         plant.model.opt.gravity[:] = 0.0
         plant.place(lab.STRAIGHT_RAD, 0.5)
@@ -244,7 +223,7 @@ def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffn
 
 @TIMES
 def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times):
-    joint, effect = Joint.AZIMUTH, Counterbalance(Joint.AZIMUTH, 10.0 * times, -20.0 * times)
+    joint, effect = Joint.AZIMUTH, joints.Counterbalance(Joint.AZIMUTH, 10.0 * times, -20.0 * times)
     # the outer arm swings for a while on the springs of the links
     angle = turn_nominal(joint, seconds=5.0).output_rad[-64:]
     expected_Nm = -times * float(np.mean(10.0 * np.cos(angle) - 20.0 * np.sin(angle)))
@@ -254,7 +233,7 @@ def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times):
 @TIMES
 def test_a_coupled_output_turns_with_the_motor_of_the_joint_before(times):
     moved, other = Joint.ELEVATION, Joint.ELBOW
-    plant, hardware = bench.build_arm(JointCoupling(other, 2e-3 * times))
+    plant, hardware = bench.build_arm(gears.JointCoupling(other, 2e-3 * times))
     bench.set_angles(plant, lab.READY_RAD)
     bench.apply_cycle_effects(plant, hardware)
     turned_rad = plant.disturbance.gear_rad
@@ -262,4 +241,4 @@ def test_a_coupled_output_turns_with_the_motor_of_the_joint_before(times):
         turned_rad, np.where(np.arange(5) == other, 2e-3 * times * lab.READY_RAD[moved], 0.0)
     )
     with pytest.raises(ValueError, match="azimuth has no joint between itself and the rover"):
-        JointCoupling(Joint.AZIMUTH, 1e-3)
+        gears.JointCoupling(Joint.AZIMUTH, 1e-3)

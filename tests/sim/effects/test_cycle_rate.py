@@ -10,18 +10,10 @@ from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from sim.arms import BuiltArm, arm_named
+from sim.effects import gears
 from sim.effects.catalogue import catalogue, hypotheses
 from sim.effects.effect import EachCycle, Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import Ambient
-from sim.effects.gears import (
-    AsymmetricFriction,
-    ColdFriction,
-    GearEfficiency,
-    JointCoupling,
-    LoadFriction,
-    StribeckFriction,
-    TransmissionError,
-)
 from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
@@ -33,13 +25,13 @@ from tests.sim.effects import bench
 
 JOINT = Joint.ELEVATION
 EFFECTS = (
-    StribeckFriction(JOINT, 30.0, 5e-3),
-    LoadFriction(JOINT, 0.15),
-    GearEfficiency(JOINT, 0.85),
-    TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
+    gears.StribeckFriction(JOINT, 30.0, 5e-3),
+    gears.LoadFriction(JOINT, 0.15),
+    gears.GearEfficiency(JOINT, 0.85),
+    gears.TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
     FlexCable(JOINT, 20.0, 6.0, transition_rad=0.02),
     Counterbalance(JOINT, 20.0, -10.0),
-    AsymmetricFriction(JOINT, "positive", 20.0),
+    gears.AsymmetricFriction(JOINT, "positive", 20.0),
     LinkCreep(Frame.ARM3, "y", 2e-5, 1.0),
 )
 WHOLE = 8
@@ -82,7 +74,7 @@ def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() ->
 
     The joint that would turn another one stands still here.
     """
-    left = {CommandDelay, BusSag, ColdFriction, JointCoupling}
+    left = {CommandDelay, BusSag, gears.ColdFriction, gears.JointCoupling}
     assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
         type(e) for e in EFFECTS
     }
@@ -90,7 +82,7 @@ def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() ->
 
 def running() -> ClosedLoop:
     arm = arm_named("nominal").with_effects(
-        (*EFFECTS, CommandDelay(JOINT, 0.04), BusSag(1.0), ColdFriction(JOINT, 1.5))
+        (*EFFECTS, CommandDelay(JOINT, 0.04), BusSag(1.0), gears.ColdFriction(JOINT, 1.5))
     )
     loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad, 1, true_reference(arm)))
     loop.cycle((MoveJoints((0.0, 0.05, 0.0, 0.0, 0.0), relative=True),))

@@ -11,22 +11,7 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import NoContact
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.frames import P_NR_M
-from sim.scenario.data import (
-    Check,
-    Docked,
-    Done,
-    Faulted,
-    GravityHeld,
-    Loaded,
-    OverInlet,
-    Placed,
-    Preloaded,
-    Released,
-    SameSpot,
-    Scenario,
-    Stowed,
-    TaughtPoint,
-)
+from sim.scenario import data
 from sim.scenario.judge import CheckResult, Ending, Snapshot, Trace, evaluate_checks, note_snapshot
 from sim.sequence import Outcome
 from sim.setting import Surface, World
@@ -36,8 +21,8 @@ STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])
 POINT_N = np.array([2.0, 0.1, -0.2])
 UP_N = (0.0, 0.0, -1.0)
 """Upward normal of the level surface."""
-INLET = TaughtPoint("inlet", "portion", (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
-BOX = TaughtPoint("box", "drill", (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
+INLET = data.TaughtPoint("inlet", "portion", (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
+BOX = data.TaughtPoint("box", "drill", (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
 ENDING = Ending(Outcome.DONE, Mode.DEPLOYED, STOWED_RAD + 1.0, True, False, ())
 REST = Snapshot(
     command=1,
@@ -79,11 +64,11 @@ def snapshot_at(
 
 
 def results(
-    check: Check, *moments: Snapshot, ending: Ending = ENDING, world: World | None = None
+    check: data.Check, *moments: Snapshot, ending: Ending = ENDING, world: World | None = None
 ) -> dict[str, CheckResult]:
     """Return the results of a check, by name."""
     surface = Surface((float(POINT_N[0]), float(POINT_N[1]), float(POINT_N[2])), UP_N)
-    scenario = Scenario(
+    scenario = data.Scenario(
         name="made up",
         title="",
         summary="",
@@ -101,7 +86,7 @@ def results(
 
 @pytest.mark.parametrize("outcome", Outcome)
 def test_done_is_done_and_nothing_else_is(outcome):
-    (found,) = results(Done(), ending=replace(ENDING, outcome=outcome)).values()
+    (found,) = results(data.Done(), ending=replace(ENDING, outcome=outcome)).values()
     assert (found.check, found.passed) == ("done", outcome is Outcome.DONE)
 
 
@@ -118,7 +103,7 @@ def failed(found: dict[str, CheckResult]) -> list[str]:
 @pytest.mark.parametrize(("lateral_m", "passed"), [(0.0149, True), (0.0151, False)])
 def test_placed_is_beside_the_point_along_the_surface_however_deep(lateral_m, passed):
     where = off(0.6 * lateral_m, -0.8 * lateral_m, 0.2)
-    found = results(Placed(1, "apxs"), snapshot_at("apxs", where))
+    found = results(data.Placed(1, "apxs"), snapshot_at("apxs", where))
     assert found["lateral"].value == pytest.approx(lateral_m)
     assert failed(found) == ([] if passed else ["lateral"])
 
@@ -126,24 +111,24 @@ def test_placed_is_beside_the_point_along_the_surface_however_deep(lateral_m, pa
 def test_placed_needs_a_switch_of_that_tool():
     other = replace(snapshot_at("apxs"), closed=snapshot_at("drill").closed)
     for moment in (snapshot_at("apxs", touching=False), other):
-        assert failed(results(Placed(1, "apxs"), moment)) == ["apxs in contact"]
+        assert failed(results(data.Placed(1, "apxs"), moment)) == ["apxs in contact"]
 
 
 def test_what_counts_is_the_last_cycle_of_the_command():
     far = off(0.5, 0.0, 0.0)
     later = snapshot_at("apxs", far, command=2, touching=False)
-    assert not failed(results(Placed(1, "apxs"), snapshot_at("apxs", far), snapshot_at("apxs"), later))
+    assert not failed(results(data.Placed(1, "apxs"), snapshot_at("apxs", far), snapshot_at("apxs"), later))
 
 
 def test_what_was_not_reached_is_not_a_number_and_has_not_passed():
     for check in (
-        Placed(2, "apxs"),
-        SameSpot(2, "mahli", 1, "apxs"),
-        Preloaded(2, "drill", 300.0),
-        Loaded(2, "box", 100.0),
-        GravityHeld(2, "drill", (1.0, 0.0, 0.0)),
-        OverInlet(2, "inlet"),
-        Docked(2, "box"),
+        data.Placed(2, "apxs"),
+        data.SameSpot(2, "mahli", 1, "apxs"),
+        data.Preloaded(2, "drill", 300.0),
+        data.Loaded(2, "box", 100.0),
+        data.GravityHeld(2, "drill", (1.0, 0.0, 0.0)),
+        data.OverInlet(2, "inlet"),
+        data.Docked(2, "box"),
     ):
         found = results(check, snapshot_at("apxs")).values()
         assert any(isnan(measured.value) for measured in found)
@@ -153,7 +138,7 @@ def test_what_was_not_reached_is_not_a_number_and_has_not_passed():
 def test_same_spot_counts_from_where_the_first_tool_truly_was():
     first = snapshot_at("apxs", off(0.004, 0.0, 0.0))
     second = snapshot_at("mahli", off(0.004, 0.003, 0.05), command=2)
-    found = results(SameSpot(2, "mahli", 1, "apxs"), first, second)
+    found = results(data.SameSpot(2, "mahli", 1, "apxs"), first, second)
     assert found["lateral"].value == pytest.approx(0.003)
     assert found["lateral"].check == "same_spot"
     assert not failed(found)
@@ -168,13 +153,13 @@ def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command:
     ("force_N", "passed"), [(269.0, False), (271.0, True), (329.0, True), (331.0, False)]
 )
 def test_preloaded_is_within_its_share_at_the_end(force_N, passed):
-    found = results(Preloaded(2, "drill", 300.0), press(5.0), press(force_N))
+    found = results(data.Preloaded(2, "drill", 300.0), press(5.0), press(force_N))
     assert found["force"].value == pytest.approx(force_N)
     assert found["force"].passed == passed
 
 
 def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go_but_not_where_the_tool_hardly_presses():
-    check = Preloaded(2, "drill", 300.0)
+    check = data.Preloaded(2, "drill", 300.0)
     run = [
         press(3.0),
         press(150.0, 45.0, 1e-4),
@@ -198,7 +183,7 @@ def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go_but_not_where
 def test_loaded_is_a_force_against_the_way_that_the_taught_tool_looks():
     for force, passed in ((119.0, True), (121.0, False), (79.0, False), (-100.0, False)):
         pushed_back = snapshot_at("drill", command=2, force_N=(force, 30.0, -50.0))
-        found = results(Loaded(2, "box", 100.0), pushed_back)["force"]
+        found = results(data.Loaded(2, "box", 100.0), pushed_back)["force"]
         assert (found.value, found.passed) == (pytest.approx(force), passed)
 
 
@@ -208,7 +193,7 @@ def test_gravity_is_held_against_true_gravity_tilt_included(roll, pitch, off_deg
     world = World(tilt_roll_rad=roll, tilt_pitch_rad=pitch)
     R = axes_along(world.gravity_N_m_s2)  # gravity lies along tool x
     turned = R @ rotation_y(np.radians(off_deg))
-    check = GravityHeld(1, "portion", (2.0, 0.0, 0.0))
+    check = data.GravityHeld(1, "portion", (2.0, 0.0, 0.0))
     held, shaken = snapshot_at("portion", R=R), snapshot_at("portion", R=turned, vibrates=True)
     on_the_way = snapshot_at("portion", R=R @ rotation_y(1.0))
     found = results(check, on_the_way, shaken, held, world=world)["gravity off"]
@@ -221,7 +206,7 @@ def test_over_the_inlet_is_near_its_upright_axis_at_any_height_with_the_tube_alo
     where = np.add(INLET.p_N_m, (0.003, 0.004, -0.03))
     for down, lean_rad in ((world.gravity_N_m_s2, 0.0), (np.array([0.0, 0.0, 1.0]), 0.3)):
         moment = snapshot_at("portion", where, R=axes_along(down))
-        found = results(OverInlet(1, "inlet"), moment, world=world)
+        found = results(data.OverInlet(1, "inlet"), moment, world=world)
         assert found["from the axis"].value == pytest.approx(0.005)
         assert found["from gravity"].value == pytest.approx(lean_rad, abs=1e-9)
         assert ("from gravity" in failed(found)) is bool(lean_rad)
@@ -235,28 +220,28 @@ def test_docked_is_at_the_point_along_its_axis_and_in_contact():
         (R @ rotation_y(np.radians(1.6)), True, ["from the axis"]),
         (R, False, ["drill in contact"]),
     ):
-        found = results(Docked(1, "box"), snapshot_at("drill", where, R=turned, touching=touching))
+        found = results(data.Docked(1, "box"), snapshot_at("drill", where, R=turned, touching=touching))
         assert found["from the point"].value == pytest.approx(np.hypot(0.002, 0.002))
         assert failed(found) == wrong
 
 
 def test_released_is_no_force_from_any_side_at_the_end():
-    assert results(Released("drill"), press(300.0), press(0.0))["force"].passed
-    assert not results(Released("drill"), press(0.0), press(0.0, 2.0))["force"].passed
+    assert results(data.Released("drill"), press(300.0), press(0.0))["force"].passed
+    assert not results(data.Released("drill"), press(0.0), press(0.0, 2.0))["force"].passed
 
 
 def test_stowed_is_the_true_pose_and_that_flight_software_knows_it():
     there = replace(ENDING, mode=Mode.STOWED, output_rad=np.add(STOWED_RAD, (0.0, 0.019, 0.0, -0.01, 0.0)))
     beside = replace(there, output_rad=np.add(STOWED_RAD, (0.0, 0.0, -0.021, 0.0, 0.0)))
-    assert not failed(results(Stowed(), ending=there))
-    assert "known" in failed(results(Stowed(), ending=replace(there, mode=Mode.DEPLOYED)))
-    assert "farthest joint from it" in failed(results(Stowed(), ending=beside))
+    assert not failed(results(data.Stowed(), ending=there))
+    assert "known" in failed(results(data.Stowed(), ending=replace(there, mode=Mode.DEPLOYED)))
+    assert "farthest joint from it" in failed(results(data.Stowed(), ending=beside))
 
 
 def test_faulted_is_this_event_brakes_and_refusal_together():
     ending = replace(ENDING, outcome=Outcome.FAULTED, refuses=True, evrs=((1.0, NoContact(0.1)),))
-    assert not failed(results(Faulted("NoContact"), ending=ending))
-    assert "OverCurrent" in failed(results(Faulted("OverCurrent"), ending=ending))
+    assert not failed(results(data.Faulted("NoContact"), ending=ending))
+    assert "OverCurrent" in failed(results(data.Faulted("OverCurrent"), ending=ending))
     for field in ("braked", "refuses"):
         wrong = replace(ending, **{field: False})
-        assert field in failed(results(Faulted("NoContact"), ending=wrong))
+        assert field in failed(results(data.Faulted("NoContact"), ending=wrong))

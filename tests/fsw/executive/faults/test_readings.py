@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
+from fsw.dictionary import evrs
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import (
-    CommandAborted,
-    CommandCompleted,
-    CommandRefused,
-    CyclesSkipped,
-    FaultResponse,
-    ModeChanged,
-)
 from fsw.dictionary.faults import CyclesMissed, Fault, GravityImplausible, SensorFrozen, SensorNotFinite
 from tests.fsw.executive.faults.lab import BOUNDS, CONFIG, START, STOPPED, found, moving, skip
 from tests.fsw.protect.test_readings import BAD, PLACES, QUIET, corrupted
@@ -45,8 +38,8 @@ def test_one_bad_element_stops_the_arm_in_the_same_cycle(name, place, value):
     out = rig.cycle(**corrupted(name, place, value))
     assert out.evrs == (
         SensorNotFinite(name),
-        FaultResponse("BRAKE_AND_REFUSE"),
-        ModeChanged(Mode.FREE_SPACE, Mode.FAULTED),
+        evrs.FaultResponse("BRAKE_AND_REFUSE"),
+        evrs.ModeChanged(Mode.FREE_SPACE, Mode.FAULTED),
     )
     assert not out.drive.brake_release.any()
     assert not out.drive.setpoint_rate_rad_s.any()
@@ -72,10 +65,10 @@ def test_from_the_bad_reading_on_the_set_point_is_frozen_and_moves_are_refused_u
         assert finite(out.drive)
     assert not out.drive.power_on.any()
     assert rig.state.mode is Mode.FAULTED
-    assert CommandAborted(name) in rig.evrs
+    assert evrs.CommandAborted(name) in rig.evrs
     rig.evrs.clear()
     rig.cycle(MoveJoints(floats(START)))
-    assert rig.evrs == [CommandRefused("MoveJoints", "a fault stands; clear it first")]
+    assert rig.evrs == [evrs.CommandRefused("MoveJoints", "a fault stands; clear it first")]
     rig.cycle(ClearFault())
     assert rig.state.mode is (Mode.DEPLOYED if kind == "joints" else Mode.GUARDED)
 
@@ -100,8 +93,8 @@ def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learn
     out = rig.cycle(gravity_R_m_s2=[0.0, 0.0, reads_m_s2])
     assert out.evrs == (
         GravityImplausible(reads_m_s2, MIN_m_s2, MAX_m_s2),
-        FaultResponse("BRAKE_AND_REFUSE"),
-        ModeChanged(mode, Mode.FAULTED),
+        evrs.FaultResponse("BRAKE_AND_REFUSE"),
+        evrs.ModeChanged(mode, Mode.FAULTED),
     )
     assert not out.drive.brake_release.any()
     assert not out.drive.setpoint_rate_rad_s.any()
@@ -118,7 +111,7 @@ def test_the_arm_comes_to_its_brakes_and_power_off_while_the_reading_stays_bad(n
         bad = corrupted(name, 0, BAD[0])
     rig.run(**bad, at_most=CONFIG.brake_ticks + 2)
     assert not rig.outputs.drive.power_on.any()
-    assert CommandAborted("MoveJoints") in rig.evrs
+    assert evrs.CommandAborted("MoveJoints") in rig.evrs
 
 
 @pytest.mark.parametrize("name", QUIET)
@@ -151,8 +144,8 @@ def test_all_frozen_sensors_are_named_once_each_and_again_after_clearing():
 def test_a_few_missed_cycles_are_reported_and_the_move_goes_on(cycles):
     rig = moving()
     skip(rig, cycles)
-    assert rig.evrs == [CyclesSkipped(cycles)]
-    assert CommandCompleted("MoveJoints") in rig.run()
+    assert rig.evrs == [evrs.CyclesSkipped(cycles)]
+    assert evrs.CommandCompleted("MoveJoints") in rig.run()
     assert not found(rig, Fault)
     assert rig.state.mode is Mode.DEPLOYED
 
@@ -170,7 +163,7 @@ def test_cycles_are_counted_while_readings_are_bad():
     for _ in range(10):
         rig.cycle(current_A=np.full(5, np.nan))
     rig.cycle()
-    assert not found(rig, CyclesSkipped | CyclesMissed)
+    assert not found(rig, evrs.CyclesSkipped | CyclesMissed)
 
 
 def turned(angle_rad, about):

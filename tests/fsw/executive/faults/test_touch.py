@@ -6,17 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.config import CYCLE_HZ
+from fsw.dictionary import faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, FaultResponse
-from fsw.dictionary.faults import (
-    ContactInFreeSpace,
-    ContactLost,
-    Fault,
-    NoContact,
-    PreloadOutside,
-    UnexpectedContact,
-)
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
 from helpers.marks import slow_but
@@ -39,7 +32,7 @@ from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
 def test_a_contact_in_free_space_faults_at_once(switch):
     rig = moving()
     rig.cycle(**closed(switch))
-    assert rig.evrs[:2] == [ContactInFreeSpace(switch), REFUSED]
+    assert rig.evrs[:2] == [faults.ContactInFreeSpace(switch), REFUSED]
     assert rig.state.mode is Mode.FAULTED
     assert braked(rig)
 
@@ -70,7 +63,7 @@ def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
     rig = in_guarded_motion("apxs")
     rig.cycle(**closed("apxs_1"))
     rig.run()
-    assert found(rig, ContactLost)
+    assert found(rig, faults.ContactLost)
     assert CommandAborted("GuardedMove") in rig.evrs
 
 
@@ -134,7 +127,7 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     rig.cycle(rig.touch("apxs", 0.03))
     while rig.state.mode is Mode.GUARDED:
         rig.cycle()
-    (evr,) = found(rig, NoContact)
+    (evr,) = found(rig, faults.NoContact)
     assert evr.travel_m == pytest.approx(0.03, abs=1e-6)
     assert REFUSED in rig.evrs
     assert braked(rig)
@@ -156,7 +149,7 @@ def pushed(rig, tool, force_N, cycles, **readings):
     wound = force_N * levers / CONFIG.arm.gear_stiffness_Nm_rad
     for _ in range(cycles):
         rig.cycle(resolver_rad=rig.resolver_rad() + wound, **readings)
-        if found(rig, Fault):
+        if found(rig, faults.Fault):
             break
 
 
@@ -164,8 +157,8 @@ def pushed(rig, tool, force_N, cycles, **readings):
 def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
     rig = in_guarded_motion(tool)
     pushed(rig, tool, 1.5 * BOUNDS.guarded_force_N, LATEST)
-    (evr,) = found(rig, Fault)
-    assert evr == PreloadOutside(tool, 0.0, evr.error_N, evr.bound_N)
+    (evr,) = found(rig, faults.Fault)
+    assert evr == faults.PreloadOutside(tool, 0.0, evr.error_N, evr.bound_N)
     assert evr.error_N > evr.bound_N >= BOUNDS.guarded_force_N
     assert REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
@@ -180,13 +173,13 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
 def test_a_force_that_is_small_or_pulls_or_that_a_switch_shows_does_not(share, switches):
     rig = in_guarded_motion()
     pushed(rig, "apxs", share * BOUNDS.guarded_force_N, LATEST, **closed(*switches))
-    assert not found(rig, Fault)
+    assert not found(rig, faults.Fault)
 
 
 def test_a_large_force_is_felt_within_three_cycles():
     rig = in_guarded_motion()
     pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
-    assert found(rig, PreloadOutside)
+    assert found(rig, faults.PreloadOutside)
 
 
 def test_in_free_space_a_force_is_an_unexpected_contact():
@@ -194,8 +187,8 @@ def test_in_free_space_a_force_is_an_unexpected_contact():
     for _ in range(CYCLE_HZ):  # until the mean of the wind-up is known
         rig.cycle()
     pushed(rig, "apxs", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
-    (evr,) = found(rig, Fault)
-    assert isinstance(evr, UnexpectedContact)
+    (evr,) = found(rig, faults.Fault)
+    assert isinstance(evr, faults.UnexpectedContact)
     assert REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
     assert rig.state.fault.may_touch
