@@ -14,13 +14,13 @@ from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.frames import FLIP, P_NR_M
 from sim.mujoco_settings import (
     MOTOR_CONSTANT,
-    POSITION_GAIN,
     RATE_GAIN,
     REFERENCE_STEP_S,
     apply_settings,
     change_gains,
     match_reference_damping,
     read_servos,
+    widen_limits,
 )
 from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
 
@@ -84,9 +84,6 @@ class StateViews:
     servo_rate_rad_s: Array
     """Motor rates that the motor controllers use."""
     motor_torque_Nm: Array
-    torque_limits_Nm: Array
-    """Least and greatest torques of the motors, shape (5, 2)."""
-    position_gain_Nm_rad: Array
     setpoint_rad: Array
     setpoint_rate_rad_s: Array
     warnings: NDArray[np.int32]
@@ -104,8 +101,7 @@ class Plant:
         self._rate_share = rate_gain / model.actuator_gainprm[:, RATE_GAIN]
         self._lead_s = (model.opt.timestep - REFERENCE_STEP_S) / 2
         # the dual solver evaluates a servo at the start of a step: its torque at the end is that of the next
-        is_dual = model.opt.solver == mujoco.mjtSolver.mjSOL_PGS
-        self._late_s, self._implicit_s = (model.opt.timestep, 0.0) if is_dual else (0.0, model.opt.timestep)
+        self._late_s = model.opt.timestep if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS else 0.0
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if not np.isclose(self.steps_per_cycle * model.opt.timestep * CYCLE_HZ, 1.0, rtol=1e-12):
             raise ValueError(f"time step {model.opt.timestep} s does not divide a cycle of 1/{CYCLE_HZ} s")
@@ -167,8 +163,6 @@ class Plant:
             servo_angle_rad=data.actuator_length[actuators],
             servo_rate_rad_s=data.actuator_velocity[actuators],
             motor_torque_Nm=data.actuator_force[actuators],
-            torque_limits_Nm=self.model.actuator_forcerange[actuators],
-            position_gain_Nm_rad=self.model.actuator_gainprm[actuators, POSITION_GAIN],
             setpoint_rad=data.ctrl[0::2],
             setpoint_rate_rad_s=data.ctrl[1::2],
             warnings=data.warning.number,
@@ -271,33 +265,18 @@ class Plant:
             PlantDiverged: MuJoCo counted a warning.
         """
         self.damp_gears()
-        end_s = self.data.time + 1.0 / CYCLE_HZ
-        data, setpoint_rad = self.data, self._views.setpoint_rad
+        data, setpoint_rad, end_s = self.data, self._views.setpoint_rad, self.data.time + 1.0 / CYCLE_HZ
         angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
-        limits_Nm = self._views.torque_limits_Nm.copy()
-        self._widen_limits()
+        limits_Nm = widen_limits(self.model, data, self.at.actuators)
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
             mujoco.mj_step(self.model, data)
-        self._views.torque_limits_Nm[:] = limits_Nm
+        self.model.actuator_forcerange[self.at.actuators] = limits_Nm
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()
         setpoint_rad[:] = angle_rad
         self._check()
-
-    def _widen_limits(self) -> None:
-        """Widen the limits of motors below them by what a servo takes off its torque in a step.
-
-        MuJoCo limits the torque of the start of a step, and a servo acts with the angle of its end. Else a fast
-        motor would be limited, and lose its damping, at three quarters of its current limit.
-        """
-        views = self._views
-        low_Nm, high_Nm = views.torque_limits_Nm.T
-        is_below = (low_Nm < views.motor_torque_Nm) & (views.motor_torque_Nm < high_Nm)
-        taken_Nm = is_below * views.position_gain_Nm_rad * (self._implicit_s * views.motor_rate_rad_s)
-        low_Nm += np.minimum(taken_Nm, 0.0)
-        high_Nm += np.maximum(taken_Nm, 0.0)
 
     def damp_gears(self) -> None:
         """Set the damping of the gears as the reference step does: other on a flank than in the backlash."""
@@ -363,8 +342,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """Return the true motor currents, shape (5,)."""
-        current: Array = self._views.motor_torque_Nm / self.torque_constant_Nm_A
-        return current
+        return np.asarray(self._views.motor_torque_Nm / self.torque_constant_Nm_A)
 
     def tool_shift(self, tool: str, output_rad: Array) -> Array:
         """Return the shift [m] of a tool in RMECH, shape (3,), by a small output change, shape (5,)."""
