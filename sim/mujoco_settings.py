@@ -99,3 +99,25 @@ def change_gains(model: mujoco.MjModel, servos: Servos, change: Array) -> None:
     model.actuator_gainprm[servos.actuators, GAINS] = servos.gains * share[:, None]
     rise = np.minimum(1.0 / share, servos.full_voltage)
     model.actuator_dynprm[servos.actuators, INTEGRAL_LIMIT] = servos.integral_limit_rads * rise
+
+
+def widen_limits(model: mujoco.MjModel, data: mujoco.MjData, actuators: NDArray[np.intp]) -> Array:
+    """Widen the torque limits of motors below them by what a servo takes off its torque in a step.
+
+    MuJoCo limits the torque of the start of a step, and `discrete` acts with the angle of its end. Else a
+    fast motor would be limited, and lose its damping, at three quarters of its current limit.
+
+    Returns:
+        The limits before, least and greatest, shape (n, 2).
+    """
+    limits_Nm: Array = model.actuator_forcerange[actuators]
+    if model.opt.solver != mujoco.mjtSolver.mjSOL_PGS:  # the dual solver acts with the angle of the start
+        torque_Nm, (low_Nm, high_Nm) = data.actuator_force[actuators], limits_Nm.T
+        is_below = (low_Nm < torque_Nm) & (torque_Nm < high_Nm)
+        way_rad = model.opt.timestep * data.actuator_velocity[actuators]
+        taken_Nm = is_below * model.actuator_gainprm[actuators, POSITION_GAIN] * way_rad
+        wider_Nm = np.stack(
+            [low_Nm + np.minimum(taken_Nm, 0.0), high_Nm + np.maximum(taken_Nm, 0.0)], axis=-1
+        )
+        model.actuator_forcerange[actuators] = wider_Nm
+    return limits_Nm

@@ -20,6 +20,7 @@ from sim.mujoco_settings import (
     change_gains,
     match_reference_damping,
     read_servos,
+    widen_limits,
 )
 from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
 
@@ -264,12 +265,13 @@ class Plant:
             PlantDiverged: MuJoCo counted a warning.
         """
         self.damp_gears()
-        end_s = self.data.time + 1.0 / CYCLE_HZ
-        data, setpoint_rad = self.data, self._views.setpoint_rad
+        data, setpoint_rad, end_s = self.data, self._views.setpoint_rad, self.data.time + 1.0 / CYCLE_HZ
         angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
+        limits_Nm = widen_limits(self.model, data, self.at.actuators)
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
             mujoco.mj_step(self.model, data)
+        self.model.actuator_forcerange[self.at.actuators] = limits_Nm
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()
@@ -340,8 +342,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """Return the true motor currents, shape (5,)."""
-        current: Array = self._views.motor_torque_Nm / self.torque_constant_Nm_A
-        return current
+        return np.asarray(self._views.motor_torque_Nm / self.torque_constant_Nm_A)
 
     def tool_shift(self, tool: str, output_rad: Array) -> Array:
         """Return the shift [m] of a tool in RMECH, shape (3,), by a small output change, shape (5,)."""

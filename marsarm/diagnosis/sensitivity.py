@@ -7,26 +7,24 @@ Near its nominal state the simulator f is approximated for amplitudes a in typic
 with the square taken of each amplitude.
 """
 
+import json
 import zlib
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, cast
 from zipfile import BadZipFile
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
+from simgap.selection.checkpoint import pack, unpack
 
 _READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
 """Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
-_LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
-_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions", "keys")
-_OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
 ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
 
@@ -53,15 +51,13 @@ class Sensitivities:
         m, wanted = self.layout.size, [len(hypothesis.parameters) for hypothesis in self.hypotheses]
         if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
             raise ValueError("owner must list every size parameter of every hypothesis in order")
-        shapes = (
-            (self.effect, (m, sum(wanted))),
-            (self.curve, (m, sum(wanted))),
-            (self.reach, (sum(wanted),)),
-            (self.nuisance, (m, len(self.nuisances))),
-        )
-        for array, shape in shapes:
-            if array.shape != shape or not np.all(np.isfinite(array)):
-                raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+        k = sum(wanted)
+        arrays = self.effect, self.curve, self.reach, self.nuisance
+        shapes = (m, k), (m, k), (k,), (m, len(self.nuisances))
+        if any(one.shape != shape for one, shape in zip(arrays, shapes, strict=True)):
+            raise ValueError(f"sensitivities must be {shapes}; they are {[one.shape for one in arrays]}")
+        if not all(np.all(np.isfinite(one)) for one in arrays):
+            raise ValueError("sensitivities must be finite")
 
     @property
     def shared_nuisances(self) -> list[int]:
@@ -134,15 +130,6 @@ class Sensitivities:
         curve[:, columns] = 0.0
         return replace(self, effect=effect, curve=curve)
 
-    def only(self, effects: Collection[str]) -> "Sensitivities":
-        """Return the sensitivities for the hypotheses of some effects; the nuisances stay."""
-        chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
-        columns = np.flatnonzero(np.isin(self.owner, chosen))
-        hypotheses = tuple(self.hypotheses[k] for k in chosen)
-        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.parameters) for hypothesis in hypotheses])
-        parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
-        return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
-
     def select(self, rows: Ints) -> "Sensitivities":
         """Return the sensitivities of some features, in that order."""
         arrays = ("effect", "curve", "nuisance")
@@ -151,42 +138,20 @@ class Sensitivities:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Words:
-    """All of some sensitivities that is no array."""
-
-    hypotheses: tuple[Hypothesis, ...]
-    nuisances: tuple[Nuisance, ...]
-    names: dict[str, tuple[str, ...]]
-
-
-_WORDS: Final = TypeAdapter(_Words)
-
-
 def save_sensitivities(path: Path, found: Sensitivities) -> None:
     """Save sensitivities to an .npz file without pickled objects; BadOutput if it cannot be written."""
-    layout = found.layout
-    names = {name: getattr(layout, name) for name in _LAYOUT_NAMES}
-    words = _WORDS.dump_json(_Words(found.hypotheses, found.nuisances, names)).decode()
-    arrays = {name: getattr(layout, name) for name in _LAYOUT_ARRAYS}
-    arrays |= {name: getattr(found, name) for name in _OWN_ARRAYS}
+    arrays: list[Array] = []
+    document = json.dumps(pack(found, arrays))
     with atomic_write(path, "sensitivities") as file:
-        np.savez(file, words=np.array(words), **arrays)
+        np.savez(file, *arrays, document=np.array(document))
 
 
 def load_sensitivities(path: Path) -> Sensitivities:
-    """Load sensitivities.
-
-    Raises:
-        BadRequest: The file is incomplete, damaged, or holds no sensitivities.
-    """
+    """Load sensitivities; BadRequest if the file is incomplete, damaged, or holds something else."""
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            words = _WORDS.validate_json(str(file["words"]))
-            names = (words.names[name] for name in _LAYOUT_NAMES)
-            layout = FeatureLayout(*(file[name] for name in _LAYOUT_ARRAYS), *names)
-            own = (file[name] for name in _OWN_ARRAYS)
-            return Sensitivities(layout, words.hypotheses, words.nuisances, *own)
+            arrays = [file[f"arr_{k}"] for k in range(len(file.files) - 1)]
+            return cast("Sensitivities", unpack(json.loads(str(file["document"])), arrays, {}, "marsarm"))
     except _READ_ERRORS as error:
         raise BadRequest(
             f"{path}: no sensitivities ({error}); remove it, and they are computed anew"

@@ -83,11 +83,14 @@ def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) ->
     assert rms(own.current_A - reference.current_A) < 0.02
 
 
-def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
-    """At -50 degC a motor that stopped would draw a current that jumps by a quarter from cycle to cycle."""
+def cold_currents_A(limit_A: lab.Array | None = None) -> lab.Array:
+    """Return the currents of motors that turn at 2 deg/s at -50 degC, with a limit, one row a cycle."""
     plant = lab.plant(SIDEWAYS, edit=Ambient(-50.0).on_model)
     plant.place(lab.READY_RAD, 4.0)
     lab.hold_by_motors(plant)
+    if limit_A is not None:
+        limit_Nm = limit_A * plant.torque_constant_Nm_A
+        plant.model.actuator_forcerange[plant.at.actuators] = np.column_stack([-limit_Nm, limit_Nm])
     setpoint_rad, currents_A, rates = lab.READY_RAD.copy(), [], np.full(len(Joint), np.radians(2.0))
     for k in range(3 * lab.CYCLE_HZ):
         share = lab.smooth_step(min(1.0, k / lab.CYCLE_HZ))
@@ -95,8 +98,18 @@ def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
         plant.command(setpoint_rad, share * rates)
         plant.step()
         currents_A.append(plant.motor_current_A())
-    steady_A = np.array(currents_A)[lab.CYCLE_HZ + 10 :]
+    return np.array(currents_A)
+
+
+def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
+    """At -50 degC a motor that stopped would draw a current that jumps by a quarter from cycle to cycle."""
+    steady_A = cold_currents_A()[lab.CYCLE_HZ + 10 :]
     assert np.all(np.abs(np.diff(steady_A, axis=0)).max(axis=0) < 0.01 * np.abs(steady_A).max(axis=0))
+
+
+def test_a_motor_that_draws_less_than_its_limit_is_not_limited() -> None:
+    free_A = cold_currents_A()
+    np.testing.assert_array_equal(cold_currents_A(1.05 * np.abs(free_A).max(axis=0)), free_A)
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ from simgap.common.errors import BadRequest, UserError
 from simgap.common.toml import read_toml
 
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
-KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.25, "out-of-catalogue": 0.35, "pair": 0.15}
+KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 12 / 44, "out-of-catalogue": 14 / 44, "pair": 6 / 44}
 """Shares of all cases; the others have one effect of the catalogue."""
 ALLOWED_KEYS: Final = frozenset({
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git"),

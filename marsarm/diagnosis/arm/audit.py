@@ -18,6 +18,7 @@ from fsw.dictionary.params import Params, digest
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
 from sim.arm_model.load import ArmModel
+from simgap.checks.records import runs
 from simgap.report.sentences import join_words
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -244,7 +245,6 @@ def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
 
 def _longest_same(column: Array) -> tuple[int, int]:
     """Return the length and the start of the longest run of equal readings."""
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(column) != 0) + 1, [column.size]])
-    lengths = np.diff(edges)
-    k = int(np.argmax(lengths))
-    return int(lengths[k]), int(edges[k])
+    same = runs(np.append(np.diff(column) == 0, False))
+    first, end = max(same, key=lambda one: one[1] - one[0], default=(0, 0))
+    return end - first + 1, first

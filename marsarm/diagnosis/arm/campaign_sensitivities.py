@@ -1,19 +1,22 @@
 """Sensitivities of a campaign: parallel finite differences of the arm's simulator, cached in files.
 
-`compute_sensitivities` is the entry. It adapts the step of every column to the noise, in a part of the
-motions. Then it simulates both sides in all motions, and fits a parabola (`finite_differences`). The name of
-the cache file holds a digest of logs, model, parameters, catalogue and code.
+`compute_sensitivities` is the entry. It adapts the step of every column to the noise, in the rests and in the
+motions that move most joints at once: there both sides are simulated too. The other motions, which take most
+of the time, are simulated on the other side only for columns whose curvature is visible. A parabola goes
+through the steps (`finite_differences`). The name of the cache file holds a digest of logs, model,
+parameters, catalogue and code.
 """
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
+from itertools import compress
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,8 +26,8 @@ from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor, every_motion
-from marsarm.diagnosis.arm.features import MotionFeatures
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
     OneSidedStep,
@@ -39,7 +42,7 @@ from marsarm.diagnosis.arm.finite_differences import (
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
 from marsarm.diagnosis.normal_equations import form_normal_equations
-from marsarm.diagnosis.problem import FeatureLayout
+from marsarm.diagnosis.problem import FeatureLayout, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
 from marsarm.telemetry.recorder import model_digest
 from sim.arms import arm_named
@@ -47,7 +50,7 @@ from sim.effects.catalogue import catalogue
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress, part_of
+from simgap.common.progress import Progress, no_progress, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
@@ -60,10 +63,13 @@ COMPARING_MODULES: Final = (
     "marsarm.diagnosis.problem",
     "marsarm.diagnosis.normal_equations",
     "marsarm.diagnosis.sensitivity",
+    "simgap.selection.checkpoint",
 )
 """Modules outside the simulator and this package that influence the result."""
-STEPS_SHARE: Final = 0.2
+STEPS_SHARE: Final = 0.3
 """Share of the time in which the steps are chosen, for the progress."""
+SIDES_SHARE: Final = 0.4
+"""Share of the time after which only other motions are left, for the progress."""
 NUMERICS_SHARE: Final = 0.1
 """Share of the difference to another time step that remains as numerical error after the fit."""
 
@@ -85,8 +91,8 @@ class _Job:
     shares: tuple[float, ...]
     nominal: Array
     """Prediction without effects, shape (m,)."""
-    is_probe: bool
-    """True to simulate only the rests and the motions that move most joints at once."""
+    is_first: bool
+    """True for the rests and the motions that move most joints at once; False for the other motions."""
 
 
 def compute_sensitivities(
@@ -117,12 +123,8 @@ def compute_sensitivities(
     if path.exists():
         return load_sensitivities(path)
     check_cache_folder(kept_in)
-    whole = kept_in / _cache_name(arm, tuple(catalogue()), paths, others)
-    if whole.exists():
-        found = load_sensitivities(whole).only(names)
-    else:
-        steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
-        found = _difference_all(_Campaign(paths, names, arm), run, progress, steps)
+    steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
+    found = _difference_all(_Campaign(paths, names, arm), run, progress, steps)
     save_sensitivities(path, found)
     return found
 
@@ -135,7 +137,7 @@ def _cache_name(arm: str, kinds: Names, *logs: Logs) -> str:
 def _difference_all(
     campaign: _Campaign, run: Runner, progress: Progress, given: Array | None
 ) -> Sensitivities:
-    """Simulate every column to both sides, with given steps or with adapted ones.
+    """Simulate the columns with given steps or with adapted ones, and fit parabolas.
 
     Args:
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
@@ -144,65 +146,96 @@ def _difference_all(
     columns = list_columns(simulator)
     borrowed = find_borrowed_slopes(simulator, columns)
     shares = {k: 1.0 for k, one in enumerate(columns) if k not in borrowed or one.hypothesis is not None}
+    steps = part_of(progress, 0.0, STEPS_SHARE)
     if given is None:
-        shares = _choose_steps(campaign, run, part_of(progress, 0.0, STEPS_SHARE), shares)
+        up = _choose_steps(campaign, run, steps, shares)
     else:
-        shares |= dict(enumerate(given.tolist()))
+        up = _simulate(campaign, shares | dict(enumerate(given.tolist())), 0, True, run, steps)
+    shares = {k: one.share for k, one in up.items()}
     two_sided = {k: by for k, by in shares.items() if len(perturb_both_sides(simulator, columns[k], by)) > 1}
-    jobs = [*_list_jobs(campaign, shares, 0), *_list_jobs(campaign, two_sided, 1)]
-    sides: tuple[dict[int, OneSidedStep], ...] = {}, {}
-    rest = part_of(progress, STEPS_SHARE if given is None else 0.0, 1.0)
-    for done, (side, found) in enumerate(run(_run_job, jobs), 1):
-        sides[side].update(found)
-        rest(done, len(jobs), "sensitivities")
-    return _assemble(campaign, *sides)
+    down = _simulate(campaign, two_sided, 1, True, run, part_of(progress, STEPS_SHARE, SIDES_SHARE))
+    (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
+    found = [_assemble(first, up, down)]
+    if other_rows.size:
+        curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
+        rest = part_of(progress, SIDES_SHARE, 1.0)
+        done = len(shares) / (len(shares) + len(curved))
+        up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
+        down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
+        found.append(_assemble(second, up, down))
+    return _join(simulator.layout, found, np.argsort(np.concatenate([rows, other_rows])))
 
 
-def _list_jobs(
-    campaign: _Campaign, shares: Mapping[int, float], side: int, is_probe: bool = False
-) -> list[_Job]:
-    """List the jobs that simulate one side of columns with these steps."""
-    simulator = _simulator(campaign)
+def _is_curved(layout: FeatureLayout, up: OneSidedStep, down: OneSidedStep) -> bool:
+    """Check that a line misses a step by MIN_CURVED noise floors."""
+    _, curvature = fit_parabola([(one.change, one.size) for one in (up, down)])
+    missed = curvature * max(up.size**2, down.size**2)
+    return bool(np.any(np.abs(missed) > MIN_CURVED * layout.sigma))
+
+
+def _join(layout: FeatureLayout, parts: Sequence[Sensitivities], order: Ints) -> Sensitivities:
+    """Join the sensitivities of parts of the features, in the given order of their rows."""
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in parts])[order]
+        for name in ("effect", "curve", "nuisance")
+    }
+    sigma = np.concatenate([one.layout.sigma for one in parts])[order]
+    return replace(parts[0], layout=replace(layout, sigma=sigma), **arrays)
+
+
+def _simulate(
+    campaign: _Campaign,
+    shares: Mapping[int, float],
+    side: int,
+    is_first: bool,
+    run: Runner,
+    progress: Progress,
+) -> dict[int, OneSidedStep]:
+    """Simulate one side of columns with these steps in a part of the features."""
+    simulator, _ = _part(campaign, is_first)
     at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
-    nominal = _nominal_features(campaign)
-    return [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_probe) for of in at_once]
+    nominal = _nominal_features(campaign, is_first)
+    jobs = [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_first) for of in at_once]
+    steps: dict[int, OneSidedStep] = {}
+    for done, found in enumerate(run(_run_job, jobs), 1):
+        steps |= found
+        progress(done, len(jobs), "sensitivities")
+    return steps
 
 
 def _choose_steps(
     campaign: _Campaign, run: Runner, progress: Progress, first: Mapping[int, float]
-) -> dict[int, float]:
+) -> dict[int, OneSidedStep]:
     """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
 
     A column with its slope from a nuisance keeps its step: another step would not change that slope.
-    Numerical errors keep theirs too. They are left out, as their rests take long.
+    Numerical errors keep theirs too. They are simulated last, as their rests take long.
 
     Returns:
-        Step of each column as a share of its typical size.
+        Step of each column, whose share is that of its typical size.
     """
-    simulator = _simulator(campaign)
+    simulator, _ = _part(campaign, True)
     columns = list_columns(simulator)
     fixed = find_borrowed_slopes(simulator, columns)
     last: dict[int, OneSidedStep] = {}
     begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
-    chosen, best = dict(first), dict.fromkeys(first, math.inf)
+    chosen, best = last, dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
-        jobs = _list_jobs(campaign, wanted, 0, is_probe=True)
-        for done, (_, found) in enumerate(run(_run_job, jobs), 1):
-            last |= found
-            update(done, len(jobs), "steps")
-        scale = form_normal_equations(_assemble(campaign, last, {})).scale
+        last = last | _simulate(campaign, wanted, 0, True, run, update)
+        scale = form_normal_equations(_assemble(simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
-        chosen |= {k: last[k].share for k in nearer}
+        chosen = last | chosen | {k: last[k] for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
         better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
         ends = {k: perturb_both_sides(simulator, columns[k], share)[0] for k, share in better.items()}
         wanted = {k: share for k, share in better.items() if ends[k].size != last[k].size}
         if not wanted:
             break
-    return chosen
+    left = {k: by for k, by in first.items() if k not in chosen}
+    return chosen | _simulate(campaign, left, 0, True, run, no_progress)
 
 
 def _list_numerical(simulator: ArmSimulator) -> list[int]:
@@ -211,14 +244,13 @@ def _list_numerical(simulator: ArmSimulator) -> list[int]:
 
 
 def _assemble(
-    campaign: _Campaign, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+    simulator: ArmSimulator, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
 ) -> Sensitivities:
     """Fit parabolas through the simulated steps, or lines where there is one side.
 
     A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
     own steps.
     """
-    simulator = _simulator(campaign)
     columns = list_columns(simulator)
     slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
@@ -312,25 +344,36 @@ def _simulator(campaign: _Campaign) -> ArmSimulator:
 
 
 @cache
-def _nominal_features(campaign: _Campaign) -> Array:
-    return _simulator(campaign).predict_effects(())
+def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
+    """Return the simulator of a part of the features, as in `_Job`, and their rows among all; once a process.
+
+    The motions of the first part are those that move as many joints as any, away from a surface.
+    """
+    whole = _simulator(campaign)
+    motions, rests = whole.feature_set.motions, whole.feature_set.rests
+    joints = [
+        len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
+        for one in motions
+    ]
+    chosen = [(count == max(joints)) is is_first for count in joints]
+    flags = [
+        *np.repeat(chosen, [len(one.features) for one in motions]),
+        *[is_first] * sum(len(one.features) for one in rests),
+    ]
+    rows = np.flatnonzero(flags)
+    feature_set = FeatureSet(tuple(compress(motions, chosen)), rests if is_first else ())
+    return replace(whole, feature_set=feature_set, layout=whole.layout.select(rows)), rows
 
 
-def _run_job(job: _Job) -> tuple[int, dict[int, OneSidedStep]]:
-    """Simulate the columns of a job; return its side, and the step of each column."""
-    simulator = _simulator(job.campaign)
+@cache
+def _nominal_features(campaign: _Campaign, is_first: bool) -> Array:
+    return _part(campaign, is_first)[0].predict_effects(())
+
+
+def _run_job(job: _Job) -> dict[int, OneSidedStep]:
+    """Simulate the columns of a job; return their steps."""
+    simulator, _ = _part(job.campaign, job.is_first)
     every = list_columns(simulator)
-    only = _moves_most_joints(simulator.feature_set) if job.is_probe else every_motion
     columns = [every[k] for k in job.columns]
-    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares, only)
-    return job.side, dict(zip(job.columns, sides, strict=True))
-
-
-def _moves_most_joints(feature_set: FeatureSet) -> Callable[[MotionFeatures], bool]:
-    """Return the predicate of the motions that move as many joints as any, away from a surface."""
-
-    def count(one: MotionFeatures) -> int:
-        return len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
-
-    most = max(map(count, feature_set.motions), default=0)
-    return lambda one: count(one) == most
+    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares)
+    return dict(zip(job.columns, sides, strict=True))

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.feature_set import every_motion, measure_features
+from marsarm.diagnosis.arm.feature_set import measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
 from marsarm.diagnosis.model import DiagnosisModel
@@ -114,22 +114,14 @@ def resimulate(
     return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
 
 
-def simulate_change(
-    arm: ArmSimulator,
-    effects: tuple[Effect, ...],
-    nominal: Array,
-    only: Callable[[MotionFeatures], bool] = every_motion,
-) -> Array:
+def simulate_change(arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Array) -> Array:
     """Simulate the change (n,) by effects; 0 in motions that they cannot influence.
 
     Args:
         arm: Simulator of the arm, with n features.
         nominal: Prediction without effects in the units of the channels, shape (n,).
-        only: Predicate of the motions to simulate.
     """
-    found = (
-        arm.predict_effects(effects, lambda one: only(one) and any(moves(e, one) for e in effects)) - nominal
-    )
+    found = arm.predict_effects(effects, lambda one: any(moves(e, one) for e in effects)) - nominal
     return np.where(np.isfinite(found), found, 0.0)
 
 

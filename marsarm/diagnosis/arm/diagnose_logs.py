@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -27,11 +26,10 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder, file_sha256
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
+from simgap.files.columns import hint_at
 
 CAMPAIGN_SHARE: Final = 0.9
 """Share of the campaign model in the time of a diagnosis, for the progress, if none is cached."""
-MAX_SUGGESTIONS: Final = 3
-"""Largest number of suggested names in an error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,19 +126,14 @@ def _parse_effects(names: str) -> tuple[str, ...]:
     """Return the names in the order of the catalogue."""
     known = {effect_name(one.kind) for one in list_candidates(None)}
     wanted = {name.strip() for name in names.split(",")}
-    problems = [_unknown_effect(name, known) for name in sorted(wanted - known)]
+    problems = [
+        f"catalogue: {shorten(name)!r} is no effect that a diagnosis can identify; "
+        f"{hint_at(name, sorted(known), 'there are')}"
+        for name in sorted(wanted - known)
+    ]
     if problems:
         raise BadRequest("\n".join(problems))
     return tuple(name for name in catalogue() if name in wanted)
-
-
-def _unknown_effect(name: str, known: set[str]) -> str:
-    if name in catalogue():
-        return f"catalogue: {name} is an effect that a diagnosis cannot identify; leave it out"
-    near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
-    meant = f"did you mean {' or '.join(near)}? " if near else ""
-    lists = "`marsarm dictionary --effects` lists what there is"
-    return f"catalogue: effect {shorten(name)!r} is not known; {meant}{lists}"
 
 
 def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> CaseDiagnosis:

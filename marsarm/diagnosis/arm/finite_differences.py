@@ -6,7 +6,7 @@ kind are simulated at several joints at once, and each takes the motions of its 
 
 import math
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,8 +15,7 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.case_simulator import simulate_change
-from marsarm.diagnosis.arm.feature_set import changes_readings_only, every_motion, rests_moved_by
-from marsarm.diagnosis.arm.features import MotionFeatures
+from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by
 from marsarm.diagnosis.arm.rest_poses import is_stepped
 from marsarm.diagnosis.arm.simulator import ArmSimulator
 from marsarm.diagnosis.problem import LOG_UNIT
@@ -145,7 +144,6 @@ def simulate_side(
     nominal: Array,
     number: int,
     shares: Sequence[float],
-    only: Callable[[MotionFeatures], bool] = every_motion,
 ) -> list[OneSidedStep]:
     """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
 
@@ -153,13 +151,12 @@ def simulate_side(
         nominal: Prediction without effects in the units of the channels, shape (m,).
         number: 0 for the first side, 1 for the second.
         shares: Step of each column as a share of its typical size.
-        only: Predicate of the motions to simulate; others do not change.
     """
     ends = [
         perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
     ]
     every = tuple(effect for end in ends for effect in end.effects)
-    changes = [simulate_change(simulator, every, nominal, only)]
+    changes = [simulate_change(simulator, every, nominal)]
     if _joint(every[:1]) is not None:
         changes = [_change_at_joint(simulator, changes[0], end.effects) for end in ends]
     return [OneSidedStep(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]

@@ -27,8 +27,11 @@ from marsarm.telemetry.recorder import SESSION
 from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
 from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from simgap.checks.records import runs
 from simgap.common.errors import BadRequest, RobotError
-from simgap.common.toml import decode_text, describe_first_problem
+from simgap.common.toml import describe_first_problem
+from simgap.files.log_file import open_log
+from simgap.files.robot_file import CsvTable
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
@@ -51,10 +54,6 @@ REVERSAL_S: Final = 1.0
 """Time after a reversal that belongs to the regime "reversal"."""
 
 
-class BadTracker(ValueError):
-    """Table that does not hold tracker poses; the message says where and why."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerPoses:
     """Poses of the turret interface in RMECH, n of them, in the order of ticks."""
@@ -65,52 +64,28 @@ class TrackerPoses:
     """Standard deviation of the screw from true to measured, turret axes, rotation first, shape (6, n)."""
 
 
-def no_tracker_poses() -> TrackerPoses:
-    """Return an empty table."""
-    return TrackerPoses(np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0)))
+NO_TRACKER_POSES: Final = TrackerPoses(
+    np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0))
+)
 
 
 def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
     """Write a CSV file: tick, rotation vector, position, and standard deviations."""
-    turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
-    rows = [
-        ",".join(
-            [str(int(tick)), *(repr(float(x)) for x in (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k]))]
-        )
-        for k, tick in enumerate(seen.tick)
-    ]
+    turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec()
+    numbers = np.concatenate([turn.T, seen.X_RF.p, seen.sigma]).T.tolist()
+    rows = (",".join(map(repr, (tick, *row))) for tick, row in zip(seen.tick.tolist(), numbers, strict=True))
     path.write_text("\n".join([",".join(TRACKER_COLUMNS), *rows, ""]), encoding="utf-8")
 
 
 def read_tracker_poses(path: Path) -> TrackerPoses:
-    """Read a CSV file.
-
-    Raises:
-        BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
-    """
-    try:
-        header, *rows = decode_text(path.read_bytes(), str(path)).splitlines() or [""]
-    except OSError as error:
-        raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
-    except RobotError as error:
-        raise BadTracker(str(error)) from error
-    names = header.split(",")
-    missing = [name for name in TRACKER_COLUMNS if name not in names]
-    if missing:
-        raise BadTracker(f"{path}: has no column {', '.join(missing)}")
-    cells = [row.split(",") for row in rows if row]
-    if not cells:
-        return no_tracker_poses()
-    try:
-        table = np.array(cells).astype(float).reshape(-1, len(names))
-    except ValueError as error:
-        raise BadTracker(f"{path}: something in it is no number, or rows have different lengths") from error
-    numbers = table[:, [names.index(name) for name in TRACKER_COLUMNS]].T
+    """Read a table; RobotError if a column or a number is missing, or a number is wrong or repeated."""
+    log = open_log(path, TRACKER_COLUMNS, (), CsvTable())
+    numbers = np.array([log.numbers(name).value for name in TRACKER_COLUMNS])
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
-        raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
+        raise RobotError(f"{path}: every number must be finite, and every sigma above 0")
     tick = numbers[0].astype(np.int64)
     if np.any(tick != numbers[0]) or np.unique(tick).size != tick.size:
-        raise BadTracker(f"{path}: ticks must be whole numbers, each there once")
+        raise RobotError(f"{path}: ticks must be whole numbers, each there once")
     R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
     return TrackerPoses(tick, Pose(R, numbers[4:7]), numbers[7:])
 
@@ -187,9 +162,9 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         log = read_log(path)
         inputs = inputs_from_log(log)
         tracker = path.with_suffix(".tracker.csv")
-        tracked = read_tracker_poses(tracker) if tracker.exists() else no_tracker_poses()
+        tracked = read_tracker_poses(tracker) if tracker.exists() else NO_TRACKER_POSES
         session = _read_session(log.header.get(SESSION, "{}"), path)
-    except (LogError, NotReplayable, ValueError) as error:
+    except (LogError, NotReplayable, RobotError, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
         raise NotForDiagnosis(
@@ -317,24 +292,20 @@ def find_segments(recording: Recording) -> list[Segment]:
     """Find the segments in the order of joints, then of time."""
     found = []
     for joint in Joint:
-        power = recording.drive["power_on"][:, joint].astype(np.int8)
-        edges = np.flatnonzero(np.diff(power, prepend=0, append=0))
         before = 0
-        for first, end in zip(edges[::2], edges[1::2], strict=True):
+        for first, end in runs(recording.drive["power_on"][:, joint]):
             moved = recording.drive["setpoint_count"][first:end, joint]
             if np.ptp(moved) < STILL_COUNTS:
                 continue
             direction = int(np.sign(moved[-1] - moved[0])) or 1
             most = float(np.abs(recording.drive["setpoint_rate_rad_s"][first:end, joint]).max())
             slow = most < SLOW_SHARE * recording.params.joints.in_order()[joint].speed_rad_s
-            found.append(Segment(joint, int(first), int(end), direction, slow, before * direction < 0))
+            found.append(Segment(joint, first, end, direction, slow, before * direction < 0))
             before = direction
     return found
 
 
 def find_rests(recording: Recording) -> list[int]:
     """Find the last tick of every rest on the brakes of at least half a second."""
-    still = ~recording.drive["power_on"].any(axis=1) & ~recording.drive["brake_release"].any(axis=1)
-    edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
-    pairs = zip(edges[::2], edges[1::2], strict=True)
-    return [int(end) - 1 for first, end in pairs if end - first >= CYCLE_HZ // 2]
+    still = np.asarray(~(recording.drive["power_on"] | recording.drive["brake_release"]).any(axis=1))
+    return [end - 1 for first, end in runs(still) if end - first >= CYCLE_HZ // 2]

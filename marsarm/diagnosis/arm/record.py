@@ -14,7 +14,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
-from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
+from marsarm.diagnosis.arm.logs import TrackerPoses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.recorder import SESSION, Recorder, flight_header
@@ -85,8 +85,10 @@ def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, see
             recorder.write(moment.record)
             if moment.rested and session.tracked:
                 rows += _measure_turret(loop, session, moment.record.tick, rng)
-    if session.tracked:
-        write_tracker_poses(path.with_suffix(".tracker.csv"), _stack_poses(rows))
+    if rows:
+        ticks, poses, sigmas = zip(*rows, strict=True)
+        seen = TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
+        write_tracker_poses(path.with_suffix(".tracker.csv"), seen)
 
 
 def session_json(session: DiagnosisSession) -> str:
@@ -107,13 +109,6 @@ def _measure_turret(
     except TooFewTargets:
         return []
     return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]
-
-
-def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
-    if not rows:
-        return no_tracker_poses()
-    ticks, poses, sigmas = zip(*rows, strict=True)
-    return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
 
 
 def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:

@@ -8,6 +8,7 @@ from the times between turning points. No dynamics are simulated, except for wha
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
-from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments, no_tracker_poses
+from marsarm.diagnosis.arm.logs import NO_TRACKER_POSES, Recording, find_rests, find_segments
 from sim.arm_model.load import ArmModel
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
@@ -28,7 +29,7 @@ from sim.effects.gears import GearHysteresis
 from sim.effects.structure import LinkBending, LinkCreep
 from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
 from sim.plant import Plant
-from sim.record import NO_DISTURBANCE, Disturbance
+from sim.record import Disturbance
 from sim.setting import World
 from sim.tracker import turret_pose
 from sim.world import build
@@ -70,7 +71,7 @@ def is_stepped(effect: Effect) -> bool:
     return isinstance(effect, GearHysteresis) or effect == STEP_NUMERICS
 
 
-NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), no_tracker_poses().X_RF)
+NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), NO_TRACKER_POSES.X_RF)
 """Result for a recording without rests."""
 
 
@@ -99,8 +100,8 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
         return _solve_creep(turning_points, creep, [effect for effect in effects if effect is not creep])
     if any(map(is_stepped, effects)):
         return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
-    if not turning_points:
-        return []
+    if not any(one.rests for one in turning_points):
+        return [NO_RESTS for _ in turning_points]
     arm = turning_points[0].recording.arm
     hardware, params = nominal_hardware(arm.description), arm.params
     for effect in effects:
@@ -112,9 +113,8 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
             params = effect.on_params(params)
         # else the effect is applied once, as hardware: on_params would apply the shifted zero again
     config = configure(params)
-    return [
-        _solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in turning_points
-    ]
+    found = iter(_solve_statics([one for one in turning_points if one.rests], config, hardware, effects))
+    return [next(found) if one.rests else NO_RESTS for one in turning_points]
 
 
 def _solve_creep(
@@ -178,34 +178,72 @@ def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) ->
 
 
 def _solve_statics(
-    turning_points: TurningPoints, config: Config, hardware: Hardware, effects: Sequence[Effect]
-) -> RestPoses:
-    recording = turning_points.recording
-    gravity, drawing = recording.world.gravity_N_m_s2, recording.arm.description
-    hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
+    turning_points: Sequence[TurningPoints], config: Config, hardware: Hardware, effects: Sequence[Effect]
+) -> list[RestPoses]:
+    """Solve the equilibria of all recordings, which have one arm and one drawing, at once."""
+    recordings = [one.recording for one in turning_points]
+    start, drawing = recordings[0].start, recordings[0].arm.description
+    seen = np.concatenate([one.motor_rad for one in turning_points], axis=1)
+    sizes = [one.motor_rad.shape[1] for one in turning_points]
+    gravity = np.repeat([one.world.gravity_N_m_s2 for one in recordings], sizes, axis=0).T
+    hardstop_error_rad = start.hardstop_rad - config.hardstop_rad
     counter_error_rad = nominal_hardware(drawing).counter_zero_rad - hardware.counter_zero_rad
-    motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
-    motor += scale_shift_rad(hardware, turning_points.motor_rad, recording.start.hardstop_rad, drawing)
+    motor = seen - (hardstop_error_rad + counter_error_rad)[:, None]
+    motor += scale_shift_rad(hardware, seen, start.hardstop_rad, drawing)
+    load = settle_output(config.arm, motor, gravity).torque_Nm
+    ends = np.cumsum([0, *sizes])
+    spans = [slice(*pair) for pair in pairwise(ends.tolist())]
+    paths = [
+        _drag_outputs(one, config, hardware, effects, motor[:, span], load[:, span])
+        for one, span in zip(recordings, spans, strict=True)
+    ]
+    begins = zip(ends[:-1], turning_points, strict=True)
+    rests = np.concatenate([begin + np.array(one.rests, int) for begin, one in begins])
+    outputs = np.concatenate([path for path, _ in paths], axis=1)[:, rests]
+    X_RF = settle_output(config.arm, outputs, gravity[:, rests]).frames.X_RF
+    found, begin = [], 0
+    for (_, hardware), one in zip(paths, turning_points, strict=True):
+        here = slice(begin, begin := begin + len(one.rests))
+        resolver = outputs[:, here] + hardware.resolver_bias_rad[:, None]
+        for error in hardware.resolver_errors:
+            resolver += np.stack([error.error_rad(output) for output in outputs[:, here].T], axis=-1)
+        pose = Pose(X_RF.R[:, :, 5, here], X_RF.p[:, 5, here])
+        found.append(RestPoses(resolver - one.motor_rad[:, list(one.rests)], pose))
+    return found
+
+
+def _drag_outputs(
+    recording: Recording,
+    config: Config,
+    hardware: Hardware,
+    effects: Sequence[Effect],
+    motor: Array,
+    load_Nm: Array,
+) -> tuple[Array, Hardware]:
+    """Drag each output within its gear from one turning point to the next.
+
+    Args:
+        motor: True motor angles at the turning points [rad], shape (5, k).
+        load_Nm: Torques of the load there, shape (5, k).
+
+    Returns:
+        Output angles [rad], shape (5, k), and the hardware after the last effect of a cycle.
+    """
     plant = _plant_with(recording.arm, recording.world, tuple(effects)) if hardware.each_cycle else None
     half_backlash_rad = config.half_backlash_rad
-    load = settle_output(config.arm, motor, gravity).torque_Nm
-    gear, driven = np.zeros(5), motor[:, 0]
-    outputs = np.zeros_like(motor)
+    gear, driven, outputs = np.zeros(5), motor[:, 0], np.zeros_like(motor)
+    bounds = bound_gear(config, half_backlash_rad, load_Nm)
     for k, motor_rad in enumerate(motor.T):
-        hardware, disturbance = (
-            (hardware, NO_DISTURBANCE) if plant is None else _act_at(plant, hardware, motor_rad, gear)
-        )
-        before, driven = driven, motor_rad + disturbance.gear_rad
-        bounds = bound_gear(config, half_backlash_rad, load[:, k] + disturbance.output_Nm)
-        gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
+        low_rad, high_rad = bounds.lowest_rad[:, k], bounds.highest_rad[:, k]
+        before, driven = driven, motor_rad
+        if plant is not None:
+            hardware, disturbance = _act_at(plant, hardware, motor_rad, gear)
+            driven = motor_rad + disturbance.gear_rad
+            loaded = bound_gear(config, half_backlash_rad, load_Nm[:, k] + disturbance.output_Nm)
+            low_rad, high_rad = loaded.lowest_rad, loaded.highest_rad
+        gear = np.clip(gear - (driven - before), low_rad, high_rad)
         outputs[:, k] = driven + gear
-    at_rest = list(turning_points.rests)
-    outputs = outputs[:, at_rest]
-    frames = settle_output(config.arm, outputs, gravity).frames
-    resolver = outputs + hardware.resolver_bias_rad[:, None]
-    for error in hardware.resolver_errors:
-        resolver += np.stack([error.error_rad(output) for output in outputs.T], axis=-1)
-    return RestPoses(resolver - turning_points.motor_rad[:, at_rest], frames.X_RF[5])
+    return outputs, hardware
 
 
 @lru_cache(maxsize=4)

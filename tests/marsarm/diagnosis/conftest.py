@@ -1,10 +1,10 @@
-"""Small synthetic campaign that all tests share."""
+"""Small synthetic campaign that all tests share, and a diagnosis of each verdict."""
 
 import numpy as np
 import pytest
 
-from tests.marsarm.diagnosis import results as cases
-from tests.marsarm.diagnosis.worlds import found, modelled, world
+from marsarm.diagnosis.model import alias_cosines
+from tests.marsarm.diagnosis.worlds import found, modelled, select_and_diagnose, sized, strange, world
 
 
 @pytest.fixture(scope="session")
@@ -21,9 +21,25 @@ def campaign(made):
 
 @pytest.fixture(scope="session")
 def results(made, campaign):
-    """Return a result of each kind, by its name."""
-    kinds = (cases.named, cases.alike, cases.undecided, cases.nothing, cases.unknown, cases.beside)
-    return {kind.__name__: kind(made, campaign) for kind in kinds}
+    """Return a diagnosis of each verdict, by the name of its case."""
+    lone = next(h for h in range(20, 40) if len(campaign.equivalence_class(h)) == 1)
+    is_apart = campaign.label[:, None] != campaign.label[None, :]
+    cosines = np.where(is_apart, alias_cosines(campaign.equations), 0.0)
+    similar = int(np.argmax(cosines.max(axis=1)))
+    cases = {
+        "named": (1, sized(made, campaign, lone, 6.0), None),
+        "alike": (1, sized(made, campaign, 4, 4.0), None),
+        "undecided": (4, sized(made, campaign, similar, 2.0), None),
+        "nothing": (2, None, None),
+        "unknown": (3, None, 3.0 * strange(made)),
+        "beside": (3, sized(made, campaign, 4, 8.0), strange(made)),
+    }
+    return {
+        name: select_and_diagnose(
+            campaign, made.measured(np.random.default_rng(seed), t, extra, robot=seed), seed=1
+        )
+        for name, (seed, t, extra) in cases.items()
+    }
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ from scipy.stats import chi2
 
 from marsarm.diagnosis.model import alias_cosines, detection_limits, equivalence_classes, noncentrality
 from marsarm.diagnosis.normal_equations import build_full_whitener, fit_linear, form_normal_equations
-from marsarm.diagnosis.selection import select
-from tests.marsarm.diagnosis.worlds import found, modelled, world
+from tests.marsarm.diagnosis.worlds import found, world
 
 
 @pytest.fixture(scope="module")
@@ -47,29 +46,6 @@ def test_a_fit_is_generalised_least_squares(small, rng):
     t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
     expected = _deviance(V, S, y, 0 * t) - _deviance(V, S, y, t)
     assert float(likelihood_ratio(equations, case, (1, 3))) == pytest.approx(expected, rel=1e-6)
-
-
-def test_units_and_orders_change_nothing(small, rng):
-    y = small.measured(rng, t=np.where(small.owner == 2, 0.4, 0.0))
-    kept = found(small)
-    mix = rng.permutation(len(kept.hypotheses))
-    at = np.concatenate([np.flatnonzero(kept.owner == h) for h in mix])
-    tenfold = tuple(
-        replace(h, parameters=tuple(replace(p, typical=-10.0 * p.typical) for p in h.parameters))
-        for h in (kept.hypotheses[i] for i in mix)
-    )
-    turned = rng.permutation(len(kept.layout.blocks))
-    layout = replace(kept.layout, block=turned[kept.layout.block])
-    owner = np.sort(np.argsort(mix)[kept.owner[at]])
-    other = replace(kept, layout=layout, hypotheses=tenfold, effect=-10.0 * kept.effect[:, at], owner=owner)
-    results = []
-    for one, names in ((kept, np.arange(mix.size)), (other, mix)):
-        whiten = build_full_whitener(one)
-        won = select(modelled(one), one, whiten, y, seed=1)
-        deviance = np.sum(np.square(whiten(y - won.change())))
-        results.append(([names[h] for h in won.chosen], np.sum(np.square(whiten(y))), deviance))
-    assert results[0][0] == results[1][0]
-    assert results[0][1:] == pytest.approx(results[1][1:], rel=1e-4)
 
 
 def test_the_full_whitener_leaves_white_noise(small):

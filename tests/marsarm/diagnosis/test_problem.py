@@ -33,40 +33,22 @@ def _plain(value):
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _cut(whole, share):
-    return whole[: int(share * len(whole))]
-
-
-def _changed(whole, byte):
-    """Change a byte of the archive's directory: it then says locked, or packed otherwise."""
-    at, value = byte
-    at += whole.index(b"PK\x01\x02")
-    return whole[:at] + bytes([value]) + whole[at + 1 :]
-
-
-@pytest.mark.parametrize(
-    ("damage", "by"), [*((_cut, by) for by in (0, 1e-3, 0.5, 0.99)), (_changed, (8, 1)), (_changed, (10, 99))]
-)
-def test_a_file_that_was_damaged_is_refused(made, tmp_path, damage, by):
+@pytest.mark.parametrize("share", [0.0, 1e-3, 0.5, 0.99])
+def test_a_file_that_was_damaged_or_is_something_else_is_refused(made, tmp_path, share):
     path = tmp_path / "s.npz"
     save_sensitivities(path, found(made))
-    path.write_bytes(damage(path.read_bytes(), by))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(BadRequest, match=r"s\.npz: no sensitivities .*remove it"):
+        load_sensitivities(path)
+    np.savez(path, a=np.zeros(3))
+    with pytest.raises(BadRequest, match="no sensitivities"):
         load_sensitivities(path)
 
 
-def test_a_file_of_something_else_is_refused(tmp_path):
-    np.savez(tmp_path / "s.npz", a=np.zeros(3))
-    with pytest.raises(BadRequest, match="no sensitivities"):
-        load_sensitivities(tmp_path / "s.npz")
-
-
-def test_a_floor_of_nothing_is_refused(made):
+def test_what_cannot_be_is_refused(made):
     with pytest.raises(ValueError, match="above 0"):
         replace(made.layout, sigma=0.0 * made.layout.sigma)
-
-
-def test_what_cannot_be_an_effect_is_refused():
     with pytest.raises(ValueError, match="within its bounds"):
         Parameter("x", "m", 0.0, 1.0, 0.5, neutral=2.0)
     with pytest.raises(ValueError, match="above 0 and finite"):

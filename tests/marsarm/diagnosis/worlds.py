@@ -111,15 +111,21 @@ def modelled(sensitivities) -> DiagnosisModel:
     return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
 
 
-def select_and_explain(model, value, seed, simulate=None):
+def select_and_diagnose(model, value, seed, simulate=None):
     """Select effects and diagnose; without a simulator, large effects are extrapolated."""
     whiten = build_full_whitener(model.sensitivities)
-    return diagnose(model, value, select_simulated(model, whiten, value, seed, simulate))
+    return diagnose(model, value, select_simulated(model, whiten, value, seed, simulate)).diagnosis
 
 
-def select_and_diagnose(model, value, seed, simulate=None):
-    """Return the diagnosis alone."""
-    return select_and_explain(model, value, seed, simulate).diagnosis
+def sized(made, campaign, one, times):
+    """Return the amplitudes (k,) of a hypothesis at a multiple of its limit."""
+    return np.where(made.owner == one, times * campaign.limits[one], 0.0)
+
+
+def strange(made):
+    """Return structure (m,) in one channel that no hypothesis imitates."""
+    c, layout = made.layout.condition, made.layout
+    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == 6)
 
 
 def indices(model, diagnosis):

@@ -2,13 +2,11 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
 from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, family_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -19,7 +17,6 @@ from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import list_candidates
 from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects
-from sim.effects.sensors import EncoderScale
 from sim.params import params_table
 from tests.marsarm.command import marsarm
 
@@ -52,14 +49,6 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int
 
 def test_the_drawing_has_no_effects() -> None:
     assert effects_of_params(nominal_params(), nominal_params()) == ()
-    assert effects_of_params(replace(nominal_params(), arm_name="another"), nominal_params()) == ()
-
-
-def test_a_known_scale_of_an_encoder_is_one_effect() -> None:
-    effect = EncoderScale(Joint.ELBOW, 1e-3)
-    (found,) = effects_of_params(effect.on_params(nominal_params()), nominal_params())
-    assert isinstance(found, EncoderScale)
-    assert found.error == pytest.approx(1e-3)
 
 
 def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(

@@ -44,16 +44,14 @@ from marsarm.diagnosis.arm.simulator import (
     ArmSimulator,
     build_simulator,
     make_effect,
-    moves,
 )
 from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
-from sim.effects.geometry import LinkLength, ToolOffset
+from sim.effects.geometry import LinkLength
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
-from sim.effects.structure import TurretMass
 from validation.cases.arm_truth import list_uncatalogued
 
 BASE = nominal_params()
@@ -141,13 +139,6 @@ def test_a_longer_link_moves_the_turret_by_as_much(poses: FeatureSet) -> None:
     assert np.abs(moved[channels == ROTATION]).max() < 1e-5
 
 
-def test_effects_are_stepped_only_where_they_can_show(touch: MotionFeatures) -> None:
-    assert moves(GearStiffness(Joint.ELBOW, 1.1), touch)
-    assert moves(TurretMass(1.0), touch)
-    assert not moves(LinkLength(Frame.ARM3, "x", 1e-3), touch)
-    assert not moves(ToolOffset("drill", "x", 1e-3), touch)
-
-
 def test_no_tick_after_the_last_bin_influences_a_feature(touch: MotionFeatures) -> None:
     whole = stack_readings(simulate_open_loop(touch.recording, (), SHORT_SETTLING).readings)
     part = simulate_motion(touch, (), SHORT_SETTLING)
@@ -189,20 +180,6 @@ def test_nothing_is_compared_near_a_touch(touch: MotionFeatures) -> None:
     closed = np.flatnonzero(touch.recording.sensors["switch_closed"].any(axis=1))[0]
     bins = sum(end <= closed for segment in touch.segments for _, end in segment.bins())
     assert 0 < sum(feature.channel == CURRENT for feature in touch.features) < bins
-
-
-def test_a_sensitivity_is_the_difference_of_predictions(poses: FeatureSet) -> None:
-    simulator = simulator_of(poses, "link-angle")
-    nominal, sigma = simulator.predict_effects(()), simulator.layout.sigma
-    for column in list_columns(simulator)[:3]:
-        assert column.hypothesis is not None
-        hypothesis = simulator.hypotheses[column.hypothesis]
-        there = np.array([p.neutral + 1.5 * p.typical for p in hypothesis.parameters])
-        change = simulator.predict_effects(simulator.effects({hypothesis: there})) - nominal
-        (side,) = simulate_side(simulator, [column], nominal, 0, [1.0])
-        predicted = 1.5 * side.change / side.size
-        assert np.abs(change / sigma).max() > 5
-        np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
 
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
@@ -268,15 +245,16 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     again = compute_sensitivities(poses, tmp_path, work, noted, kinds)
     assert not calls
     np.testing.assert_array_equal(first.effect, again.effect)
-    assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)
+    biases = [one.effect == "resolver-bias" for one in first.hypotheses]
+    assert np.linalg.matrix_rank(first.effect[:, biases]) == len(Joint) == sum(biases)
     assert first.layout.channels[0] == "azimuth resolver-encoder"
     _stiffness_has_the_slope_of_its_nuisance(first)
 
 
 def _stiffness_has_the_slope_of_its_nuisance(found: Sensitivities) -> None:
     named = {one.name: k for k, one in enumerate(found.nuisances)}
-    stiffness = found.only(["link-stiffness"])
-    assert np.linalg.norm(stiffness.effect) > 0.0
-    for column, one in zip(stiffness.effect.T, stiffness.hypotheses, strict=True):
-        nuisance = found.nuisance[:, named[f"link stiffness {one.place}"]]
-        np.testing.assert_array_equal(column, nuisance * one.parameters[0].typical)
+    for column, one in zip(found.effect.T, found.hypotheses, strict=True):
+        if one.effect == "link-stiffness":
+            nuisance = found.nuisance[:, named[f"link stiffness {one.place}"]]
+            np.testing.assert_array_equal(column, nuisance * one.parameters[0].typical)
+            assert np.any(column)

@@ -8,13 +8,12 @@ import pytest
 
 from fsw.dictionary.enums import Frame, Joint
 from marsarm.common.pool import local_runner
-from marsarm.diagnosis.arm import campaign_sensitivities, case_simulator
+from marsarm.diagnosis.arm import case_simulator
 from marsarm.diagnosis.arm.case import CampaignModel, TooLittleMotion, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import record_campaign
-from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
@@ -112,13 +111,6 @@ def test_with_the_patch_on_nothing_is_left(
     assert tool_error(said).base < 2.0 * tool_error(said).noise_floor
 
 
-def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignModel) -> None:
-    assert against.held_out is not None
-    fitted = against.model.sensitivities.reach
-    assert np.any(fitted != 1.0)
-    np.testing.assert_array_equal(against.held_out.reach, fitted)
-
-
 def test_only_nuisances_that_an_arm_may_have_are_simulated(
     against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,27 +148,6 @@ def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Pa
     job = DiagnoseJob(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
         diagnose_logs(job, no_progress)
-
-
-def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
-    nominal: Logs, against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def computed(*_: object) -> Sensitivities:
-        return found.pop()
-
-    found = [against.model.sensitivities]
-    monkeypatch.setattr(campaign_sensitivities, "_difference_all", computed)
-    whole, part = (
-        campaign_sensitivities.compute_sensitivities(
-            nominal[0], tmp_path, local_runner(1), no_progress, kinds
-        )
-        for kinds in (None, KINDS[:1])
-    )
-    assert not found
-    assert {hypothesis.effect for hypothesis in whole.hypotheses} == set(KINDS)
-    assert {hypothesis.effect for hypothesis in part.hypotheses} == {KINDS[0]}
-    np.testing.assert_array_equal(part.nuisance, whole.nuisance)
-    assert part.layout.keys == whole.layout.keys
 
 
 def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:

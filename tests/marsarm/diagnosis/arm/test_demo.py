@@ -10,7 +10,7 @@ from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
 from marsarm.diagnosis.model import DiagnosisModel
 from sim.effects.joints import GearStiffness
-from simgap import Diagnosis, Finding
+from simgap import Diagnosis
 from simgap.report.sentences import level
 from tests.marsarm.diagnosis.worlds import indices
 
@@ -20,10 +20,6 @@ Cases = dict[str, Diagnosis]
 def truth(kind: str, model: DiagnosisModel, h: int) -> DemoTruth:
     one = model.sensitivities.hypotheses[h]
     return DemoTruth("00", kind, one.effect, one.place, "", 2.0, ())  # type: ignore[arg-type]
-
-
-def other_place(model: DiagnosisModel, finding: Finding) -> int:
-    return next(h for h in range(40) if model.locations[h] not in finding.places)
 
 
 def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,18 +34,16 @@ def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pyt
     assert len({one.digest() for one in again}) == 16
 
 
-def test_nothing_is_right_only_where_nothing_was_on(results: Cases, campaign: DiagnosisModel) -> None:
-    nothing = DemoTruth("00", "none", "", "", "", 0.0, ())
+def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(
+    results: Cases, campaign: DiagnosisModel
+) -> None:
+    nothing, named = DemoTruth("00", "none", "", "", "", 0.0, ()), results["named"]
     right = [judge(nothing, campaign, results[name])[0] for name in ("nothing", "unknown", "named")]
     assert right == [True, False, False]
-
-
-def test_an_effect_is_right_where_its_set_holds_it(results: Cases, campaign: DiagnosisModel) -> None:
-    named = results["named"]
-    (finding,) = named.findings
-    (true,) = indices(campaign, named)
+    (finding,), (true,) = named.findings, indices(campaign, named)
+    other = next(h for h in range(40) if campaign.locations[h] not in finding.places)
     assert judge(truth("known", campaign, true), campaign, named)[0]
-    assert not judge(truth("known", campaign, other_place(campaign, finding)), campaign, named)[0]
+    assert not judge(truth("known", campaign, other), campaign, named)[0]
     assert not judge(truth("known", campaign, true), campaign, results["nothing"])[0]
     placed = replace(named, findings=(replace(finding, effects=(), families=()),))
     near = campaign.locations.index(finding.place)
@@ -60,32 +54,25 @@ def test_an_effect_is_right_where_its_set_holds_it(results: Cases, campaign: Dia
 def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(
     results: Cases, campaign: DiagnosisModel, is_named: bool
 ) -> None:
-    named = results["named"]
-    (finding,) = named.findings
-    other = campaign.sensitivities.hypotheses[other_place(campaign, finding)]
+    (finding,) = results["named"].findings
+    h = next(h for h in range(40) if campaign.locations[h] not in finding.places)
+    other = campaign.sensitivities.hypotheses[h]
     effects = (other.key,) if is_named else ()
     second = replace(
         finding, place=other.place, effect=other.effect, places=(other.place,), families=(), effects=effects
     )
-    both = replace(named, findings=(finding, second))
-    is_right, _ = judge(truth("known", campaign, *indices(campaign, named)), campaign, both)
+    both = replace(results["named"], findings=(finding, second))
+    is_right, _ = judge(truth("known", campaign, *indices(campaign, results["named"])), campaign, both)
     assert is_right is not is_named
 
 
-@pytest.mark.parametrize(("kind", "is_right"), [("named", False), ("unknown", True), ("nothing", False)])
-def test_where_the_catalogue_lacks_the_effect_it_must_be_seen_and_not_named(
-    results: Cases, campaign: DiagnosisModel, kind: str, is_right: bool
-) -> None:
-    assert judge(truth("left out", campaign, 0), campaign, results[kind])[0] == is_right
-
-
-def test_where_the_catalogue_lacks_the_effect_its_place_must_be_right(
+def test_where_the_catalogue_lacks_the_effect_its_place_must_be_seen_and_no_name_given(
     results: Cases, campaign: DiagnosisModel
 ) -> None:
-    (finding,) = results["named"].findings
-    placed = replace(results["named"], findings=(replace(finding, effects=(), families=()),))
-    for one in (placed, results["beside"]):
-        places = [finding.places for finding in one.findings if level(finding) != "none"]
-        right = [all(location in of for of in places) for location in campaign.locations[:40]]
-        assert any(right)
-        assert right == [judge(truth("left out", campaign, h), campaign, one)[0] for h in range(40)]
+    for kind, is_right in (("named", False), ("unknown", True), ("nothing", False)):
+        assert judge(truth("left out", campaign, 0), campaign, results[kind])[0] == is_right
+    places = [one.places for one in results["beside"].findings if level(one) != "none"]
+    right = [all(location in of for of in places) for location in campaign.locations[:40]]
+    assert any(right)
+    judged = [judge(truth("left out", campaign, h), campaign, results["beside"])[0] for h in range(40)]
+    assert right == judged
