@@ -37,10 +37,11 @@ from simgap import (
     find_confidence_sets,
 )
 from simgap.report.sentences import join_words
-from simgap.selection.verdict import separating_motion
 
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
+NEXT_MOTION: Final = "the motion that `marsarm gap next` proposes"
+"""What to record where several effects are left."""
 REGIMES: Final = {"rest": "at rest", "pose": "at rest", "reversal": "after a reversal"}
 """Regimes of features in words, where they are not those of any robot."""
 
@@ -167,7 +168,7 @@ def _describe_finding(
         places=tuple(dict.fromkeys(places)),
         families=tuple(dict.fromkeys(model.families[k] for k in members)) if is_named else (),
         effects=tuple(one.effect.key for one in found.alternatives) if is_named else (),
-        next_motion=separating_motion(context, found),
+        next_motion=NEXT_MOTION if len(found.alternatives) > 1 else "",
     )
 
 
