@@ -104,19 +104,17 @@ def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
 
 def make_session(motion: PlannedMotion, params: Params) -> DiagnosisSession:
     """Return the session of a motion, for an arm with these flight parameters; it stays within the limits."""
-    turn_deg = np.zeros(5)
-    if motion.joint == ALL:
-        turn_deg += np.array(COORDINATED_TURN) * motion.turn_deg / COORDINATED_TURN[Joint.ELBOW]
-    else:
-        turn_deg[Joint[motion.joint.upper()]] = motion.turn_deg
-    here, there = within_limits(params, motion.start_deg, motion.start_deg + turn_deg)
-    joints = Joint if motion.joint == ALL else (Joint[motion.joint.upper()],)
-    ways: list[Command] = []
-    for pose in (there, here):
-        moved: Command = MoveJoints(joints5(pose), "off")
-        if motion.joint != ALL:
-            moved = MoveJoint(joints[0], pose[joints[0]], "off")
-        ways.append(moved)
+    joints, share = [*Joint], np.array(COORDINATED_TURN) / COORDINATED_TURN[Joint.ELBOW]
+    if motion.joint != ALL:
+        joints = [Joint[motion.joint.upper()]]
+        share = np.eye(5)[joints[0]]
+    here, there = within_limits(params, motion.start_deg, motion.start_deg + share * motion.turn_deg)
+    ways: list[Command] = [
+        MoveJoints(joints5(pose), "off")
+        if motion.joint == ALL
+        else MoveJoint(joints[0], pose[joints[0]], "off")
+        for pose in (there, here)
+    ]
     speeds = [set_speed(params, one, motion.speed_share) for one in joints if motion.speed_share != 1.0]
     return DiagnosisSession(
         motion.name,
