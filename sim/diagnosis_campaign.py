@@ -125,7 +125,7 @@ def pose_sessions(params: Params) -> list[DiagnosisSession]:
     sessions = []
     for attitude, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
         for number, pair in enumerate(pairs, 1):
-            start, end = _within_limits(params, *pair)
+            start, end = within_limits(params, *pair)
             for suffix in ("", "-again") if number == 1 else ("",):
                 block = f"poses-{attitude}-{number}"
                 sessions.append(
@@ -158,7 +158,7 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
                     f"sweep-{name}",
                     World("mars", roll_rad),
                     WARM_C,
-                    _within_limits(params, OUTSTRETCHED)[0],
+                    within_limits(params, OUTSTRETCHED)[0],
                     _sweep(params, joint),
                     tracked=False,
                 )
@@ -176,7 +176,7 @@ def coordinated_sessions(params: Params) -> list[DiagnosisSession]:
         ("elsewhere-cold", "elsewhere-cold", SESSION_COLD_C, HELD_OUT_POSE),
         ("elsewhere-warm", "elsewhere-warm", WARM_C, HELD_OUT_POSE),
     ):
-        here, _ = _within_limits(params, degrees, np.add(degrees, COORDINATED_TURN))
+        here, _ = within_limits(params, degrees, np.add(degrees, COORDINATED_TURN))
         there = joints5(np.array(here) + np.radians(COORDINATED_TURN))
         commands = MoveJoints(there, "off"), MoveJoints(here, "off")
         sessions.append(DiagnosisSession(name, block, World("mars"), temperature_C, here, commands, False))
@@ -188,7 +188,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
     config, sessions = configure(params), []
     touching = [tool for tool, switches in params.tool_switches.items() if switches]
     for tool in dict.fromkeys((touching[0], touching[-1])):
-        start = np.array(_within_limits(params, TOUCHING_DEG)[0])
+        start = np.array(within_limits(params, TOUCHING_DEG)[0])
         gravity = World("mars").gravity_N_m_s2
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
@@ -218,26 +218,27 @@ def placement_session(
 
 
 def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
-    here = _within_limits(params, OUTSTRETCHED)[0][joint]
+    here = within_limits(params, OUTSTRETCHED)[0][joint]
     out_rad, slow_rad, turn_rad = here - FAST_RAD, here - SLOW_RAD, here - TURN_RAD
     return (
         MoveJoint(joint, out_rad, "off"),
         MoveJoint(joint, here, "off"),
-        _at_speed(params, joint, SLOW_FRACTION),
+        set_speed(params, joint, SLOW_FRACTION),
         MoveJoint(joint, slow_rad, "off"),
         MoveJoint(joint, here, "off"),
-        _at_speed(params, joint, 1.0),
+        set_speed(params, joint, 1.0),
         MoveJoint(joint, turn_rad, "off"),
         MoveJoint(joint, here, "off"),
     )
 
 
-def _at_speed(params: Params, joint: Joint, fraction: float) -> SetParam:
+def set_speed(params: Params, joint: Joint, fraction: float) -> SetParam:
+    """Return the command that sets the speed of a joint to a fraction of its nominal one."""
     speed_rad_s = params.joints.in_order()[joint].speed_rad_s
     return SetParam(f"joints.{joint.name.lower()}.speed_rad_s", fraction * speed_rad_s)
 
 
-def _within_limits(params: Params, *poses: ArrayLike) -> list[Joints5]:
+def within_limits(params: Params, *poses: ArrayLike) -> list[Joints5]:
     """Return near poses in radians within the soft limits of an arm, each joint by whole turns if it can.
 
     A joint that no whole turn brings there is shifted by the least angle, the same in all poses.

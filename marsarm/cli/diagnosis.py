@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, RecordRequest
+from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, NextRequest, RecordRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, verb
@@ -31,6 +31,36 @@ def record(request: RecordRequest, progress: Progress) -> VerbResult:
     document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
     left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
     return VerbResult(document, lambda: print(f"{len(found.logs)} logs in {request.out}{left_out}"))
+
+
+@gap_app.command("next")
+@verb
+def propose(request: NextRequest, progress: Progress) -> VerbResult:
+    """Diagnose logs, and propose the motion that settles what the diagnosis leaves open.
+
+    A finding may be a set of effects or a place, or another effect may imitate it: these are rivals. Sweeps
+    and poses that the campaign does not have are simulated with each rival; the best one tells most of them
+    apart, whatever calibration errors absorb. It takes some minutes. Exit status 3 says that none does.
+
+    Example: marsarm gap next logs --held-out logs/held-out --out next.toml --report next.html
+    """
+    from marsarm.diagnosis.arm.next_motion import propose_next, save_next_files
+    from sim.plant import PlantDiverged
+    from simgap.common.report import print_parts
+    from simgap.report.next_motion import next_document, next_lines, next_tables
+
+    try:
+        made = propose_next(request, progress)
+    except PlantDiverged as error:
+        raise BadRequest(str(error)) from error
+    is_done = made.proposal.choice.tells_apart
+    tables = next_tables(made.proposal) if is_done else ()
+    return VerbResult(
+        next_document(made.proposal),
+        lambda: print_parts([*next_lines(made.proposal), *tables]),
+        is_done=is_done,
+        save=lambda: save_next_files(made),
+    )
 
 
 @gap_app.command()

@@ -36,11 +36,13 @@ from simgap import (
     chi_square_log_p,
     find_confidence_sets,
 )
+from simgap.next_motion.rivals import list_rivals
 from simgap.report.sentences import join_words
-from simgap.selection.verdict import separating_motion
 
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
+NEXT_MOTION: Final = "the motion that `marsarm gap next` proposes"
+"""What to record where several effects are left."""
 REGIMES: Final = {"rest": "at rest", "pose": "at rest", "reversal": "after a reversal"}
 """Regimes of features in words, where they are not those of any robot."""
 
@@ -81,13 +83,13 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     unit = equations.nuisance_sigma
     nuisance = fit.theta[:q] * unit
     base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
-    rows = value, base, base - selection.change()
+    rows, sets = (value, base, base - selection.change()), find_confidence_sets(selection.engine)
     effects = selection.engine.chosen.effects
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
         seed=selection.engine.context.seed,
-        findings=tuple(_describe_findings(model, selection, bool(remaining))),
+        findings=tuple(_describe_findings(model, selection, sets, bool(remaining))),
         base=(),
         errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
@@ -96,6 +98,11 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         judged_motions=(),
         effects=effects,
         sizes=tuple(tuple(a.tolist()) for a in selection.departures),
+        rivals=tuple(
+            rival
+            for one in sets
+            for rival in list_rivals(selection.engine.context, selection.engine.chosen, one)
+        ),
         method=FeatureResiduals.method,
     )
     hypotheses = [model.sensitivities.hypotheses[h] for h in selection.chosen]
@@ -121,9 +128,8 @@ def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> I
 
 
 def _describe_findings(
-    model: DiagnosisModel, selection: FeatureSelection, has_remainder: bool
+    model: DiagnosisModel, selection: FeatureSelection, sets: Sequence[ConfidenceSet], has_remainder: bool
 ) -> Iterator[Finding]:
-    sets = find_confidence_sets(selection.engine)
     places = [model.locations[model.sensitivities.index(one.effect.key)] for one in sets]
     for one, place in zip(sets, places, strict=True):
         # several effects at one place, or one beside which something remains, may be a single unknown one;
@@ -167,7 +173,7 @@ def _describe_finding(
         places=tuple(dict.fromkeys(places)),
         families=tuple(dict.fromkeys(model.families[k] for k in members)) if is_named else (),
         effects=tuple(one.effect.key for one in found.alternatives) if is_named else (),
-        next_motion=separating_motion(context, found),
+        next_motion=NEXT_MOTION if len(found.alternatives) > 1 or not is_named else "",
     )
 
 

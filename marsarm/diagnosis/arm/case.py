@@ -136,6 +136,8 @@ class CaseDiagnosis:
     """Features of the fitted motions, measured and predicted without and with the findings."""
     patch: tuple[Effect, ...] = ()
     """Effects of the simulator that the findings are beside: the given ones, and the fitted nuisances."""
+    model: DiagnosisModel | None = None
+    """Model of the features that were fitted."""
 
 
 def diagnose_case(
@@ -181,7 +183,8 @@ def diagnose_case(
         errors = _judge_held_out(found, fit, held_out, campaign, campaign.held_out)
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
-    return CaseDiagnosis(diagnosis, tuple(_make_traces(fit.simulator, found)), fit.simulator.arm.patch)
+    traces = tuple(_make_traces(fit.simulator, found))
+    return CaseDiagnosis(diagnosis, traces, fit.simulator.arm.patch, model)
 
 
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:

@@ -15,6 +15,7 @@ from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, write_tracker_poses
+from marsarm.diagnosis.arm.planned_motion import make_session, read_motion
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.recorder import SESSION, Recorder, flight_header
@@ -124,7 +125,10 @@ def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSes
 
     Raises:
         BadRequest: There is none.
+        RobotError: The file of a motion is wrong.
     """
+    if request.motion is not None:
+        return [make_session(read_motion(request.motion), arm.params)]
     every = campaign_sessions(arm.params)
     chosen = [session for session in every if fnmatchcase(session.name, request.sessions)]
     if not chosen:

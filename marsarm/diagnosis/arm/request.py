@@ -65,6 +65,34 @@ class DemoRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class NextRequest:
+    """Request for the next motion."""
+
+    logs: Annotated[
+        tuple[Path, ...],
+        Option("Logs of the diagnosis, or folders: all .mcap files in them.", "LOG...", is_argument=True),
+    ]
+    held_out: Annotated[
+        tuple[Path, ...], Option("Logs that the diagnosis does not fit; repeatable.", "LOG")
+    ] = ()
+    arm: ArmOption = "nominal"
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    campaign: Annotated[
+        Path | None, Option("Folder with logs of the campaign that these repeat, with its cache.", "DIR")
+    ] = None
+    effects: EffectsOption = ()
+    seed: SeedOption = 0
+    workers: WorkersOption = None
+    cluster: ClusterOption = None
+    out: Annotated[
+        Path | None,
+        Option("Write the motion, for `gap record --motion`.", "FILE.toml", suffixes=(".toml",)),
+    ] = None
+    report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
 class RecordRequest:
     """Request to record a campaign."""
 
@@ -77,3 +105,7 @@ class RecordRequest:
     sessions: Annotated[
         str, Option("Record only the sessions with such names, for example poses-level-*.", "PATTERN")
     ] = "*"
+    motion: Annotated[
+        Path | None,
+        Option("Record the motion of this file, as `gap next` wrote it, instead.", "FILE.toml", is_read=True),
+    ] = None

@@ -13,6 +13,7 @@ import numpy as np
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.actuation import CurrentScale, GainError
 from simgap.effects.effect import READING_HOOKS, Effect
+from simgap.next_motion.rivals import NEXT_MOTION, can_be_settled, list_rivals
 from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
@@ -28,7 +29,6 @@ from simgap.selection.verdict import (
     find_confidence_sets,
     find_pushed,
     list_members,
-    separating_motion,
     size_intervals,
     unexplained_dependence,
 )
@@ -86,6 +86,7 @@ def assemble(
         sizes=sizes,
         method=context.model.method,
         effect_kinds=(context.model.kind,) * len(effects),
+        rivals=tuple(rival for one in sets for rival in list_rivals(context, chosen, one)),
     )
 
 
@@ -197,7 +198,7 @@ def describe_finding(
         places=places,
         families=families,
         effects=effects,
-        next_motion=separating_motion(context, found),
+        next_motion=NEXT_MOTION if len(effects) != 1 and can_be_settled(found) else "",
     )
 
 

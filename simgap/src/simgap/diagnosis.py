@@ -213,6 +213,7 @@ def _add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
         effects=tuple(one for one, _ in total.values()),
         sizes=tuple(tuple(size.tolist()) for _, size in total.values()),
         start=tuple(tuple(before.get(key, 0.0 * size).tolist()) for key, (_, size) in total.items()),
+        rivals=(),  # their sizes are changes
         effect_kinds=(part.kind,) * len(total),
     )
 
@@ -234,6 +235,7 @@ def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
         "sizes",
         "start",
         "effect_kinds",
+        "rivals",
     )
     joined: dict[str, Any] = {
         name: tuple(one for part in parts for one in getattr(part, name)) for name in lists

@@ -122,6 +122,25 @@ class Rejected:
 
 
 @dataclass(frozen=True, slots=True)
+class Rival:
+    """Model with an effect in place of a finding, or with the finding itself, as fitted to the motions."""
+
+    finding: str
+    """Key of the finding."""
+    effect: str
+    """Key of the effect in its place."""
+    p: float
+    """Probability that the finding fits so much better, or more, if this is the cause; 1 for itself."""
+    kind: str
+    """Kind of residual."""
+    effects: tuple[Effect, ...]
+    """All effects that act, of base and findings; first those that were fitted together with this one."""
+    sizes: tuple[tuple[float, ...], ...]
+    n_fitted: int
+    """Number of effects that were fitted together with this one, itself included."""
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Result of `diagnose`."""
 
@@ -150,6 +169,9 @@ class Diagnosis:
     """True if no effect was looked for."""
     start: tuple[tuple[float, ...], ...] = ()
     """Sizes with which the diagnosis started, from an earlier result; empty if it started from the model."""
+    rivals: tuple[Rival, ...] = ()
+    """For each finding, models that may be the cause instead, which `simgap next` tells apart; empty after a
+    start from an earlier result."""
 
     @property
     def kinds(self) -> tuple[str, ...]:

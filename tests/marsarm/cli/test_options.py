@@ -14,7 +14,7 @@ from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.cli import analysis, diagnosis, runs
 from marsarm.common.options import ArmRequest, ViewRequest
-from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
+from marsarm.diagnosis.arm.request import DiagnoseRequest, NextRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from simgap.command import app
@@ -38,8 +38,10 @@ VERBS = {
     ViewRequest: runs.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
+    NextRequest: diagnosis.propose,
     CheckRequest: app.check,
     simgap_request.DiagnoseRequest: app.diagnose,
+    simgap_request.NextRequest: app.propose,
 }
 HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
 

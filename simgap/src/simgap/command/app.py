@@ -1,6 +1,12 @@
 """Command line `simgap`: its verbs."""
 
-from simgap.command.request import CheckRequest, CompareRequest, DiagnoseRequest, InitRequest
+from simgap.command.request import (
+    CheckRequest,
+    CompareRequest,
+    DiagnoseRequest,
+    InitRequest,
+    NextRequest,
+)
 from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, verb
@@ -65,6 +71,29 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     made = diagnose_robot(request, progress)
     return VerbResult(
         diagnosis_json(made), lambda: print_diagnosis(made), save=lambda: save_diagnosis_files(made)
+    )
+
+
+@app.command("next")
+@verb
+def propose(request: NextRequest, progress: Progress) -> VerbResult:
+    """Propose the motion that settles what a diagnosis left open.
+
+    A finding may be a set of effects or a place, or another effect may imitate it: these are rivals. Some
+    hundred motions within what the logs show are simulated with each rival. The best one tells most of them
+    apart, whatever base parameters absorb. Exit status 3 says that none does; then no commands are written.
+
+    Example: simgap next robot.toml logs.parquet --start found --out next.csv --report next.html
+    """
+    from simgap.command.next_motion import print_next, propose_next, save_next_files
+    from simgap.report.next_motion import next_document
+
+    made = propose_next(request, progress)
+    return VerbResult(
+        next_document(made.proposal),
+        lambda: print_next(made),
+        is_done=made.proposal.choice.tells_apart,
+        save=lambda: save_next_files(made),
     )
 
 

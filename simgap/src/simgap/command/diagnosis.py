@@ -276,7 +276,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         error.add_note(GOES_ON)
         raise
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
-    patch = None if request.patch is None else make_patch(robot, *result.of_model())
+    patch = None if request.patch is None else make_patch(robot, *result.of_model(), result.rivals)
     traces: tuple[Trace, ...] = ()
     if request.report is not None:
         made = trace_motions(robot, _shown(logs), result, found.usable)

@@ -92,6 +92,28 @@ class DiagnoseRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class NextRequest:
+    """Request for the next motion."""
+
+    robot: RobotArgument
+    logs: LogsArgument
+    start: Annotated[
+        Path, Option("Folder of the patch of the diagnosis whose finding is to be settled.", "FOLDER")
+    ]
+    split: Annotated[
+        str, Option("Split of that diagnosis; the default of the split file if not given.", "NAME")
+    ] = ""
+    held_out: Annotated[
+        tuple[str, ...], Option("What that diagnosis held out in place of a split; repeatable.", "NAME")
+    ] = ()
+    out: Annotated[
+        Path | None,
+        Option("Write the commands, in the columns of the robot.", "FILE.csv", suffixes=(".csv",)),
+    ] = None
+    report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
 class CompareRequest:
     """Request for a comparison of two sets of logs of one robot."""
 

@@ -26,7 +26,7 @@ from simgap.patch.text import (
     model_law,
     number_text,
 )
-from simgap.result import Diagnosis
+from simgap.result import Diagnosis, Rival
 from simgap.robot import Robot
 from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
 
@@ -99,7 +99,7 @@ def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, 
     Raises:
         RobotError: An effect changes what MJCF cannot say.
     """
-    return write_patch(make_patch(robot, *diagnosis.of_model()), folder)
+    return write_patch(make_patch(robot, *diagnosis.of_model(), diagnosis.rivals), folder)
 
 
 def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
@@ -113,8 +113,13 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
     return tuple(written)
 
 
-def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> Patch:
+def make_patch(
+    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
+) -> Patch:
     """Return the patched model and the runtime file of effects; one with sizes of 0 is left out.
+
+    Args:
+        rivals: Rivals of the findings, which the file of what was found keeps.
 
     Raises:
         RobotError: An effect changes what MJCF cannot say.
@@ -125,7 +130,7 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
         for one in effect.parts
         if any(size)
     ]
-    found = found_text(robot, effects, sizes)
+    found = found_text(robot, effects, sizes, rivals)
     text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
     if varied:
         spec = mujoco.MjSpec.from_string(text)

@@ -65,6 +65,7 @@ class SimulationResiduals:
         n_threads: int = 0,
         most_steps: float = math.inf,
         fit_starts: bool = False,
+        is_measured: bool = True,
     ) -> None:
         """Cut the motions into windows: a motion is one, until a stretch of samples that are not used.
 
@@ -75,6 +76,7 @@ class SimulationResiduals:
             most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
                 simulated instead.
             fit_starts: Take out of the residuals what another start of a joint would explain.
+            is_measured: False for motions that are only planned: nothing is corrected by smaller steps.
         """
         self._robot = robot
         self._models, self._fine_models = Models(robot), Models(_refine(robot))
@@ -89,7 +91,11 @@ class SimulationResiduals:
         self._coarse, self._fine = (
             _cut(one, motions, spacing_s, keep, most_periods) for one in (robot, self._fine_models.robot)
         )
-        self._refer([], np.zeros((1, 0)))
+        if is_measured:
+            self._refer([], np.zeros((1, 0)))
+            return
+        n = sum(one.size for window in self._coarse for one in window.sample_time_s)
+        self._fill(self._logs, self._coarse, np.zeros(n), np.empty((n, 0)))
 
     def around(self, effects: Sequence[Effect], sizes: Array) -> "SimulationResiduals":
         """Return the residuals with another reference, such as fitted base parameters.

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import Blocks, count_independent, cut_rows
+from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
 from simgap.selection.chance import alternative_p
@@ -21,7 +21,6 @@ from simgap.selection.context import (
     Score,
     Selection,
     resume_step,
-    simulate,
     start_fitting,
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
@@ -34,7 +33,6 @@ from simgap.selection.selection import (
     start_refit,
 )
 from simgap.selection.sharing import ALL_JOINTS
-from simgap.units import quantity
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""
@@ -65,6 +63,8 @@ class ConfidenceSet:
     alternatives: tuple[Alternative, ...]
     share: float
     """Share of what can be explained in left-out motions that the finding removes."""
+    excluded: tuple[Alternative, ...] = ()
+    """Effects that were fitted in its place and are excluded, the one that explains most first."""
 
 
 def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
@@ -99,6 +99,7 @@ def find_layer_sets(
         fitting.keep(kept)
         scores = [scores[k] for k in kept]
     rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
+    rivals.sort(key=lambda one: -explain_loss(context, one[1], residuals))
     return [
         find_set(context, selection, without, effect, fit, rivals)
         for effect, fit in zip(layer, findings, strict=True)
@@ -117,7 +118,8 @@ def find_set(
 
     Args:
         own: Fit of the finding.
-        rivals: Effects that were fitted in place of the findings that are left out, each with its fit.
+        rivals: Effects that were fitted in place of the findings that are left out, each with its fit; the
+            one that explains most first.
     """
     joints = list(joints_of(context, effect))
     rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
@@ -128,12 +130,13 @@ def find_set(
         if set(joints) & set(joints_of(context, one)) and not is_at_bound(context, without.effects, one, fit)
     ]
     chances = _cause_p(context, without, joints, [own, *(fit for _, fit in others)])
-    members = [
+    first, *rest = (
         Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
         for (one, fit), p in zip(((effect, own), *others), (1.0, *chances), strict=True)
-        if p > EXCLUDED
-    ]
-    return ConfidenceSet(effect, (members[0], *sorted(members[1:], key=lambda one: -one.p)), share)
+    )
+    members = sorted((one for one in rest if one.p > EXCLUDED), key=lambda one: -one.p)
+    excluded = tuple(one for one in rest if one.p <= EXCLUDED)
+    return ConfidenceSet(effect, (first, *members), share, excluded)
 
 
 def start_competitor(
@@ -247,45 +250,6 @@ def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array)
     sums = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)])
     n = len(sums)
     return np.asarray(sums.T @ sums * (n / max(n - 1, 1)))
-
-
-def separating_motion(context: Context, found: ConfidenceSet) -> str:
-    """Say in which recorded motion the first two members of a set differ most.
-
-    Returns:
-        Empty if one member is left, or if one more motion like it would not exclude the wrong one at EXCLUDED
-        with a power as high: the difference is compared with independent residuals of that motion.
-    """
-    if len(found.alternatives) < 2:
-        return ""
-    first, second = found.alternatives[:2]
-    rows = simulate(context, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], "comparison")
-    model = context.model
-    # elsewhere they differ by what was fitted in place of other findings
-    here = np.isin(model.joint_of, joints_of(context, found.effect))
-    difference = np.where(here, rows[0] - rows[1], 0.0) / context.scales[model.joint_of]
-    motion = _strongest(difference, model.motion_of, len(model.motions))
-    joint = _strongest(difference, model.joint_of, len(model.joints))
-    inside = (model.motion_of == motion) & (model.joint_of == joint)
-    change = float(np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2)))
-    left = rows[0][inside]
-    n = count_independent(model, np.flatnonzero(inside), left)
-    if change * np.sqrt(n) < 2.0 * norm.ppf(1.0 - EXCLUDED) * float(np.sqrt(np.mean(left**2))):
-        return ""
-    name, part = model.motions[motion], ""
-    if isinstance(model, Blocks):
-        name, time_s = model.parents[motion], model.time_s[inside]
-        part = f" from {time_s.min():.3g} to {time_s.max():.3g} s"
-    return (
-        f'more motions like "{name}"{part}: there {model.joints[joint]} shows "{first.effect.name}" and '
-        f'"{second.effect.name}" to differ by {quantity(change, model.units[joint])} (RMS)'
-    )
-
-
-def _strongest(values: Array, group: Integers, n_groups: int) -> int:
-    """Return the group with the largest mean square."""
-    squares = np.bincount(group, weights=values**2, minlength=n_groups)
-    return int(np.argmax(squares / np.maximum(np.bincount(group, minlength=n_groups), 1)))
 
 
 def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_bins: int = 10) -> float:

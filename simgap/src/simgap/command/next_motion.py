@@ -1,0 +1,125 @@
+"""The verb that proposes the next motion: read robot, logs and result, compare motions, write commands."""
+
+import csv
+import io
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.checks.audit import audit
+from simgap.command.request import NextRequest
+from simgap.common.files import atomic_write, digest_files
+from simgap.common.options import check_options, command_text
+from simgap.common.page import Origin
+from simgap.common.progress import Progress, no_progress
+from simgap.common.report import file_lines, print_parts
+from simgap.files.motion_rows import conversion
+from simgap.files.robot_file import SignalColumn
+from simgap.loading import load
+from simgap.logs import Motion
+from simgap.next_motion.family import NAME
+from simgap.next_motion.proposal import Proposal, propose_motion
+from simgap.patch.found import FOUND_FILE, read_rivals
+from simgap.report.next_motion import next_lines, next_tables, save_next_page
+from simgap.robot import Robot
+from simgap.units import UNITS
+
+DIGITS: Final = ".9g"
+"""Digits of a command: finer than any encoder."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextMotion:
+    """A proposal with what its files need."""
+
+    request: NextRequest
+    robot: Robot
+    proposal: Proposal
+    motion: Motion
+    digests: dict[str, str]
+    """SHA-256 of the files that were read."""
+
+
+def propose_next(request: NextRequest, progress: Progress = no_progress) -> NextMotion:
+    """Propose a motion; nothing is written.
+
+    Raises:
+        BadRequest: an option is wrong.
+        RobotError: a file is wrong, or there is nothing to tell apart.
+    """
+    check_options(request)
+    progress(0.0, 0.0, "reading")
+    robot = Robot.from_toml(request.robot)
+    rivals = read_rivals(robot, request.start)
+    logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
+    progress(0.0, 0.0, "auditing")
+    usable = audit(robot, logs).usable
+    proposal, motion = propose_motion(
+        robot, logs, rivals, usable, lambda share, text: progress(share, 1.0, text)
+    )
+    read = {"robot": [request.robot], "log": request.logs, "start": [request.start / FOUND_FILE]}
+    return NextMotion(request, robot, proposal, motion, digest_files(read))
+
+
+def print_next(made: NextMotion) -> None:
+    """Print what to record, the best motions, and what to do with the log."""
+    parts: list[Any] = [*next_lines(made.proposal)]
+    if made.proposal.choice.tells_apart:
+        parts += [*next_tables(made.proposal), *_after(made)]
+    print_parts(parts)
+
+
+def _after(made: NextMotion) -> list[str]:
+    """Return what to do with the log of the motion."""
+    split = made.robot.file.split if made.robot.file else ""
+    named = f' Name it "{NAME}" in a part of {split} that is fitted.' if split else ""
+    return [f"Then diagnose the earlier logs and that of this motion together.{named}"]
+
+
+def save_next_files(made: NextMotion) -> list[str]:
+    """Write the files of a request, and return a line about each; BadOutput if one cannot be written.
+
+    Where no motion tells rivals apart there is no command file.
+    """
+    request, out = made.request, None
+    if request.out is not None and made.proposal.choice.tells_apart:
+        out = request.out
+        with atomic_write(out, "out") as file:
+            file.write(command_table(made.robot, made.motion).encode())
+    if request.report is not None:
+        save_next_page(
+            made.proposal, request.report, Origin(command_text("simgap next", request), made.digests)
+        )
+    return file_lines({"commands": out, "report": request.report})
+
+
+def command_table(robot: Robot, motion: Motion) -> str:
+    """Return the commands of a motion as CSV, with the columns and the units of the logs of the robot.
+
+    A joint without a command has the column of its position: where it goes.
+    """
+    assert robot.file is not None
+    file, first = robot.file, next(iter(motion.joints.values())).position.time_s
+    columns: dict[str, list[str]] = {name: [NAME] * first.size for name in file.motion.columns}
+    columns[file.time.column or "time"] = _texts(first / UNITS[file.time.unit].factor)
+    for name, table in file.joints.items():
+        log = motion.joints[name]
+        key = "position" if table.command is None or log.command is None else "command"
+        one: SignalColumn = getattr(table, key)
+        signal = log.position if key == "position" or log.command is None else log.command
+        factor, offset = conversion(one, UNITS[one.unit].quantity, table)
+        columns[one.column] = _texts((signal.value - offset) / factor)
+        if table.gain_column:
+            columns[table.gain_column] = _texts(np.full(first.size, motion.gain[name]))
+    for name, condition in file.conditions.items():
+        if condition.column:
+            columns[condition.column] = _texts(np.full(first.size, motion.conditions[name]))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([columns, *zip(*columns.values(), strict=True)])
+    return text.getvalue()
+
+
+def _texts(values: Array) -> list[str]:
+    return [format(value, DIGITS) for value in values]

@@ -1,0 +1,217 @@
+"""Family of motions of a robot: one joint goes to and fro, within what its logs have shown.
+
+Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain and conditions.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.checks.static import visit_poses
+from simgap.common.errors import RobotError
+from simgap.effects.effect import joint_scales
+from simgap.logs import JointLog, Motion, Signal
+from simgap.robot import ControlMode, Robot
+
+NAME: Final = "next"
+"""Name of a proposed motion."""
+LENGTH_s: Final = 10.0
+"""Length of a motion: several turns of all but the slowest, and too short for a motor to heat up."""
+START_s: Final = 1.0
+"""Rest before and after; a first second depends on where friction held the joint, and is not compared."""
+ENDS: Final = ((0.0, 1.0), (0.0, 0.4), (0.3, 0.7), (0.6, 1.0), (0.0, 0.1), (0.45, 0.55), (0.9, 1.0))
+"""Ends of a motion, in the range of the logged commands."""
+SPEED_SHARES: Final = (1.0, 0.3, 0.1, 0.03)
+"""Largest speeds, in the usual speed of the logs."""
+RESTS_s: Final = (0.0, 0.5)
+POSES: Final = (0.5, 0.1, 0.9)
+"""Pose of the other joints: quantiles of their logged commands."""
+JUMP: Final = 5.0
+"""Step of a command between two samples, over that of the usual speed, from which on it is a jump."""
+MOST: Final = 300
+"""Most motions that are compared; of more, a random part."""
+PEAK: Final = 1.875
+"""Largest over mean speed of a polynomial of fifth order that begins and ends at rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One motion of the family."""
+
+    joint: str
+    ends_rad: tuple[float, float]
+    speed_rad_s: float
+    """Largest speed; infinite for jumps."""
+    rest_s: float
+    """Rest at each end."""
+    others_rad: Mapping[str, float]
+    """Where all other joints are held."""
+    gain: Mapping[str, float]
+    """Value of the gain column of each joint."""
+    conditions: Mapping[str, float]
+
+    def describe(self, robot: Robot) -> str:
+        """Return the motion in words."""
+        joint = robot.joint(self.joint)
+        low, high = (joint.show(one, ".3g") for one in self.ends_rad)
+        speed = (
+            f"at up to {joint.show(self.speed_rad_s, '.3g')}/s" if self.speed_rad_s < np.inf else "in jumps"
+        )
+        rests = f", with rests of {self.rest_s:g} s" if self.rest_s else ""
+        held = [f"{name} at {robot.joint(name).show(at, '.3g')}" for name, at in self.others_rad.items()]
+        gains = {
+            f"gain {value:g}" for name, value in self.gain.items() if robot.file and _has_gain(robot, name)
+        }
+        given = [*held, *sorted(gains), *(f"{name} = {value:g}" for name, value in self.conditions.items())]
+        return f"{self.joint} from {low} to {high} and back {speed}{rests}" + (
+            f"; {', '.join(given)}" if given else ""
+        )
+
+
+def _has_gain(robot: Robot, joint: str) -> bool:
+    return robot.file is not None and bool(robot.file.joints[joint].gain_column)
+
+
+def list_plans(robot: Robot, motions: Sequence[Motion], places: Sequence[str]) -> list[Plan]:
+    """List the motions that may tell effects at some places apart, in random order.
+
+    Args:
+        motions: Logged motions, whose commands, speeds, gains and conditions are the limits.
+        places: Names of joints; another place may show at any joint.
+
+    Raises:
+        RobotError: A joint is commanded by torque, current or voltage: no motion follows from such commands.
+    """
+    free = next((j for j in robot.joints if j.mode not in (ControlMode.POSITION, ControlMode.VELOCITY)), None)
+    if free is not None:
+        raise RobotError(
+            f"joint {free.name}: is commanded by {free.mode}; a motion can be proposed for commands of "
+            "position or velocity"
+        )
+    names = [joint.name for joint in robot.joints]
+    moving = [one for one in names if one in places] if set(places) & {*names} else names
+    targets = {name: _targets(motions, name) for name in names}
+    gains = _some([*{tuple(one.gain.items()): one.gain for one in motions}.values()])
+    given = _some([*{tuple(one.conditions.items()): one.conditions for one in motions}.values()])
+    poses = POSES if len(names) > 1 else POSES[:1]
+    plans = [
+        Plan(name, ends, speed, rest_s, held, gain, conditions)
+        for name in moving
+        for pose in poses
+        for held in [{one: float(np.quantile(targets[one], pose)) for one in names if one != name}]
+        for ends, speed in _strokes(robot, motions, name, targets[name])
+        for rest_s, gain, conditions in product(RESTS_s, gains, given)
+        if _has_time(ends, speed, rest_s)
+    ]
+    order = np.random.default_rng(1).permutation(len(plans))
+    touching = _contacts(robot, np.column_stack([targets[name] for name in names]))
+    free_plans = (plans[k] for k in order if _contacts(robot, _poses(robot, plans[k])) <= touching)
+    return [one for one, _ in zip(free_plans, range(MOST), strict=False)]
+
+
+def _some(values: Sequence[Mapping[str, float]]) -> Sequence[Mapping[str, float]]:
+    """Return the least, the middle and the greatest of some settings."""
+    ordered = sorted(values, key=lambda one: tuple(one.values()))
+    return [ordered[k] for k in sorted({0, len(ordered) // 2, len(ordered) - 1})]
+
+
+def _targets(motions: Sequence[Motion], joint: str) -> Array:
+    """Return where a joint was sent in the logs, (n,) [rad]: positions where a speed is commanded."""
+    # every motion at the same number of times, so that poses can be put together
+    parts = []
+    for motion in motions:
+        log = motion.joints.get(joint)
+        if log is None:
+            raise RobotError(f"motion {motion.name}: joint {joint} has no log; a motion needs all joints")
+        signal = log.position
+        parts.append(
+            np.interp(np.linspace(signal.time_s[0], signal.time_s[-1], 50), signal.time_s, signal.value)
+        )
+    return np.concatenate(parts)
+
+
+def _strokes(
+    robot: Robot, motions: Sequence[Motion], joint: str, targets_rad: Array
+) -> Iterator[tuple[tuple[float, float], float]]:
+    """Yield ends and speeds of a joint within what the logs show."""
+    low, high = float(targets_rad.min()), float(targets_rad.max())
+    commands = [one.joints[joint].command for one in motions]
+    known = [one for one in commands if one is not None and robot.joint(joint).mode is ControlMode.POSITION]
+    if known:
+        low, high = (float(find([find(one.value) for one in known])) for find in (np.min, np.max))
+    usual = joint_scales(robot, motions)[joint].speed_rad_s
+    steps = [
+        (float(np.max(np.abs(np.diff(one.value)))), float(np.median(np.diff(one.time_s)))) for one in known
+    ]
+    jump = max((step for step, dt in steps if step > JUMP * usual * dt), default=0.0)
+    for share in ENDS:
+        ends = low + share[0] * (high - low), low + share[1] * (high - low)
+        if ends[1] > ends[0]:
+            yield from ((ends, usual * speed) for speed in SPEED_SHARES)
+            if ends[1] - ends[0] <= jump:
+                yield ends, np.inf
+
+
+def _has_time(ends: tuple[float, float], speed: float, rest_s: float) -> bool:
+    """Return whether there is time for a way there and back; jumps need rests, else nothing settles."""
+    way_s = PEAK * (ends[1] - ends[0]) / speed
+    return 2.0 * (way_s + rest_s) <= LENGTH_s - 2.0 * START_s and (speed < np.inf or rest_s > 0.0)
+
+
+def _poses(robot: Robot, plan: Plan) -> Array:
+    """Return poses along a motion, (n, n_joints) [rad]."""
+    way = np.linspace(*plan.ends_rad, 7)
+    return np.column_stack(
+        [way if one.name == plan.joint else np.full(7, plan.others_rad[one.name]) for one in robot.joints]
+    )
+
+
+def _contacts(robot: Robot, q_rad: Array) -> set[tuple[int, int]]:
+    """Return the pairs of geoms that touch in some poses, (n, n_joints) [rad]."""
+    found = set()
+    for _, data in visit_poses(robot, [one.name for one in robot.joints], q_rad):
+        mujoco.mj_collision(robot.model, data)
+        found |= {(int(one.geom1), int(one.geom2)) for one in data.contact}
+    return found
+
+
+def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> Motion:
+    """Return a motion as it would be logged if joints went where they are sent.
+
+    Args:
+        logged: Motion whose rate and signals it has.
+    """
+    first = logged.joints[robot.joints[0].name].position.time_s
+    time_s = np.arange(0.0, LENGTH_s, float(np.median(np.diff(first))))
+    joints = {}
+    for joint in robot.joints:
+        log, path = logged.joints[joint.name], np.full(time_s.size, plan.others_rad.get(joint.name, 0.0))
+        if joint.name == plan.joint:
+            path = _path(plan, time_s)
+        command = path if joint.mode is ControlMode.POSITION else np.gradient(path, time_s)
+        values = {"position": path, "command": command, "secondary": path, "enabled": np.ones(time_s.size)}
+        values["velocity"], values["torque"] = np.gradient(path, time_s), np.zeros(time_s.size)
+        if log.temperature is not None:
+            values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
+        there = {key: Signal(time_s, value) for key, value in values.items() if getattr(log, key) is not None}
+        joints[joint.name] = JointLog(**there)
+    return Motion(name, joints, plan.gain, conditions=plan.conditions)
+
+
+def _path(plan: Plan, time_s: Array) -> Array:
+    """Return the position of the moving joint, (n,) [rad]."""
+    low, high = plan.ends_rad
+    way_s = PEAK * (high - low) / plan.speed_rad_s
+    half_s = way_s + plan.rest_s
+    count = 2 * int((LENGTH_s - 2.0 * START_s) / (2.0 * half_s))
+    since = np.maximum(time_s - START_s, 0.0)
+    number = np.minimum((since / half_s).astype(int), count)
+    s = np.clip((since - number * half_s) / max(way_s, 1e-9), 0.0, 1.0)
+    s = np.where((number >= count) | (time_s < START_s), 0.0, s)
+    share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return np.asarray(low + (high - low) * np.where(number % 2 == 0, share, 1.0 - share))

@@ -1,0 +1,252 @@
+"""Propose the next motion of a robot: the one that tells the rivals of a finding apart best."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Flags
+from simgap.common.errors import RobotError
+from simgap.effects.effect import Size
+from simgap.logs import Logs, Motion, Usable
+from simgap.next_motion.family import Plan, START_s, list_plans, make_motion
+from simgap.next_motion.rivals import choose_rivals
+from simgap.next_motion.separation import Choice, Slopes, choose_motion, scale_slopes
+from simgap.residuals.conditioned import join_conditions
+from simgap.residuals.noise import WhitenedResiduals, whiten_noise
+from simgap.residuals.residuals import ResidualModel, refer_to
+from simgap.residuals.simulation_residuals import PENALTY_rad, ResidualKind, SimulationResiduals, list_kinds
+from simgap.result import Rival
+from simgap.robot import Robot
+from simgap.selection.fit import STEP, Union, scale_residuals
+
+AT_ONCE: Final = 32
+"""Motions that are simulated together, between two reports of the progress."""
+SCREENED: Final = 0.4
+"""Share of the time after the simulation of all motions, for the progress."""
+
+Report = Callable[[float, str], None]
+"""Takes the share that is done and a text."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Predictions of one signal by the rivals in the best motion."""
+
+    signal: str
+    unit: str
+    time_s: Array
+    """(n,)."""
+    values: Array
+    """Predictions less their mean, (n_rivals, n)."""
+    noise: float
+    """Standard deviation of the noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """The next motion, and how well it and others tell the rivals of a finding apart."""
+
+    finding: str
+    """Key of the finding."""
+    rivals: tuple[str, ...]
+    """Keys of the rivals, the finding first."""
+    motions: tuple[str, ...]
+    """All motions that were compared, in words."""
+    choice: Choice
+    curves: tuple[Curve, ...]
+    """Of the best motion."""
+
+
+def propose_motion(
+    robot: Robot,
+    logs: Logs,
+    rivals: Sequence[Rival],
+    usable: Usable | None = None,
+    progress: Report = lambda share, text: None,
+) -> tuple[Proposal, Motion]:
+    """Propose the motion that tells the rivals of the finding in most doubt apart.
+
+    Args:
+        logs: Logs in which they were found.
+        usable: Samples that took part.
+        progress: Called with the share that is done, from 0 to 1, and a text.
+
+    Returns:
+        The proposal, and its best motion as it would be logged if joints went where they are sent.
+
+    Raises:
+        RobotError: There are no rivals, or no motion is possible.
+    """
+    group = choose_rivals(rivals)
+    kind = next((one for one in list_kinds(robot, logs.fit, usable) if one.name == group[0].kind), None)
+    if kind is None:
+        raise RobotError(f"the logs allow no {group[0].kind}, by which the result was found; give its logs")
+    plans = list_plans(robot, logs.fit, [one.effect.rpartition(": ")[0] for one in group])
+    if not plans:
+        raise RobotError("no motion is possible within what the logs show; log motions of all joints")
+    progress(0.0, "noise of the logs")
+    family = _Family(robot, logs.fit, plans, kind, _Models(group))
+    predictions: list[Array] = []
+    for first in range(0, len(plans), AT_ONCE):
+        predictions += family.predict(range(first, min(first + AT_ONCE, len(plans))))
+        progress(SCREENED * len(predictions) / len(plans), "motions simulated")
+    done: list[int] = []
+
+    def differentiate(some: Sequence[int]) -> list[Slopes]:
+        progress(1.0 - (1.0 - SCREENED) * 0.8 ** (len(done) / len(some)), "best motions compared")
+        done.extend(some)
+        return family.differentiate(some)
+
+    choice = choose_motion(predictions, differentiate)
+    if not choice.motions:
+        raise RobotError("the rivals can make no motion of the family; log slower motions")
+    best = choice.motions[0]
+    keys = tuple(one.effect for one in group)
+    words = tuple(plan.describe(robot) for plan in plans)
+    progress(1.0, "done")
+    return Proposal(group[0].finding, keys, words, choice, family.draw(best)), family.motion(best)
+
+
+class _Models:
+    """Rivals as points of one union of effects."""
+
+    def __init__(self, rivals: Sequence[Rival]) -> None:
+        self.union = Union(tuple({one.key: one for rival in rivals for one in rival.effects}.values()))
+        self.points = np.zeros((len(rivals), len(self.union.sizes)))
+        self.fitted = [self.union.columns(rival.effects[: rival.n_fitted]) for rival in rivals]
+        for point, rival in zip(self.points, rivals, strict=True):
+            point[self.union.columns(rival.effects)] = np.concatenate([*map(np.asarray, rival.sizes)])
+        self.places = {one.effect.rpartition(": ")[0] for one in rivals}
+        shifted = [(k, int(c)) for k, columns in enumerate(self.fitted) for c in columns]
+        self.shifts = [_step(self.union.sizes[c], self.points[k, c]) for k, c in shifted]
+        self.neighbours = np.array([self.points[k] for k, _ in shifted])
+        self.neighbours[np.arange(len(shifted)), [c for _, c in shifted]] += self.shifts
+
+    def slopes(self, values: Array, moved: Array) -> list[Array]:
+        """Return derivatives by typical sizes, (n, n_fitted) for each rival.
+
+        Args:
+            values: Residuals at the points, (n_rivals, n).
+            moved: Residuals at the neighbours, (n_neighbours, n).
+        """
+        typical = [self.union.sizes[c].typical for columns in self.fitted for c in columns]
+        owner = np.repeat(np.arange(len(self.fitted)), [columns.size for columns in self.fitted])
+        factor = np.array(typical) / np.array(self.shifts)
+        slopes = (moved - values[owner]) * factor[:, None]
+        return [slopes[owner == k].T for k in range(len(self.fitted))]
+
+    def priors(self, k: int) -> Array:
+        """Return standard deviations before the logs, in typical sizes, (n_fitted,)."""
+        return np.array([one.prior_std / one.typical for one in self.union.sizes_at(self.fitted[k])])
+
+
+def _step(size: Size, at: float) -> float:
+    """Return a step that stays within the bounds of a size."""
+    step = STEP * size.typical
+    return step if at + step <= size.high else -step
+
+
+class _Family:
+    """Predictions of rivals for the motions of a family, in units of the noise of the logs."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        motions: Sequence[Motion],
+        plans: Sequence[Plan],
+        kind: ResidualKind,
+        models: _Models,
+    ) -> None:
+        self._robot, self._logged, self._plans, self._kind, self._models = (
+            robot,
+            motions[0],
+            plans,
+            kind,
+            models,
+        )
+        union, found = models.union, models.points[0]
+        base = [one for one in union.effects if getattr(one, "is_base", False)]
+        earlier = refer_to(kind.make(motions, False), base, found[union.columns(base)])
+        (left,) = earlier.residuals(union.effects, found[None])
+        white = whiten_noise(earlier, left)
+        if not isinstance(white, WhitenedResiduals):
+            white = WhitenedResiduals(earlier, neighbour_correlation(earlier, left))
+        self._correlation, self._scales = white.correlation, scale_residuals(white, white.whiten(left))
+        rows = self._select(earlier)
+        every = np.concatenate([models.points, models.neighbours])
+        values = self._whiten(white, earlier.residuals(union.effects, every))[:, rows]
+        n = len(models.points)
+        self._old = models.slopes(values[:n], values[n:])
+
+    def motion(self, k: int) -> Motion:
+        """Return a motion with the name of its number."""
+        return make_motion(self._robot, self._plans[k], self._logged, str(k))
+
+    def _select(self, model: ResidualModel) -> Flags:
+        """Return the rows of the joints at the places of the rivals; of all joints for another place."""
+        own = [j for j, name in enumerate(model.joints) if name in self._models.places]
+        everywhere = len(own) < len(self._models.places)
+        return np.isin(model.joint_of, range(len(model.joints)) if everywhere else own)
+
+    def _whiten(self, white: WhitenedResiduals, residuals: Array) -> Array:
+        return white.whiten(residuals) / self._scales[white.joint_of]
+
+    def _simulate(self, some: Sequence[int], points: Array) -> tuple[ResidualModel, Array]:
+        """Return a model of motions, and its residuals; NaN where a simulation blew up."""
+        motions = [self.motion(k) for k in some]
+        if self._kind.name == SimulationResiduals.kind:
+            model = join_conditions(
+                self._robot, motions, lambda one, own, _: SimulationResiduals(one, own, is_measured=False)
+            )
+        else:
+            model = self._kind.make(motions, True)
+        residuals = model.residuals(self._models.union.effects, points)
+        return model, np.where(np.abs(residuals) < PENALTY_rad, residuals, np.nan)
+
+    def _parts(self, model: ResidualModel, residuals: Array) -> list[Array]:
+        """Return whitened residuals of each motion after its start, (n_points, n)."""
+        white = self._whiten(WhitenedResiduals(model, self._correlation), residuals)
+        rows = self._select(model) & (model.time_s >= START_s)
+        return [white[:, rows & (model.motion_of == m)] for m in range(len(model.motions))]
+
+    def predict(self, some: Sequence[int]) -> list[Array]:
+        """Return what the rivals predict for some motions, (n_rivals, n) each."""
+        return self._parts(*self._simulate(some, self._models.points))
+
+    def differentiate(self, some: Sequence[int]) -> list[Slopes]:
+        """Return the slopes of the rivals in some motions."""
+        n = len(self._models.points)
+        every = np.concatenate([self._models.points, self._models.neighbours])
+        parts = self._parts(*self._simulate(some, every))
+        slopes = [self._models.slopes(one[:n], np.nan_to_num(one[n:])) for one in parts]
+        return [
+            [
+                scale_slopes(new, old, self._models.priors(k))
+                for k, (new, old) in enumerate(zip(of, self._old, strict=True))
+            ]
+            for of in slopes
+        ]
+
+    def draw(self, k: int) -> tuple[Curve, ...]:
+        """Return what the rivals predict of each joint that is compared in a motion."""
+        model, residuals = self._simulate([k], self._models.points)
+        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model)
+        return tuple(
+            Curve(name, model.units[j], model.time_s[own], predicted[:, own], float(self._scales[j]))
+            for j, name in enumerate(model.joints)
+            if (own := rows & (model.joint_of == j)).any()
+        )
+
+
+def neighbour_correlation(model: ResidualModel, residuals: Array) -> Array:
+    """Return the correlation of neighbouring samples of residuals, (n,), at each joint, (n_joints,)."""
+    follows = (np.diff(model.joint_of) == 0) & (np.diff(model.motion_of) == 0)
+    product, energy = residuals[1:] * residuals[:-1], residuals[:-1] ** 2
+    n = len(model.joints)
+    sums = [
+        np.bincount(model.joint_of[:-1][follows], weights=one[follows], minlength=n)
+        for one in (product, energy)
+    ]
+    return np.clip(sums[0] / np.maximum(sums[1], 1e-300), 0.0, 0.95)

@@ -1,0 +1,69 @@
+"""Rivals of findings: models that may be the cause instead, as a diagnosis keeps them."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+
+from simgap.common.errors import RobotError
+from simgap.residuals.known_effects import Change
+from simgap.result import Rival
+from simgap.selection.context import Context, FittedModel
+from simgap.selection.verdict import ConfidenceSet
+
+NEXT_MOTION: Final = "the motion that `simgap next` proposes"
+"""What to record where rivals of a finding are left."""
+MOST_RIVALS: Final = 5
+"""Rivals of a finding that are kept, itself included: more than any verdict names."""
+
+
+def can_be_settled(found: ConfidenceSet) -> bool:
+    """Return whether another motion may settle a finding; a change has no model of its own."""
+    has_rivals = len(found.alternatives) + len(found.excluded) > 1
+    return has_rivals and not isinstance(found.effect, Change)
+
+
+def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> list[Rival]:
+    """List the finding and the effects that may stand in its place, then those that hardly may.
+
+    With an effect that no catalogue has, the best of those that were excluded may be wrong as the finding is.
+    """
+    if not can_be_settled(found):
+        return []
+    rivals = []
+    for one in (*found.alternatives, *found.excluded)[:MOST_RIVALS]:
+        sizes = chosen.sizes.copy()
+        sizes[context.union.columns([found.effect])] = 0.0
+        sizes[one.columns] = one.sizes[one.columns]
+        own = [(each, context.union.columns([each])) for each in context.union.effects]
+        fitted = [pair for pair in own if np.isin(pair[1], one.columns).all()]
+        beside = [pair for pair in own if np.any(sizes[pair[1]]) and not np.isin(pair[1], one.columns).all()]
+        rivals.append(
+            Rival(
+                finding=found.effect.key,
+                effect=one.effect.key,
+                p=one.p,
+                kind=context.model.kind,
+                effects=tuple(effect for effect, _ in (*fitted, *beside)),
+                sizes=tuple(tuple(sizes[columns].tolist()) for _, columns in (*fitted, *beside)),
+                n_fitted=len(fitted),
+            )
+        )
+    return rivals
+
+
+def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the finding in most doubt with its rivals: the second of them is the most probable.
+
+    Raises:
+        RobotError: No finding has a rival.
+    """
+    groups = [list(own) for _, own in groupby(rivals, key=lambda one: (one.kind, one.finding))]
+    doubtful = [own for own in groups if len(own) > 1]
+    if not doubtful:
+        raise RobotError(
+            "the result has no finding with a rival, so that there is nothing to tell apart; record motions "
+            "of another kind, or diagnose anew without a start"
+        )
+    return max(doubtful, key=lambda own: own[1].p)

@@ -1,0 +1,177 @@
+"""The next motion: which of some motions tells rivals apart best, and what base parameters absorb of that."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from helpers.command import run_simgap, snapshot
+from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers.robot_folder import write_csv, write_robot
+from helpers.verdicts import diagnosis
+from simgap.arrays import Array
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.command.next_motion import command_table
+from simgap.common.errors import RobotError
+from simgap.effects.effect import Effect
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.next_motion.family import list_plans, make_motion
+from simgap.next_motion.proposal import propose_motion
+from simgap.next_motion.rivals import choose_rivals
+from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
+from simgap.patch.found import read_rivals
+from simgap.patch.patch import save_patch
+from simgap.report.next_motion import next_document, next_lines, save_next_page
+from simgap.result import Rival
+from simgap.robot import ControlMode, Robot
+
+RANDOM = np.random.default_rng(5)
+NOTHING: Slopes = (np.zeros((3, 0)), np.zeros((3, 0)))
+
+
+def test_without_anything_to_fit_the_separation_is_the_distance():
+    assert find_sigma(np.array([[1.0, 2.0, 0.0], [1.0, 0.0, 0.0]]), NOTHING, 0, 1) == pytest.approx(2.0)
+
+
+def test_what_a_free_size_can_imitate_separates_nothing():
+    values, column = RANDOM.normal(size=(2, 50)), RANDOM.normal(size=(50, 1))
+    values[1] = values[0] + 3.0 * column[:, 0]
+    assert find_sigma(values, (1e6 * column, 1e6 * column), 0, 1) < 1e-3
+
+
+def test_the_separation_is_that_of_a_fit_of_both_motions():
+    """An independent oracle: the rival is fitted again to the earlier and the new motion together."""
+    old, new, prior = RANDOM.normal(size=(30, 3)), RANDOM.normal(size=(20, 3)), np.array([2.0, np.inf, 0.5])
+    values = RANDOM.normal(size=(2, 20))
+    slopes = scale_slopes(new, old, prior)
+    every = np.vstack([old, new, np.diag(1.0 / prior)])
+    wanted = np.concatenate([np.zeros(30), values[0] - values[1], np.zeros(3)])
+    _, (left,), *_ = np.linalg.lstsq(every, wanted)
+    assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left))
+
+
+def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_for():
+    predictions = [scale * RANDOM.normal(size=(3, 40)) for scale in np.linspace(0.02, 1.0, 60)]
+    slopes = [[RANDOM.normal(size=(40, 2)) for _ in range(3)] for _ in predictions]
+    asked: list[int] = []
+
+    def differentiate(some):
+        asked.extend(some)
+        return [slopes[k] for k in some]
+
+    def confused(k: int) -> float:
+        pairs = [(0, 1), (0, 2), (1, 2)]
+        return float(
+            np.mean([norm.cdf(1.6449 - find_sigma(predictions[k], slopes[k], *one)) for one in pairs])
+        )
+
+    choice = choose_motion(predictions, differentiate)
+    assert choice.motions[0] == min(range(60), key=confused)
+    assert len(asked) < 60
+    assert choice.tells_apart
+
+
+def test_a_motion_that_a_rival_cannot_make_is_never_proposed():
+    predictions = [np.array([[0.0, 0.0], [np.nan, 9.0]]), np.array([[0.0, 0.0], [3.0, 0.0]])]
+    choice = choose_motion(predictions, lambda some: [(np.zeros((2, 0)),) * 2 for _ in some])
+    assert choice.motions == (1,)
+
+
+TIME_s = np.arange(0.0, 3.0, 0.01)
+ROBOT = pendulum(kp=3.0)
+PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
+EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
+DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
+ZONE = EFFECTS["swing: dead zone"]
+
+
+def swing(log: Motion, delay_s: float, seed: int) -> Motion:
+    noise = np.random.default_rng(seed).normal(0.0, 3e-4, TIME_s.size)
+    position = Signal(TIME_s, simulated(ROBOT, log, (DELAY, (delay_s,))) + noise)
+    return replace(log, joints={"swing": replace(log.joints["swing"], position=position)})
+
+
+LOGS = Logs(tuple(swing(one, 0.02, k) for k, one in enumerate(PLANNED)))
+
+
+def rival(effect: Effect, size: float, p: float = 0.3) -> Rival:
+    base = base_effects(ROBOT, LOGS)
+    sizes = (*((0.0,) * len(one.sizes) for one in base), (size,))
+    return Rival(DELAY.key, effect.key, p, "simulation", (*base, effect), sizes, 1 + len(base))
+
+
+def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
+    plans = list_plans(ROBOT, LOGS.fit, ["swing"])
+    low, high = (find([find(one.joints["swing"].command.value) for one in LOGS.fit]) for find in (min, max))
+    assert len(plans) > 20
+    for plan in plans:
+        command: Array = make_motion(ROBOT, plan, LOGS.fit[0]).joints["swing"].command.value
+        assert low - 1e-9 <= command.min() < command.max() <= high + 1e-9
+        assert np.ptp(command[:50]) == np.ptp(command[-50:]) == 0.0
+        assert command[0] == command[-1]
+        if plan.speed_rad_s < np.inf:
+            assert np.max(np.abs(np.diff(command))) <= 1.01 * plan.speed_rad_s * 0.01
+
+
+def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_each(tmp_path):
+    proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
+    assert proposal.choice.tells_apart
+    assert proposal.choice.motions[0] == int(log.name)
+    assert next_lines(proposal)[0].startswith("Record: swing from ")
+    assert json.dumps(next_document(proposal), allow_nan=False)
+    save_next_page(proposal, tmp_path / "next.html", None)
+    text = (tmp_path / "next.html").read_text()
+    assert text.count("<polygon") == 2 * len(proposal.curves) == 2
+
+
+def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion():
+    proposal, _ = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(LATE_LOG, 0.02)])
+    assert np.max(proposal.choice.sigmas) < 0.1
+    assert not proposal.choice.tells_apart
+    assert next_lines(proposal)[0].startswith("None of ")
+
+
+def test_a_finding_without_a_rival_leaves_nothing_to_tell_apart():
+    with pytest.raises(RobotError, match="nothing to tell apart"):
+        choose_rivals([rival(DELAY, 0.02)])
+
+
+def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
+    rivals = (rival(DELAY, 0.02, 1.0), rival(ZONE, 0.015))
+    found = diagnosis(effects=rivals[0].effects, sizes=rivals[0].sizes, rivals=rivals)
+    save_patch(ROBOT, found, tmp_path)
+    for one, kept in zip(read_rivals(ROBOT, tmp_path), rivals, strict=True):
+        assert replace(one, effects=()) == replace(kept, effects=())
+        assert [each.key for each in one.effects] == [each.key for each in kept.effects]
+
+
+def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path))
+    time_s = np.array([0.0, 0.01])
+    position = JointLog(position=Signal(time_s, np.array([0.5, 0.6])))
+    joints = {"shoulder": replace(position, command=position.position), "elbow": position}
+    planned = Motion("next", joints, {"shoulder": 3.0, "elbow": 1.0}, conditions={"gain": 3.0})
+    first, second = csv.DictReader(command_table(robot, planned).splitlines())
+    assert first["motion"] == "next"
+    assert float(second["t"]) == pytest.approx(10.0)  # ms
+    assert float(second["c1"]) == pytest.approx(np.degrees(0.6))
+    assert float(first["q2"]) == pytest.approx(0.5 * 50.0 * 4096.0 / (2.0 * np.pi))
+    assert float(first["gain"]) == 3.0
+
+
+def test_a_joint_that_takes_torques_gets_no_motion(tmp_path):
+    with pytest.raises(RobotError, match="joint swing: is commanded by torque"):
+        list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"])
+
+
+def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):
+    write_robot(tmp_path)
+    write_csv(tmp_path)
+    before = snapshot(tmp_path)
+    ran = run_simgap(tmp_path, "next", "robot.toml", "log.csv", "--start", ".", "--out", "next.csv")
+    assert ran.returncode == 2
+    assert "has no effects.toml; give the folder of a patch" in ran.stderr
+    assert snapshot(tmp_path) == before

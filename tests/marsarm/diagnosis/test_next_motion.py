@@ -1,0 +1,107 @@
+"""The next motion of this arm: the choice by sensitivities, the file of a motion, and its sessions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from marsarm.diagnosis.arm.next_motion import NextArmMotion, save_next_files
+from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
+from marsarm.diagnosis.arm.request import NextRequest
+from marsarm.diagnosis.model import alias_cosines
+from marsarm.diagnosis.next_motion import propose_motion
+from sim.arms import arm_named
+from sim.diagnosis_campaign import run_session, start_session
+from sim.initialisation import true_reference
+from simgap.common.errors import RobotError
+from simgap.common.page import Origin
+from tests.marsarm.diagnosis.worlds import found, select_and_diagnose
+
+BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
+
+
+def rivals_of(made, campaign, rng):
+    """Return the rivals of an effect that resembles another as much as effects of two classes can."""
+    is_apart = campaign.label[:, None] != campaign.label[None, :]
+    cosines = np.where(is_apart, alias_cosines(campaign.equations), 0.0)
+    one = int(np.argmax(cosines.max(axis=1)))
+    t = np.where(made.owner == one, 2.0 * campaign.limits[one], 0.0)
+    return select_and_diagnose(campaign, made.measured(rng, t), seed=1).rivals
+
+
+def test_a_diagnosis_keeps_the_finding_and_what_may_stand_in_its_place(made, campaign, rng):
+    rivals = rivals_of(made, campaign, rng)
+    assert rivals[0].effect == rivals[0].finding
+    assert rivals[0].p == 1.0
+    assert len(rivals) > 1
+
+
+def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, rng):
+    """All blocks but one are made blind; the one that is left has to be chosen."""
+    rivals, sensitivities = rivals_of(made, campaign, rng), found(made)
+    blind = np.where(sensitivities.layout.block == 6, 1.0, 1e6)
+    layout = replace(sensitivities.layout, sigma=0.1 * blind * sensitivities.layout.sigma)
+    proposal = propose_motion(campaign, rivals, replace(sensitivities, layout=layout), BLOCKS)
+    assert proposal.motions[proposal.choice.motions[0]] == "words 6"
+    assert proposal.curves
+
+
+def test_more_noise_never_tells_more_apart(made, campaign, rng):
+    rivals, sensitivities = rivals_of(made, campaign, rng), found(made)
+    layout = sensitivities.layout
+    noisy = replace(sensitivities, layout=replace(layout, sigma=3.0 * layout.sigma))
+    quiet, loud = (propose_motion(campaign, rivals, one, BLOCKS) for one in (sensitivities, noisy))
+    same = dict(zip(loud.choice.motions, loud.choice.sigmas, strict=True))
+    for k, sigmas in zip(quiet.choice.motions, quiet.choice.sigmas, strict=True):
+        assert k not in same or np.all(same[k] <= sigmas + 1e-9)
+
+
+def test_a_motion_is_read_again_from_its_file(tmp_path):
+    motions = [*list_motions({"elbow"})]
+    assert {one.joint for one in motions} == {"elbow", "all"}
+    (tmp_path / "next.toml").write_text(motion_text(motions[4]))
+    assert read_motion(tmp_path / "next.toml") == motions[4]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("count = 2", "count = 0", "count"),
+        ('joint = "elbow"', 'joint = "knee"', "joint"),
+        ("speed_share = 1.0", "speed_share = 3.0", "speed_share"),
+    ],
+)
+def test_a_wrong_motion_is_refused_with_its_key(tmp_path, old, new, words):
+    text = motion_text(next(iter(list_motions({"elbow"}))))
+    assert old in text
+    (tmp_path / "next.toml").write_text(text.replace(old, new))
+    with pytest.raises(RobotError, match=rf"next\.toml: {words}"):
+        read_motion(tmp_path / "next.toml")
+
+
+@pytest.mark.parametrize("arm", ["nominal", "m2020"])
+def test_every_motion_begins_and_ends_within_the_limits_of_every_arm(arm):
+    params = arm_named(arm).params
+    joints = params.joints.in_order()
+    low, high = np.array([(one.soft_min_rad, one.soft_max_rad) for one in joints]).T
+    for motion in list_motions():
+        start = np.array(make_session(motion, params).start_rad)
+        assert np.all((start >= low - 1e-9) & (start <= high + 1e-9))
+
+
+def test_the_arm_completes_a_proposed_motion():
+    arm, motion = arm_named("nominal"), next(iter(list_motions({"wrist"})))
+    session = make_session(motion, arm.params)
+    cycles = [*run_session(start_session(session, arm, true_reference(arm), seed=1), session)]
+    assert sum(one.rested for one in cycles) == 1 + len(session.commands)
+
+
+def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path, made, campaign, rng):
+    sensitivities = found(made)
+    deaf = replace(sensitivities.layout, sigma=1e6 * sensitivities.layout.sigma)
+    rivals = rivals_of(made, campaign, rng)
+    proposal = propose_motion(campaign, rivals, replace(sensitivities, layout=deaf), BLOCKS)
+    request = NextRequest((tmp_path,), out=tmp_path / "next.toml")
+    motion = next(iter(list_motions()))
+    assert save_next_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
+    assert not (tmp_path / "next.toml").exists()
