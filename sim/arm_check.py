@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from math import degrees
-from typing import Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
@@ -28,9 +28,13 @@ from fsw.kinematics.transforms import Array
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel
 from sim.clearance import Clearance, ClearanceModel, Gap
+from sim.effects.structure import StandInTurret
 from sim.frames import approach_from, p_R_from_N, random_targets
 from sim.setting import World
 from sim.world import check_plant
+
+if TYPE_CHECKING:
+    from sim.arms import BuiltArm
 
 SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015
@@ -263,3 +267,19 @@ def _find_reach_problems(arm: ArmModel, space: ClearanceModel) -> Iterator[str]:
         found = inverse_kinematics(space.arm, tool.name, p_R_m, approach, MARS.gravity_N_m_s2)
         if not np.any(found.verdict == BranchVerdict.VALID):
             yield f"tool {tool.title} reaches none of {TARGETS} random targets; {arm.workspace.hint}"
+
+
+def without_turret(arm: "BuiltArm", on_earth: bool) -> "BuiltArm":
+    """Return the arm without its turret, which flight software knows.
+
+    On Earth its poses have the torques of the whole arm in its own poses on Mars.
+    """
+    turret = StandInTurret(0.0)
+    bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
+    if not on_earth:
+        return bare
+    wanted_Nm = compute_hardstop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
+    drawn = arm.model.description.poses
+    poses = {name: getattr(drawn, f"bare_hardstop_{name}") for name in POSE_NAMES}
+    guess = with_poses(bare.params, poses)
+    return replace(bare, params=equalise_loads(guess, World("earth").gravity_N_m_s2, wanted_Nm))

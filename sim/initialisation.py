@@ -1,11 +1,10 @@
 """Start of a run: hardstop initialisation in the closed loop, or the reference that one without errors gives.
 
 `start_loop` is for Python users: an arm by its name, effects by their texts, and defaults for the rest.
-On Earth the arm is initialised and calibrated without its turret.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,12 +18,10 @@ from fsw.estimate.reference import Reference
 from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.homing import HomingStage
-from sim.arm_check import POSE_NAMES, compute_hardstop_loads, equalise_loads, with_poses
 from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.effects.effect import Effect, apply_effects, nominal_hardware
 from sim.effects.environment import Ambient, CurrentNoise
 from sim.effects.joints import GearFriction
-from sim.effects.structure import StandInTurret
 from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
@@ -295,19 +292,3 @@ def start_loop(
     start = built.params.poses.stowed_rad if start_rad is None else start_rad
     known = true_reference(built) if reference is None else reference
     return ClosedLoop(Setup(built, world, start, seed, known, effects_of_run(added)), with_truth)
-
-
-def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
-    """Return the arm without its turret, which flight software knows.
-
-    On Earth its poses have the torques of the whole arm in its own poses on Mars.
-    """
-    turret = StandInTurret(0.0)
-    bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
-    if not on_earth:
-        return bare
-    wanted_Nm = compute_hardstop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
-    drawn = arm.model.description.poses
-    poses = {name: getattr(drawn, f"bare_hardstop_{name}") for name in POSE_NAMES}
-    guess = with_poses(bare.params, poses)
-    return replace(bare, params=equalise_loads(guess, World("earth").gravity_N_m_s2, wanted_Nm))

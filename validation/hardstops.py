@@ -12,8 +12,9 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from fsw.dictionary.enums import Joint
+from sim.arm_check import without_turret
 from sim.arms import BuiltArm, arm_named
-from sim.initialisation import prepare_random_homing, without_turret
+from sim.initialisation import prepare_random_homing
 from sim.sequence import Outcome
 from sim.setting import World
 from simgap.common.errors import BadRequest

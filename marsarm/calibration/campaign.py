@@ -19,12 +19,12 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew, stack_poses
 from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
-from sim.arm_check import NoPlan
+from sim.arm_check import NoPlan, without_turret
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
 from sim.frames import P_NR_M, Workspace
-from sim.initialisation import initialise_joints, without_turret
+from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
 from sim.pose_sequence import describe_no_way, free_air_loop, pose_in_workspace, run_and_rest

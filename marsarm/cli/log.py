@@ -107,7 +107,8 @@ def export(
 
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
-    from marsarm.telemetry.tables import export, export_document, export_parts
+    from marsarm.telemetry.export import export
+    from marsarm.telemetry.tables import export_document, export_parts
 
     read = _read(log, start, stop)
     files = export(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")

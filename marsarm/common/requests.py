@@ -14,9 +14,7 @@ from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name, params_over
-from sim.effects.effect import Effect, EffectMisfit
 from sim.params import BadParams
-from sim.scenario.effects import BadEffect, parse_effect_text, read_effect_file
 from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
 
@@ -154,36 +152,3 @@ def _format_beyond(value: float, limit: float) -> str:
     """Format a number with three digits, or with as many as show that it exceeds its limit."""
     texts = (f"{value:.{digits}g}" for digits in range(3, 17))
     return next((text for text in texts if float(text) > limit), f"{value!r}")
-
-
-def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Parse effects, each written as text or as the name of a TOML file, for an arm with these tools.
-
-    Raises:
-        BadRequest: some are wrong; the message lists all errors.
-    """
-    effects: list[Effect] = []
-    problems: list[str] = []
-    for text in texts:
-        try:
-            if text.endswith(".toml"):
-                effects += read_effect_file(Path(text), tools)
-            else:
-                effects.append(parse_effect_text(text, tools))
-        except BadEffect as error:
-            problems.append(str(error))
-    if problems:
-        raise BadRequest("\n".join(problems))
-    return tuple(effects)
-
-
-def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
-    """Return the arm with those of these effects that it has before a run begins.
-
-    Raises:
-        BadRequest: the arm cannot have one of them.
-    """
-    try:
-        return arm.with_effects(effects)
-    except EffectMisfit as error:
-        raise BadRequest(str(error)) from error

@@ -18,8 +18,8 @@ from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_ki
 from fsw.kinematics.transforms import Array, select_targets
 from marsarm.common.pool import Runner, in_order, select_runner
 from marsarm.common.requests import make_world, parse_tool, select_arm
-from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
 from marsarm.ik.request import IkRequest, ModelRequest
+from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
 from sim.frames import Workspace
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options

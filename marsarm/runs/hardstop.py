@@ -16,11 +16,12 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
-from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
+from marsarm.common.effects import fit_effects, parse_effects
+from marsarm.common.requests import make_world, select_arm
 from marsarm.render.svg import save_figure
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest, RunFiles
-from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
+from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
@@ -31,7 +32,6 @@ from sim.initialisation import (
     InitialisationRun,
     prepare_homing,
     prepare_random_homing,
-    without_turret,
 )
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord

@@ -4,7 +4,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.requests import make_world, parse_effects, select_arm
+from marsarm.common.effects import parse_effects
+from marsarm.common.requests import make_world, select_arm
 from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,

@@ -22,17 +22,12 @@ from sim.arm_check import (
     equalise_loads,
     sweep_clearance,
     sweep_poses,
+    without_turret,
 )
 from sim.arms import arm_named
 from sim.clearance import ClearanceModel
 from sim.effects.environment import Ambient, PowerLoss
-from sim.initialisation import (
-    InitialisationResult,
-    InitialisationRun,
-    prepare_homing,
-    prepare_random_homing,
-    without_turret,
-)
+from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.sequence import Outcome
 from sim.setting import World
 from tests.sim import lab

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
+from marsarm.common.effects import parse_effects
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.requests import load_fitting_params, parse_effects, select_arm
+from marsarm.common.requests import load_fitting_params, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, Logs

@@ -4,9 +4,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS, IkTargets
+from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS
 from marsarm.ik.request import IkRequest, ModelRequest
 from marsarm.ik.solve import build_ik_model, solve
+from marsarm.ik.targets import IkTargets
 from sim.frames import p_R_from_N
 
 P_M = np.array([[2.1, 0.0, -0.3], [2.0, 0.2, -0.1], [9.0, 0.0, 0.0], [1.9, -0.3, 0.1]])

@@ -18,8 +18,9 @@ from pyarrow import parquet
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import select_targets
-from marsarm.ik.batch import APPROACH_COLUMNS, JOINT_NAMES, POSITION_COLUMNS, VERDICT_NAMES, read_targets
+from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
 from marsarm.ik.solve import BATCH_SIZE
+from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES
 from sim.frames import approach_from, random_targets
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT, marsarm

@@ -10,10 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from marsarm.telemetry.export import export, index_suffixes
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
-from marsarm.telemetry.tables import channels_document, export, index_suffixes, info_document
+from marsarm.telemetry.tables import channels_document, info_document
 from sim.record import CycleRecord
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import no_progress

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.common.requests import parse_effects
+from marsarm.common.effects import parse_effects
 from marsarm.diagnosis.arm.output_files import (
     NothingToWrite,
     effects_of_findings,

@@ -1,0 +1,156 @@
+"""Export of a log to Parquet or CSV, one table for each topic."""
+
+import json
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import fields
+from math import prod
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pyarrow import csv
+
+from marsarm.common.fields import unit_of
+from marsarm.telemetry.format import EVR_TOPIC, TICK_NS, TRUTH_TEXT
+from marsarm.telemetry.inspection import index_text, severity_name
+from marsarm.telemetry.read import Log
+from marsarm.telemetry.topics import ENTRIES
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.files import atomic_write, check_distinct_files, check_new_path, check_output
+from simgap.common.progress import Progress
+
+TABLE_SUFFIXES: Final = (".parquet", ".csv")
+
+
+def index_suffixes(shape: tuple[int, ...]) -> list[str]:
+    """Return the suffix of each column of a field of this shape, row by row: "[2]" or "[0,1]"."""
+    return [index_text(index) for index in np.ndindex(*shape)]
+
+
+def topic_table(log: Log, topic: str) -> pa.Table:
+    """Convert a topic of a log to a table: time_ns, tick, and each number of each field.
+
+    Units and the header of the log are metadata.
+    """
+    columns: dict[str, Any] = {"time_ns": log.time_ns[topic], "tick": log.time_ns[topic] // TICK_NS}
+    units: dict[str, str | None] = {"time_ns": "ns"}
+    if topic in ENTRIES:
+        entries: Sequence[Any] = log.evrs if topic == EVR_TOPIC else log.commands
+        names = [field.name for field in fields(ENTRIES[topic]) if field.name != "tick"]
+        columns |= {name: [getattr(one, name) for one in entries] for name in names}
+        if "severity" in columns:
+            columns["severity"] = [severity_name(one) for one in columns["severity"]]
+    else:
+        packets = log[topic]
+        for field in packets.dtype.names or ():
+            values = packets[field]
+            numbers = values.reshape(len(values), prod(values.shape[1:]))
+            for k, end in enumerate(index_suffixes(values.shape[1:])):
+                # Some packets have a field `tick` of their own, and both columns are kept.
+                name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
+                columns[name] = np.ascontiguousarray(numbers[:, k])
+                units[name] = unit_of(field)
+    # pandas takes a NaN for a missing value; here it is a number.
+    arrays = [pa.array(column, from_pandas=False) for column in columns.values()]
+    metadata = {"marsarm.header": json.dumps(dict(log.header)), "marsarm.topic": topic}
+    if topic in log.truth:
+        metadata["marsarm.truth"] = TRUTH_TEXT
+    schema = [
+        pa.field(name, array.type, metadata={"unit": unit} if (unit := units.get(name)) else None)
+        for name, array in zip(columns, arrays, strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata))
+
+
+def export(
+    log: Log, out: Path, topics: Sequence[str], progress: Progress, kind: str = ".parquet"
+) -> dict[str, Path]:
+    """Write topics to one file, or to one file each in a folder; all files appear together at the end.
+
+    Args:
+        out: File for one topic, or folder.
+        topics: Topics to write; all if empty.
+        kind: Suffix of the files in a folder.
+
+    Returns:
+        File of each topic.
+
+    Raises:
+        BadRequest: the log has no such topic, or a file is the log itself.
+        BadOutput: a file cannot be written, or one file is given for several topics.
+    """
+    if not log.time_ns:
+        raise BadRequest(f"log {log.path} holds no message; there is nothing to export")
+    chosen = _select_topics(log, topics)
+    files = _output_files(out, chosen, kind)
+    for topic, path in files.items():
+        check_distinct_files({"LOG": log.path, f"out ({topic})": path})
+    is_new_folder = _make_folder(out)
+    try:
+        with ExitStack() as open_files:
+            for k, (topic, path) in enumerate(files.items()):
+                progress(k, len(files), topic)
+                file = open_files.enter_context(atomic_write(path, "out"))
+                (write_csv if path.suffix == ".csv" else pq.write_table)(topic_table(log, topic), file)
+    except BaseException:
+        if is_new_folder:
+            out.rmdir()
+        raise
+    return files
+
+
+def _make_folder(out: Path) -> bool:
+    """Make the folder if it does not exist, and return whether it was made.
+
+    Raises:
+        BadOutput: the folder cannot be made.
+    """
+    if out.suffix in TABLE_SUFFIXES or os.path.isdir(out):
+        return False
+    try:
+        out.mkdir()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise BadOutput(f"out {out}: this folder cannot be made ({why}); give another") from error
+    return True
+
+
+def _select_topics(log: Log, topics: Sequence[str]) -> list[str]:
+    missing = [topic for topic in topics if topic not in log.time_ns]
+    if missing:
+        has = ", ".join(sorted(log.time_ns))
+        raise BadRequest(f"log {log.path} has no topic {missing[0]}; it has {has}")
+    return list(dict.fromkeys(topics)) or sorted(log.time_ns)
+
+
+def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
+    """Return the file of each topic, after all checks that are possible before writing."""
+    if out.suffix in TABLE_SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, never raises
+        if kind == ".csv" != out.suffix:
+            raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
+        if len(topics) != 1:
+            raise BadOutput(
+                f"out {out}: one file holds one table, and {len(topics)} topics are selected; "
+                f"name one with --topic, or give a folder"
+            )
+        return {topics[0]: check_output(out, TABLE_SUFFIXES, "out")}
+    if not os.path.isdir(out) and (os.path.exists(out) or out.suffix):
+        raise BadOutput(
+            f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
+        )
+    check_new_path(out, "out")
+    files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
+    if os.path.isdir(out):
+        for path in files.values():
+            check_output(path, TABLE_SUFFIXES, "out")
+    return files
+
+
+def write_csv(table: pa.Table, file: BinaryIO) -> None:
+    """Write a CSV table with one line of names; numbers read back exactly, flags are 0 and 1."""
+    flags = [pa.uint8() if pa.types.is_boolean(one.type) else one.type for one in table.schema]
+    csv.write_csv(table.cast(pa.schema(zip(table.column_names, flags, strict=True))), file)
