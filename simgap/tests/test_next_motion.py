@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
 from helpers.pendulum import motion, pendulum, simulated, waves
 from helpers.robot_folder import write_csv, write_robot
@@ -17,6 +18,8 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.command.next_motion import command_table
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
+from simgap.effects.forces import CoulombFriction
+from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.next_motion.family import list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
@@ -104,7 +107,7 @@ def rival(effect: Effect, size: float, p: float = 0.3) -> Rival:
 
 
 def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
-    plans = list_plans(ROBOT, LOGS.fit, ["swing"])
+    plans = list_plans(ROBOT, LOGS.fit, ["swing"], True)
     low, high = (find([find(one.joints["swing"].command.value) for one in LOGS.fit]) for find in (min, max))
     assert len(plans) > 20
     for plan in plans:
@@ -132,6 +135,21 @@ def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion
     assert np.max(proposal.choice.sigmas) < 0.1
     assert not proposal.choice.tells_apart
     assert next_lines(proposal)[0].startswith("None of ")
+
+
+def test_torques_are_compared_along_the_motion_though_no_command_is_known():
+    logs = Logs(tuple(two_joint_arm.simulated(two_joint_arm.arm(), seed, noise_rad=1e-5) for seed in (1, 2)))
+    logs = Logs(tuple(replace(one, name=str(k)) for k, one in enumerate(logs.motions)))
+    robot, ranges = two_joint_arm.arm(), two_joint_arm.scales(two_joint_arm.arm(), *logs.motions)
+    friction, weight = CoulombFriction.at(robot, "elbow", ranges), LinkMass("elbow", 2.0)
+    rivals = [
+        Rival("elbow: Coulomb friction", one.key, 0.5, "inverse dynamics", (one,), ((size,),), 1)
+        for one, size in ((friction, 0.5), (weight, 0.1))
+    ]
+    proposal, log = propose_motion(robot, logs, rivals)
+    assert proposal.choice.tells_apart
+    assert all(one.command is None for one in log.joints.values())
+    assert {one.signal for one in proposal.curves} == {"elbow"}
 
 
 def test_a_finding_without_a_rival_leaves_nothing_to_tell_apart():
@@ -164,7 +182,7 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
 
 def test_a_joint_that_takes_torques_gets_no_motion(tmp_path):
     with pytest.raises(RobotError, match="joint swing: is commanded by torque"):
-        list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"])
+        list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"], True)
 
 
 def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):

@@ -33,6 +33,8 @@ POSES: Final = (0.5, 0.1, 0.9)
 """Pose of the other joints: quantiles of their logged commands."""
 JUMP: Final = 5.0
 """Step of a command between two samples, over that of the usual speed, from which on it is a jump."""
+PATH_MODES: Final = (ControlMode.POSITION, ControlMode.VELOCITY)
+"""Modes in which the commands of a motion follow from its path."""
 MOST: Final = 300
 """Most motions that are compared; of more, a random part."""
 PEAK: Final = 1.875
@@ -77,18 +79,21 @@ def _has_gain(robot: Robot, joint: str) -> bool:
     return robot.file is not None and bool(robot.file.joints[joint].gain_column)
 
 
-def list_plans(robot: Robot, motions: Sequence[Motion], places: Sequence[str]) -> list[Plan]:
+def list_plans(
+    robot: Robot, motions: Sequence[Motion], places: Sequence[str], is_simulated: bool
+) -> list[Plan]:
     """List the motions that may tell effects at some places apart, in random order.
 
     Args:
         motions: Logged motions, whose commands, speeds, gains and conditions are the limits.
         places: Names of joints; another place may show at any joint.
+        is_simulated: True if the commands are simulated, False if a controller is taken to follow the motion.
 
     Raises:
-        RobotError: A joint is commanded by torque, current or voltage: no motion follows from such commands.
+        RobotError: A simulated joint is commanded by torque, current or voltage.
     """
-    free = next((j for j in robot.joints if j.mode not in (ControlMode.POSITION, ControlMode.VELOCITY)), None)
-    if free is not None:
+    free = next((one for one in robot.joints if one.mode not in PATH_MODES), None)
+    if free is not None and is_simulated:
         raise RobotError(
             f"joint {free.name}: is commanded by {free.mode}; a motion can be proposed for commands of "
             "position or velocity"
@@ -121,8 +126,7 @@ def _some(values: Sequence[Mapping[str, float]]) -> Sequence[Mapping[str, float]
 
 
 def _targets(motions: Sequence[Motion], joint: str) -> Array:
-    """Return where a joint was sent in the logs, (n,) [rad]: positions where a speed is commanded."""
-    # every motion at the same number of times, so that poses can be put together
+    """Return where a joint was in the logs, (n,) [rad], at as many times in every motion, for all joints."""
     parts = []
     for motion in motions:
         log = motion.joints.get(joint)
@@ -193,12 +197,19 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
         log, path = logged.joints[joint.name], np.full(time_s.size, plan.others_rad.get(joint.name, 0.0))
         if joint.name == plan.joint:
             path = _path(plan, time_s)
-        command = path if joint.mode is ControlMode.POSITION else np.gradient(path, time_s)
-        values = {"position": path, "command": command, "secondary": path, "enabled": np.ones(time_s.size)}
-        values["velocity"], values["torque"] = np.gradient(path, time_s), np.zeros(time_s.size)
+        speed, still = np.gradient(path, time_s), np.zeros(time_s.size)
+        values = {
+            "position": path,
+            "secondary": path,
+            "velocity": speed,
+            "torque": still,
+            "enabled": still + 1.0,
+        }
+        if joint.mode in PATH_MODES:
+            values["command"] = path if joint.mode is ControlMode.POSITION else speed
         if log.temperature is not None:
             values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
-        there = {key: Signal(time_s, value) for key, value in values.items() if getattr(log, key) is not None}
+        there = {key: Signal(time_s, own) for key, own in values.items() if getattr(log, key) is not None}
         joints[joint.name] = JointLog(**there)
     return Motion(name, joints, plan.gain, conditions=plan.conditions)
 

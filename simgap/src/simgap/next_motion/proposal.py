@@ -83,7 +83,8 @@ def propose_motion(
     kind = next((one for one in list_kinds(robot, logs.fit, usable) if one.name == group[0].kind), None)
     if kind is None:
         raise RobotError(f"the logs allow no {group[0].kind}, by which the result was found; give its logs")
-    plans = list_plans(robot, logs.fit, [one.effect.rpartition(": ")[0] for one in group])
+    places = [one.effect.rpartition(": ")[0] for one in group]
+    plans = list_plans(robot, logs.fit, places, kind.name == SimulationResiduals.kind)
     if not plans:
         raise RobotError("no motion is possible within what the logs show; log motions of all joints")
     progress(0.0, "noise of the logs")
@@ -166,6 +167,7 @@ class _Family:
             kind,
             models,
         )
+        self._is_simulated = kind.name == SimulationResiduals.kind
         union, found = models.union, models.points[0]
         base = [one for one in union.effects if getattr(one, "is_base", False)]
         earlier = refer_to(kind.make(motions, False), base, found[union.columns(base)])
@@ -196,30 +198,35 @@ class _Family:
     def _simulate(self, some: Sequence[int], points: Array) -> tuple[ResidualModel, Array]:
         """Return a model of motions, and its residuals; NaN where a simulation blew up."""
         motions = [self.motion(k) for k in some]
-        if self._kind.name == SimulationResiduals.kind:
-            model = join_conditions(
-                self._robot, motions, lambda one, own, _: SimulationResiduals(one, own, is_measured=False)
-            )
-        else:
+        if not self._is_simulated:
             model = self._kind.make(motions, True)
+            return model, model.residuals(self._models.union.effects, points)
+        model = join_conditions(
+            self._robot, motions, lambda one, own, _: SimulationResiduals(one, own, is_measured=False)
+        )
         residuals = model.residuals(self._models.union.effects, points)
         return model, np.where(np.abs(residuals) < PENALTY_rad, residuals, np.nan)
 
-    def _parts(self, model: ResidualModel, residuals: Array) -> list[Array]:
+    def _compare(self, some: Sequence[int], points: Array) -> list[Array]:
         """Return whitened residuals of each motion after its start, (n_points, n)."""
-        white = self._whiten(WhitenedResiduals(model, self._correlation), residuals)
-        rows = self._select(model) & (model.time_s >= START_s)
-        return [white[:, rows & (model.motion_of == m)] for m in range(len(model.motions))]
+        parts = []
+        # the samples that inverse dynamics compares follow from all motions of a model
+        for own in [some] if self._is_simulated else [[k] for k in some]:
+            model, residuals = self._simulate(own, points)
+            white = self._whiten(WhitenedResiduals(model, self._correlation), residuals)
+            rows = self._select(model) & (model.time_s >= START_s)
+            parts += [white[:, rows & (model.motion_of == m)] for m in range(len(own))]
+        return parts
 
     def predict(self, some: Sequence[int]) -> list[Array]:
         """Return what the rivals predict for some motions, (n_rivals, n) each."""
-        return self._parts(*self._simulate(some, self._models.points))
+        return self._compare(some, self._models.points)
 
     def differentiate(self, some: Sequence[int]) -> list[Slopes]:
         """Return the slopes of the rivals in some motions."""
         n = len(self._models.points)
         every = np.concatenate([self._models.points, self._models.neighbours])
-        parts = self._parts(*self._simulate(some, every))
+        parts = self._compare(some, every)
         slopes = [self._models.slopes(one[:n], np.nan_to_num(one[n:])) for one in parts]
         return [
             [
