@@ -16,11 +16,11 @@ from sim.mujoco_settings import (
     MOTOR_CONSTANT,
     RATE_GAIN,
     REFERENCE_STEP_S,
+    MotorLimits,
     apply_settings,
     change_gains,
     match_reference_damping,
     read_servos,
-    widen_limits,
 )
 from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
 
@@ -84,6 +84,7 @@ class StateViews:
     servo_rate_rad_s: Array
     """Motor rates that the motor controllers use."""
     motor_torque_Nm: Array
+    limits: MotorLimits
     setpoint_rad: Array
     setpoint_rate_rad_s: Array
     warnings: NDArray[np.int32]
@@ -163,6 +164,7 @@ class Plant:
             servo_angle_rad=data.actuator_length[actuators],
             servo_rate_rad_s=data.actuator_velocity[actuators],
             motor_torque_Nm=data.actuator_force[actuators],
+            limits=MotorLimits.view(self.model, data, actuators),
             setpoint_rad=data.ctrl[0::2],
             setpoint_rate_rad_s=data.ctrl[1::2],
             warnings=data.warning.number,
@@ -267,11 +269,11 @@ class Plant:
         self.damp_gears()
         data, setpoint_rad, end_s = self.data, self._views.setpoint_rad, self.data.time + 1.0 / CYCLE_HZ
         angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
-        limits_Nm = widen_limits(self.model, data, self.at.actuators)
+        limits_Nm = self._views.limits.widen()
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
             mujoco.mj_step(self.model, data)
-        self.model.actuator_forcerange[self.at.actuators] = limits_Nm
+        self._views.limits.limits_Nm[:] = limits_Nm
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()
@@ -333,8 +335,7 @@ class Plant:
     def stop_torque_Nm(self) -> Array:
         """Return the torque of each output on its negative hardstop, shape (5,)."""
         pressed = self.stop_rad() - self.output_rad()
-        torque: Array = self.model.tendon_stiffness[self.at.output_tendons] * np.maximum(pressed, 0.0)
-        return torque
+        return np.asarray(self.model.tendon_stiffness[self.at.output_tendons] * np.maximum(pressed, 0.0))
 
     def built_friction(self) -> tuple[Array, Array]:
         """Return Coulomb friction [N m] and damping [N m s/rad] as built, each (5,), output side."""
@@ -348,8 +349,7 @@ class Plant:
         """Return the shift [m] of a tool in RMECH, shape (3,), by a small output change, shape (5,)."""
         jacobian = np.zeros((3, self.model.nv))
         mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[self.tools.index(tool)])
-        shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
-        return shift
+        return np.asarray(FLIP * (jacobian[:, self.at.gear] @ output_rad))
 
     def pads_R_m(self) -> Array:
         """Return the positions of the contact switches in RMECH, (n, 3), of the last call of `truth`."""

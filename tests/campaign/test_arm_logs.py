@@ -130,7 +130,7 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
 
 def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A perfect homing would measure the friction that is the case's effect."""
-    monkeypatch.setattr(blind_case, "blind_reference", true_reference)
+    monkeypatch.setattr(blind_case, "blind_reference", lambda built, _: true_reference(built))
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
     with pytest.raises(TruthLeaked, match=r"flight software begins with friction_Nm"):
         record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case))

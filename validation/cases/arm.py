@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -20,11 +21,12 @@ from marsarm.diagnosis.arm.blind_case import (
     record_blind,
     sample_background,
 )
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
-from sim.arms import arm_named, nominal_params
+from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference
 from sim.plant import PlantDiverged
@@ -78,6 +80,8 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     """Names of the sessions of the campaign; None for all."""
     kinds: tuple[str, ...] | None = None
     """Effects of the catalogue; None for all, and effects outside the catalogue too."""
+    arm: str = NOMINAL
+    """Name of an arm of its drawing."""
 
     name: ClassVar[str] = "arm-cases"
     suffix: ClassVar[str] = ""
@@ -92,29 +96,35 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         if not campaign.exists():
             part = folder / (CAMPAIGN_FOLDER + sealed.PARTIAL_SUFFIX)
             shutil.rmtree(part, ignore_errors=True)
-            arm, number = arm_named("nominal"), int(np.random.default_rng([seed, 7]).integers(2**31))
+            arm, number = arm_named(self.arm), int(np.random.default_rng([seed, 7]).integers(2**31))
             recording = part_of(progress, 0.0, RECORDING_SHARE)
-            record_campaign(part, choose_sessions(self.sessions), arm, true_reference(arm), number, recording)
+            sessions = choose_sessions(self.sessions, self.arm)
+            record_campaign(part, sessions, arm, true_reference(arm), number, recording)
             part.rename(campaign)
-        model = load_model(campaign, self.kinds, run, part_of(progress, RECORDING_SHARE, 1.0)).model
+        model = load_model(campaign, self.kinds, self.arm, run, part_of(progress, RECORDING_SHARE, 1.0)).model
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
         known = list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
-        return draw_truth(cases, seed, known, outside if self.kinds is None else [])
+        return draw_truth(cases, seed, known, outside if self.kinds is None else [], self.arm)
 
     def record(self, path: Path, case: TrueCase) -> None:
         """Record the sessions of a case; a session whose motion does not complete gets no log."""
-        effects = tuple(map(resolve_effect, (*case.background, *(one.spec for one in case.effects))))
-        record_blind(path, effects, choose_sessions(self.sessions), case.seed, no_progress)
+        specs, tools = (
+            (*case.background, *(one.spec for one in case.effects)),
+            arm_named(self.arm).params.tool_names,
+        )
+        effects = tuple(resolve_effect(spec, tools) for spec in specs)
+        sessions = choose_sessions(self.sessions, self.arm)
+        record_blind(path, effects, sessions, case.seed, no_progress, self.arm)
         for log in sorted(path.rglob("*.mcap")):
-            check_leakage(log, case)
+            check_leakage(log, case, self.arm)
 
     def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
-        load_model(folder / CAMPAIGN_FOLDER, self.kinds, run, progress)
+        load_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm, run, progress)
 
     def load(self, folder: Path) -> None:
-        load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
+        load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
         """Diagnose a case.
@@ -125,11 +135,12 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         Raises:
             NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
         """
-        campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
+        campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
         if without:
             campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
         try:
-            fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
+            arm = arm_named(self.arm).model
+            fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
             return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
@@ -152,39 +163,43 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
 
 
 @cache
-def choose_sessions(names: tuple[str, ...] | None) -> tuple[DiagnosisSession, ...]:
-    """Return the sessions of these names, or all of the campaign."""
-    every = campaign_sessions(arm_named("nominal").params)
+def choose_sessions(names: tuple[str, ...] | None, arm: str = NOMINAL) -> tuple[DiagnosisSession, ...]:
+    """Return the sessions of these names, or all of the campaign of an arm."""
+    every = campaign_sessions(arm_named(arm).params)
     return tuple(one for one in every if names is None or one.name in names)
 
 
 def load_model(
-    campaign: Path, kinds: tuple[str, ...] | None, run: Runner, progress: Progress
+    campaign: Path, kinds: tuple[str, ...] | None, arm: str, run: Runner, progress: Progress
 ) -> CampaignModel:
     """Load the campaign model; compute and cache what is missing; BadRequest without its logs."""
     fitted, held = split_logs(campaign)
     if not fitted or not held:
         raise BadRequest(f"{campaign}: lacks the campaign's logs; the step make records them")
-    return load_campaign_model(fitted, held, campaign, run, progress, *(() if kinds is None else (kinds,)))
+    return load_campaign_model(fitted, held, campaign, run, progress, kinds, arm)
 
 
 @cache
-def load_cached_model(campaign: Path, kinds: tuple[str, ...] | None) -> CampaignModel:
+def load_cached_model(campaign: Path, kinds: tuple[str, ...] | None, arm: str) -> CampaignModel:
     """Load the campaign model once in each process."""
-    return load_model(campaign, kinds, local_runner(1), no_progress)
+    return load_model(campaign, kinds, arm, local_runner(1), no_progress)
 
 
 def draw_truth(
-    cases: int, seed: int, known: Sequence[DetectableEffect], outside: Sequence[DetectableEffect]
+    cases: int,
+    seed: int,
+    known: Sequence[DetectableEffect],
+    outside: Sequence[DetectableEffect],
+    arm: str = NOMINAL,
 ) -> tuple[TrueCase, ...]:
     """Draw the truth; the same seed and detection limits give the same truth."""
     plan = plan_cases(cases, known, outside, np.random.default_rng([seed, 8]))
-    return tuple(_true_case(number, case, seed) for number, case in enumerate(plan))
+    return tuple(_true_case(number, case, seed, arm) for number, case in enumerate(plan))
 
 
-def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
+def _true_case(number: int, plan: PlannedCase, seed: int, arm: str) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
-    specs = tuple(effect_text(effect) for effect in sample_background(rng))
+    specs = tuple(effect_text(effect) for effect in sample_background(rng, arm))
     effects = tuple(_true_effect(one, plan.kind == "out-of-catalogue") for one in plan.effects)
     return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
@@ -274,7 +289,13 @@ def score_left_out(classes: EquivalenceClasses, solved: Sequence[tuple[TrueCase,
 
 
 def campaign(
-    context: Context, cases: int = 200, step: str = "all", partial: bool = False, small: bool = False
+    context: Context,
+    cases: int = 200,
+    step: str = "all",
+    partial: bool = False,
+    small: bool = False,
+    arm: str = NOMINAL,
+    sessions: str = "*",
 ) -> Document:
     """Make, solve and score blind cases.
 
@@ -284,8 +305,11 @@ def campaign(
         step: all, make, solve, score or leave-out.
         partial: Score only cases that are solved.
         small: Two sessions and one kind of effect, a minute in all.
+        arm: Name of an arm of its drawing.
+        sessions: Pattern of the names of the sessions, such as poses-*.
     """
-    maker = ArmCases(SMALL_SESSIONS, SMALL_KINDS) if small else ArmCases()
+    names = tuple(one.name for one in choose_sessions(None, arm) if fnmatchcase(one.name, sessions))
+    maker = ArmCases(SMALL_SESSIONS, SMALL_KINDS) if small else ArmCases(names, None, arm)
     if step == "leave-out":
         return leave_out(context, maker, cases)
     return sealed.run_steps(context, maker, cases, step, partial, is_kept=not small)

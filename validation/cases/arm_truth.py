@@ -26,13 +26,13 @@ from marsarm.diagnosis.arm.blind_case import (
     sample_amplitude,
     sample_effect,
 )
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import SESSION
-from sim.arms import nominal_params
 from sim.effects import catalogue
 from sim.effects.effect import Effect
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
@@ -168,12 +168,12 @@ def list_uncatalogued() -> Mapping[tuple[str, str], UncataloguedEffect]:
     return {(one.hypothesis.effect, one.hypothesis.place): one for one in found}
 
 
-def resolve_effect(spec: str) -> Effect:
-    """Return the effect of a text, in the catalogue or in the folder."""
+def resolve_effect(spec: str, tools: tuple[str, ...]) -> Effect:
+    """Return the effect of a text, in the catalogue or in the folder, at an arm with these tools."""
     try:
         spec = re.sub(r"^(\w+)/\w+\.py:", r"\1.py:", spec)  # cases before 0.4: related/joints.py
         text = str(EFFECTS_FOLDER / spec) if ".py:" in spec else spec
-        return parse_effect_text(text, nominal_params().tool_names)
+        return parse_effect_text(text, tools)
     except BadEffect as error:
         raise BadRequest(str(error)) from error
 
@@ -210,7 +210,7 @@ class TruthLeaked(UserError):
     exit_status = 1
 
 
-def check_leakage(path: Path, case: TrueCase) -> None:
+def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
     """Check that a log does not reveal the truth of its case.
 
     Raises:
@@ -224,7 +224,7 @@ def check_leakage(path: Path, case: TrueCase) -> None:
     if truth_topics:
         raise TruthLeaked(f"{path}: has the plant's own state in {', '.join(truth_topics)}")
     reference = json.loads(log.header["boot"])["reference"]
-    nominal = record_to_json(nominal_reference())
+    nominal = record_to_json(nominal_reference(arm))
     changed = sorted(name for name in nominal if name != "zero_rad" and reference[name] != nominal[name])
     if changed:
         raise TruthLeaked(f"{path}: flight software begins with {', '.join(changed)} that are not nominal")

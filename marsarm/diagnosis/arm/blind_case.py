@@ -11,10 +11,10 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Hypothesis
-from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession
 from sim.effects.effect import Effect
@@ -102,9 +102,9 @@ def _room(one: DetectableEffect, sign: int) -> float:
     return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)
 
 
-def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
-    """Sample the errors left by a calibration, friction of the day, counter offsets and other numerics."""
-    errors = draw_calibration_errors(default_arm(), int(rng.integers(2**31)))
+def sample_background(rng: np.random.Generator, arm: str = NOMINAL) -> tuple[Effect, ...]:
+    """Sample what a calibration of an arm leaves, friction of the day, counter offsets, other numerics."""
+    errors = draw_calibration_errors(arm_named(arm).model, int(rng.integers(2**31)))
     friction = tuple(
         GearFriction(joint, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for joint in Joint
     )
@@ -118,6 +118,7 @@ def record_blind(
     sessions: Sequence[DiagnosisSession],
     seed: int,
     progress: Progress,
+    arm: str = NOMINAL,
 ) -> bool:
     """Record sessions of an arm with effects; return whether every motion completed.
 
@@ -127,23 +128,24 @@ def record_blind(
         sessions: Sessions of the campaign.
         seed: Seed of the sensor noise.
         progress: Called with done, total and step.
+        arm: Name of an arm of its drawing.
     """
-    arm = arm_named("nominal").with_effects(effects)
-    reference, begun = blind_reference(arm), effects_of_run(effects)
+    built = arm_named(arm).with_effects(effects)
+    reference, begun = blind_reference(built, arm), effects_of_run(effects)
     numbers = np.random.default_rng(seed).integers(2**31, size=len(sessions))
     made = []
     for done, (session, number) in enumerate(zip(sessions, numbers, strict=True)):
         progress(done, len(sessions), "recording")
-        made += record_campaign(folder, [session], arm, reference, int(number), no_progress, begun)
+        made += record_campaign(folder, [session], built, reference, int(number), no_progress, begun)
     return len(made) == len(sessions)
 
 
-def blind_reference(arm: BuiltArm) -> Reference:
-    """Return the joint zeros that homing of this arm finds; all else is nominal."""
-    return replace(nominal_reference(), zero_rad=true_reference(arm).zero_rad)
+def blind_reference(built: BuiltArm, arm: str) -> Reference:
+    """Return the joint zeros that homing of a built arm finds; all else is that of the named one."""
+    return replace(nominal_reference(arm), zero_rad=true_reference(built).zero_rad)
 
 
 @cache
-def nominal_reference() -> Reference:
-    """Return the homing result of the nominal arm; computed once in each process."""
-    return true_reference(arm_named("nominal"))
+def nominal_reference(arm: str = NOMINAL) -> Reference:
+    """Return the homing result of a named arm; computed once in each process."""
+    return true_reference(arm_named(arm))
