@@ -91,10 +91,11 @@ def test_every_control_mode_has_its_law(
     assert np.abs(found - swing(lambda t, q, v: torque(v), TIME_s)).max() < 2e-3
 
 
-def test_a_motor_without_torque_lets_the_pendulum_fall() -> None:
+@pytest.mark.parametrize("period_s", [0.0005, 0.01])
+def test_a_motor_without_torque_lets_the_pendulum_fall(period_s: float) -> None:
     off = Signal(TIME_s, (TIME_s < 1.0).astype(float))
     log = motion(TIME_s, np.full(TIME_s.size, 0.5), np.full(TIME_s.size, 0.5), enabled=off)
-    robot = pendulum(dry_Nm=0.0, kp=400.0, step_s=0.0005, period_s=0.0005)
+    robot = pendulum(dry_Nm=0.0, kp=400.0, step_s=0.0005, period_s=period_s)
     found = simulated(robot, log)
     held = (TIME_s > 0.5) & (TIME_s < 1.0)
     assert np.ptp(found[held]) < 1e-4

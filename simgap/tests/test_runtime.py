@@ -118,7 +118,7 @@ def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(
     effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
     command = np.repeat(waves(TIME_s[::5], seed=5), 5)
     off = np.repeat(abs(TIME_s[::5] - 1.3) < 0.3, 5)
-    enabled = Signal(TIME_s - 0.001, np.where(off, 0.0, 1.0))
+    enabled = Signal(TIME_s, np.where(off, 0.0, 1.0))
     log = motion(TIME_s, 0.0 * TIME_s, command, gain={"swing": 0.6}, enabled=enabled)
     engine = simulated(robot, log, *zip(effects, sizes, strict=True))
     patch = make_patch(robot, effects, sizes)

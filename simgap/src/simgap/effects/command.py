@@ -1,13 +1,17 @@
 """Changes of a command on its way to the loop, and errors of sensors: delay, limits, clamp, scale, zero."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.actuation import limit_of
 from simgap.effects.effect import Effect, Family, JointEffect, Size
+
+PROFILE_STEP_S: Final = 1e-3
+"""Step in which a profile is computed, as in a servo. In steps of a control period of 4 ms, a weak limit is
+late by 2 ms, which looks like a delay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,36 +91,43 @@ class AccelerationLimit(JointEffect):
         return (self.size_of("inverse_acceleration_s2_rad", 0.0, 10.0 / acceleration, 1.0 / acceleration),)
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Follow the command: speed up, and brake in time to stop at it.
-
-        From a distance d a profile can still stop from the speed that the quadratic law gives; in steps of
-        a period the law is v (v + a T) / 2a = d, so that it ends without overshoot.
-        """
+        """Follow the command from its first value, at rest."""
         limited = np.flatnonzero(size[:, 0] > 0.0)
         followed = command.copy()
-        if not limited.size:
-            return followed
-        step = period_s * limit_of(size[limited, 0])
-        speed = np.zeros(limited.size)
-        for k in range(1, command.shape[1]):
-            far = command[limited, k] - followed[limited, k - 1]
-            speed = self._speed(far, speed, step, period_s)
-            followed[limited, k] = followed[limited, k - 1] + period_s * speed
+        limit, last, speed = limit_of(size[limited, 0]), command[limited, 0], np.zeros(limited.size)
+        for k in range(1, command.shape[1] if limited.size else 0):
+            followed[limited, k], last, speed = self._follow(
+                command[limited, k], last, speed, limit, period_s
+            )
         return followed
 
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
-        """Follow the command from the last one that arrived, with its speed."""
-        last, speed = memory.get("arrived", command), memory.get("speed", np.zeros_like(command))
-        memory["speed"] = self._speed(command - last, speed, period_s * limit_of(size[:, 0]), period_s)
-        memory["arrived"] = last + period_s * memory["speed"]
-        return memory["arrived"]
+        """Follow the command from where the last period ended, with its speed."""
+        last, speed = memory.get("end", command), memory.get("speed", np.zeros_like(command))
+        limit = limit_of(size[:, 0])
+        followed, memory["end"], memory["speed"] = self._follow(command, last, speed, limit, period_s)
+        return followed
 
-    def _speed(self, far: Array, speed: Array, step: Array, period_s: float) -> Array:
-        """Return the next speed at a distance from the command."""
-        distance = np.abs(far)
-        fastest = (np.sqrt(step**2 + 8.0 * step * distance / period_s) - step) / 2.0
-        wanted = np.sign(far) * np.minimum(fastest, distance / period_s)
-        return np.asarray(np.clip(wanted, speed - step, speed + step))
+    def _follow(
+        self, command: Array, last: Array, speed: Array, limit: Array, period_s: float
+    ) -> tuple[Array, Array, Array]:
+        """Return the mean over a control period, and end and speed at its end, of a profile.
+
+        The profile speeds up, and brakes in time to stop at the command. From a distance d it can still stop
+        from the speed that the quadratic law gives; in steps T the law is v (v + a T) / 2a = d, so that it
+        ends without overshoot.
+        """
+        n = max(1, round(period_s / PROFILE_STEP_S))
+        step_s, mean = period_s / n, np.zeros_like(last)
+        change = limit * step_s
+        for _ in range(n):
+            distance = np.abs(command - last)
+            fastest = (np.sqrt(change**2 + 8.0 * limit * distance) - change) / 2.0
+            wanted = np.sign(command - last) * np.minimum(fastest, distance / step_s)
+            speed = np.clip(wanted, speed - change, speed + change)
+            mean += (last + 0.5 * step_s * speed) / n
+            last = last + step_s * speed
+        return mean, last, speed
 
     def describe(self, size: Array) -> str:
         """Return the limit."""

@@ -144,7 +144,7 @@ def _window(
         v_rad_s=np.array([slope for _, slope in starts]),
         command=np.stack([held_means(log.command, edges_s) for log in logs if log.command], axis=1),
         n_lead=n_lead,
-        enabled=np.stack([_enabled(log, edges_s[n_lead:-1]) for log in logs], axis=1),
+        enabled=np.stack([_enabled(log, edges_s[n_lead:]) for log in logs], axis=1),
         gain=np.array([motion.gain.get(joint.name, 1.0) for joint in robot.joints]),
         temperature_degC=np.array([_mean(log.temperature, low_s, high_s) for log in logs]),
         sample_time_s=tuple(times),
@@ -206,11 +206,12 @@ def _spaced(time_s: Array, spacing_s: float, keep: Flags) -> Flags:
     return chosen
 
 
-def _enabled(log: JointLog, time_s: Array) -> Flags:
+def _enabled(log: JointLog, edges_s: Array) -> Flags:
+    """Return in which periods the motor has torque for the longer part, so that a switch is not late."""
     if log.enabled is None:
-        return np.ones(time_s.size, dtype=bool)
-    index = np.clip(np.searchsorted(log.enabled.time_s, time_s, side="right") - 1, 0, None)
-    return np.asarray(log.enabled.value[index] > 0.5)
+        return np.ones(edges_s.size - 1, dtype=bool)
+    is_on = Signal(log.enabled.time_s, (log.enabled.value > 0.5).astype(float))
+    return np.asarray(held_means(is_on, edges_s) > 0.5)
 
 
 def _mean(signal: Signal | None, low_s: float, high_s: float) -> float:
