@@ -1,12 +1,17 @@
 """The next motion of this arm: the choice by sensitivities, the file of a motion, and its sessions."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from marsarm.cli.app import app
+from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, save_next_files
 from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
+from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import alias_cosines
 from marsarm.diagnosis.next_motion import propose_motion
@@ -20,13 +25,18 @@ from tests.marsarm.diagnosis.worlds import found, select_and_diagnose
 BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
 
 
-def rivals_of(made, campaign, rng):
-    """Return the rivals of an effect that resembles another as much as effects of two classes can."""
+def near_twin(made, campaign):
+    """Return the amplitudes of an effect that resembles another as much as effects of two classes can."""
     is_apart = campaign.label[:, None] != campaign.label[None, :]
     cosines = np.where(is_apart, alias_cosines(campaign.equations), 0.0)
     one = int(np.argmax(cosines.max(axis=1)))
-    t = np.where(made.owner == one, 2.0 * campaign.limits[one], 0.0)
-    return select_and_diagnose(campaign, made.measured(rng, t), seed=1).rivals
+    return np.where(made.owner == one, 2.0 * campaign.limits[one], 0.0)
+
+
+def rivals_of(made, campaign, rng):
+    """Return the rivals of such an effect."""
+    value = made.measured(rng, near_twin(made, campaign))
+    return select_and_diagnose(campaign, value, seed=1).rivals
 
 
 def test_a_diagnosis_keeps_the_finding_and_what_may_stand_in_its_place(made, campaign, rng):
@@ -104,4 +114,46 @@ def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path,
     request = NextRequest((tmp_path,), out=tmp_path / "next.toml")
     motion = next(iter(list_motions()))
     assert save_next_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
+    assert not (tmp_path / "next.toml").exists()
+
+
+@pytest.fixture
+def propose(tmp_path, monkeypatch, made, campaign, rng):
+    """Run the command with a given diagnosis and given sensitivities of the planned motions."""
+    (tmp_path / "a.mcap").write_text("a")
+    (tmp_path / PARAMS_FILE).write_text("")  # parameters of the drawing, as the log has none
+    monkeypatch.chdir(tmp_path)
+    recorded: list[str] = []
+
+    def diagnose(job, progress):
+        value = made.measured(rng, near_twin(made, campaign))
+        return CaseDiagnosis(select_and_diagnose(campaign, value, seed=1), (), model=campaign)
+
+    def record(folder, sessions, *_):
+        recorded.extend(one.name for one in sessions)
+        return [folder / f"{one.name}.mcap" for one in sessions]
+
+    def compute(logs, kept_in, run, progress, kinds, steps_of, arm):
+        assert set(kinds) <= {one.effect for one in made.hypotheses}
+        layout = replace(made.layout, blocks=tuple(recorded[:15]), sigma=0.01 * made.layout.sigma)
+        return replace(found(made), layout=layout)
+
+    for name, stand_in in (("diagnose_logs", diagnose), ("record_campaign", record)):
+        monkeypatch.setattr(f"marsarm.diagnosis.arm.next_motion.{name}", stand_in)
+    monkeypatch.setattr("marsarm.diagnosis.arm.next_motion.compute_sensitivities", compute)
+    return lambda *words: CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])
+
+
+def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page(propose, tmp_path):
+    done = propose("--out", "next.toml", "--report", "next.html", "--json")
+    said = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert read_motion(tmp_path / "next.toml").describe() == said["motions"][0]["motion"]
+    assert "<polygon" in (tmp_path / "next.html").read_text()
+
+
+def test_a_log_that_is_not_there_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["gap", "next", "none.mcap", "--out", "next.toml"])
+    assert done.exit_code == 2
     assert not (tmp_path / "next.toml").exists()

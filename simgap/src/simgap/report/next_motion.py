@@ -2,7 +2,6 @@
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,9 +32,10 @@ WIDTH, HEIGHT, MARGIN = 640, 260, 52
 def next_lines(made: Proposal) -> list[str]:
     """Return what to record, what it tells apart and how surely, and what it does not."""
     if not made.choice.tells_apart:
+        rivals = join_words(list(made.rivals), "and")
         return [
-            f"None of {len(made.motions)} motions tells {_names(made.rivals)} apart: what is logged would "
-            "differ by less than the noise. Log another signal, such as a torque or a second encoder."
+            f"None of {len(made.motions)} motions tells {rivals} apart: what is logged would differ by less than "
+            "the noise. Log another signal, such as a torque or a second encoder."
         ]
     powers = made.choice.powers[0]
     told = [k for k in range(len(powers)) if powers[k] >= LEAST_POWER]
@@ -47,13 +47,14 @@ def next_lines(made: Proposal) -> list[str]:
         f"Record: {made.motions[made.choice.motions[0]]}.",
         f"It tells {len(told)} of {len(powers)} pairs of rivals apart. The nearest of them are "
         f"{made.rivals[i]} and {made.rivals[j]}: {made.choice.sigmas[0, least]:.3g} standard deviations; the "
-        f"wrong one is excluded with a probability of {percent(float(powers[least]))}.",
+        f"wrong one is excluded with a probability of {_chance(powers[least])}.",
         *([f"It does not tell apart: {'; '.join(pairs)}."] if pairs else []),
     ]
 
 
-def _names(keys: Sequence[str]) -> str:
-    return join_words(list(keys), "and")
+def _chance(power: float) -> str:
+    """Return a probability in percent; none is certain."""
+    return "over 99 %" if power > 0.99 else percent(float(power))
 
 
 def next_tables(made: Proposal) -> tuple[ReportTable, ReportTable]:
@@ -65,7 +66,7 @@ def next_tables(made: Proposal) -> tuple[ReportTable, ReportTable]:
         least = f"{choice.sigmas[k][is_told].min():.3g}" if is_told.any() else ""
         rows.append((made.motions[choice.motions[k]], str(int(is_told.sum())), least))
     pairs = [
-        (made.rivals[i], made.rivals[j], f"{sigma:.3g}", percent(float(power)))
+        (made.rivals[i], made.rivals[j], f"{sigma:.3g}", _chance(power))
         for (i, j), sigma, power in zip(choice.pairs, choice.sigmas[0], choice.powers[0], strict=True)
     ]
     return (
@@ -108,7 +109,7 @@ def save_next_page(made: Proposal, path: Path, origin: Origin | None) -> None:
     parts = [
         *map(paragraph, lines[1:]),
         *([heading("Predictions"), paragraph(about), _legend(made.rivals)] if made.curves else []),
-        draw_figures(*(BandFigure(curve).render() for curve in made.curves)),
+        draw_figures(*map(draw_bands, made.curves)),
     ]
     for one in next_tables(made):
         parts += [heading(one.title), draw_table(one.head, one.rows)]
@@ -123,45 +124,38 @@ def _legend(rivals: Sequence[str]) -> str:
     return f"<p>{'&emsp;'.join(items)}</p>"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BandFigure:
-    """Predictions of one signal, each with its band."""
-
-    curve: Curve
-
-    def render(self) -> str:
-        """Return the figure as SVG."""
-        one = self.curve
-        unit, factor = SMALL_UNITS.get(one.unit, (one.unit, 1.0))
-        values, half = factor * one.values, factor * BAND * one.noise
-        rows = extreme_rows(values)
-        low, high = float(values.min()) - half, float(values.max()) + half
-        x = _scale(one.time_s[rows], float(one.time_s[0]), float(one.time_s[-1]), MARGIN, WIDTH - 8)
-        shapes = []
-        for value, colour in zip(values[:, rows], COLOURS, strict=False):
-            top, bottom = (_scale(value + side * half, low, high, HEIGHT - 28, 24) for side in (1.0, -1.0))
-            middle = _scale(value, low, high, HEIGHT - 28, 24)
-            around = _points(np.concatenate([x, x[::-1]]), np.concatenate([top, bottom[::-1]]))
-            shapes.append(f'<polygon points="{around}" fill="{colour}" fill-opacity="0.15"/>')
-            shapes.append(
-                f'<polyline points="{_points(x, middle)}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
-            )
-        marks = [(low + share * (high - low)) for share in (0.0, 0.5, 1.0)]
-        ticks = [
-            f'<text x="{MARGIN - 6}" y="{_scale(np.array([at]), low, high, HEIGHT - 28, 24)[0] + 4:.0f}" '
-            f'text-anchor="end">{at:.3g}</text>'
-            for at in marks
-        ]
-        title = html.escape(f"{one.signal} [{unit}]")
-        times = (
-            f'<text x="{MARGIN}" y="{HEIGHT - 8}">{one.time_s[0]:.3g} s</text>'
-            f'<text x="{WIDTH - 8}" y="{HEIGHT - 8}" text-anchor="end">{one.time_s[-1]:.3g} s</text>'
+def draw_bands(one: Curve) -> str:
+    """Draw the predictions of one signal, each with its band, as SVG."""
+    unit, factor = SMALL_UNITS.get(one.unit, (one.unit, 1.0))
+    values, half = factor * one.values, factor * BAND * one.noise
+    rows = extreme_rows(values)
+    low, high = float(values.min()) - half, float(values.max()) + half
+    x = _scale(one.time_s[rows], float(one.time_s[0]), float(one.time_s[-1]), MARGIN, WIDTH - 8)
+    shapes = []
+    for value, colour in zip(values[:, rows], COLOURS, strict=False):
+        top, bottom = (_scale(value + side * half, low, high, HEIGHT - 28, 24) for side in (1.0, -1.0))
+        middle = _scale(value, low, high, HEIGHT - 28, 24)
+        around = _points(np.concatenate([x, x[::-1]]), np.concatenate([top, bottom[::-1]]))
+        shapes.append(f'<polygon points="{around}" fill="{colour}" fill-opacity="0.15"/>')
+        shapes.append(
+            f'<polyline points="{_points(x, middle)}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
         )
-        return (
-            f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{title}" font-size="12" '
-            f'fill="currentColor"><text x="{MARGIN}" y="14">{title}</text>'
-            f"{''.join(shapes + ticks)}{times}</svg>"
-        )
+    marks = [(low + share * (high - low)) for share in (0.0, 0.5, 1.0)]
+    ticks = [
+        f'<text x="{MARGIN - 6}" y="{_scale(np.array([at]), low, high, HEIGHT - 28, 24)[0] + 4:.0f}" '
+        f'text-anchor="end">{at:.3g}</text>'
+        for at in marks
+    ]
+    title = html.escape(f"{one.signal} [{unit}]")
+    times = (
+        f'<text x="{MARGIN}" y="{HEIGHT - 8}">{one.time_s[0]:.3g} s</text>'
+        f'<text x="{WIDTH - 8}" y="{HEIGHT - 8}" text-anchor="end">{one.time_s[-1]:.3g} s</text>'
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{title}" font-size="12" '
+        f'fill="currentColor"><text x="{MARGIN}" y="14">{title}</text>'
+        f"{''.join(shapes + ticks)}{times}</svg>"
+    )
 
 
 def _scale(values: Array, low: float, high: float, first: float, last: float) -> Array:
