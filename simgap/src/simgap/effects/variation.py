@@ -3,8 +3,13 @@
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, JointEffect, Size
+
+BEFORE, AFTER = "before", "after"
+"""Numbers that are 1 in the motions of one of two sets, else 0."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,43 @@ class Variation(Effect):
     def overrides(self, *hooks: str) -> bool:
         """Return whether the effect that varies has its own version of any of these hooks."""
         return self.effect.overrides(*hooks)
+
+
+@dataclass(frozen=True)
+class Difference(Variation):
+    """Difference of an effect between two sets of motions: sizes that are added in one of the sets.
+
+    An effect whose first size is not negative is larger in one of the sets: so it may be new, or gone, where
+    the sets have none of it in common. The difference of another effect counts from the first set.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name of the effect, and in which direction it changes."""
+        how = "change" if self.is_signed else "increase" if self.number == AFTER else "decrease"
+        return f"{how} of {self.effect.key.removeprefix(f'{self.place}: ')}"
+
+    @property
+    def is_signed(self) -> bool:
+        """True if the difference may have either sign."""
+        return self.effect.sizes[0].low < 0.0
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Return sizes that are added in the set in which they act."""
+        return super().sizes if self.is_signed else self.effect.sizes
+
+    def describe(self, size: Array) -> str:
+        """Return the differences with their signs."""
+        signs = np.where(np.arange(size.size) < self.n_scaled, -1.0 if self.number == BEFORE else 1.0, 1.0)
+        names = (one.name for one in self.effect.sizes)
+        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, signs * size, strict=True))
+
+
+def differences_of(effect: Effect) -> list[Difference]:
+    """Return the differences that an effect may have between two sets of motions."""
+    first = Difference(effect.place, unbound(effect), AFTER)
+    return [first] if first.is_signed else [first, replace(first, number=BEFORE)]
 
 
 def unbound(effect: Effect) -> Effect:
