@@ -11,7 +11,7 @@ from helpers.verdicts import LIFT, diagnosis, finding
 from simgap.assemble import select_sure
 from simgap.compare import list_differences, list_limits, select_differences, tell_apart
 from simgap.effects.effect import Size
-from simgap.effects.variation import AFTER, differences_of
+from simgap.effects.variation import Difference
 from simgap.report.comparison import comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
@@ -68,17 +68,19 @@ class Amount(Toy):
         return (Size(self.label, 0.0, 5.0, 1.0),)
 
 
-def test_an_amount_increases_or_decreases_and_acts_in_one_set_alone() -> None:
-    model = tell_apart(draw_sets(1, {}, {}))
-    more, less = differences_of(Amount("near", "square", np.square))
-    assert (more.name, less.name) == ("increase of square", "decrease of square")
-    assert (more.describe(np.ones(1)), less.describe(np.ones(1))) == ("square +1", "square -1")
-    (none,) = model.residuals([], np.zeros((1, 0)))
-    is_after = np.array([name.startswith(AFTER) for name in model.motions])[model.motion_of]
-    for one, acts in ((more, is_after), (less, ~is_after)):
-        (moved,) = model.residuals([one], np.ones((1, 1)))
-        assert np.array_equal(moved[~acts], none[~acts])
-        assert not np.array_equal(moved[acts], none[acts])
+def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
+    raw = draw_sets(1, {}, {})
+    amount, is_after = Amount("near", "square", np.square), raw.motion_of >= N_MOTIONS
+    change = Difference("near", amount)
+    (none,), (all_of_it,) = (raw.residuals([amount], np.array([[size]])) for size in (0.0, 2.0))
+    for size, acts in ((2.0, is_after), (-2.0, ~is_after)):
+        model = tell_apart(raw)
+        order = np.lexsort((raw.time_s, raw.joint_of, raw.motion_of))
+        (moved,) = model.residuals([change], np.array([[size]]))
+        expected = np.where(acts, all_of_it, none)[order]
+        place = np.lexsort((model.time_s, model.joint_of, model.motion_of))
+        assert np.array_equal(moved[place], expected)
+    assert (change.name, change.describe(np.array([-2.0]))) == ("change of square", "square -2")
 
 
 def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:

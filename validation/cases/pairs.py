@@ -9,7 +9,6 @@ the square of d, as the mean of both logs follows it halfway. The numbers of joi
 nuisances: their changes are hypotheses.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -58,8 +57,6 @@ KIND_SHARES: Final[dict[Kind, float]] = {"none": 0.4, "single": 0.6}
 """Shares of all pairs without and with a change: 16 and 24 of 40."""
 TIMES_LIMIT: Final = (2.0, 8.0)
 """Range of the strength of a change, in family-wise limits."""
-HOW: Final = re.compile("(change|increase|decrease) of ")
-"""What the name of a change puts before that of its effect."""
 SETS: Final = ("before", "after")
 CHANGES: Final = tuple(replace(one, needs="" if one.needs == "known" else one.needs) for one in ENTRIES)
 """Effects that may change: also the numbers of joints that are fitted in any case."""
@@ -137,8 +134,8 @@ def describe(made: Comparison) -> Document:
     """Return what the score needs of a comparison; changes have the names of what changes."""
     document = to_document(made.found)
     for one in document["findings"]:
-        one["effect"] = HOW.sub("", one["effect"])
-        one["effects"] = [HOW.sub("", key) for key in one["effects"]]
+        one["effect"] = one["effect"].removeprefix("change of ")
+        one["effects"] = [key.replace(": change of ", ": ") for key in one["effects"]]
     return document
 
 

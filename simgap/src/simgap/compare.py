@@ -12,7 +12,7 @@ from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
 from simgap.effects.effect import Effect
-from simgap.effects.variation import AFTER, BEFORE, Difference, differences_of
+from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
 from simgap.report.user_units import convert_errors
 from simgap.residuals.conditioned import JoinedResiduals
@@ -32,6 +32,9 @@ from simgap.selection.context import Selection, fit_together
 from simgap.selection.joint_fits import leave_out, start_fit
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import size_intervals
+
+BEFORE, AFTER = "before:", "after:"
+"""Beginnings of the names of motions, by which the two sets are told apart."""
 
 
 def compare(
@@ -61,8 +64,8 @@ def compare(
         raise RobotError("a comparison needs motions before and after; one of the two sets is empty")
     motions = [*_rename(before, BEFORE), *_rename(after, AFTER)]
     usable = {
-        (f"{name}:{motion.name}", joint): audit.is_usable(motion.name, joint)
-        for name, part, audit in zip((BEFORE, AFTER), (before, after), audits, strict=False)
+        (prefix + motion.name, joint): audit.is_usable(motion.name, joint)
+        for prefix, part, audit in zip((BEFORE, AFTER), (before, after), audits, strict=False)
         for motion in part
         for joint in motion.joints
     }
@@ -93,50 +96,49 @@ def compare(
 
 
 class SetResiduals(WrappedResiduals):
-    """Residuals of one of two sets, in which its own differences act; see `ResidualModel`."""
+    """Residuals of one of two sets, with its part of each difference; see `ResidualModel`."""
 
-    def __init__(self, raw: ResidualModel, number: str) -> None:
+    def __init__(self, raw: ResidualModel, which: int) -> None:
         """Keep the residuals.
 
         Args:
-            number: BEFORE or AFTER.
+            which: 0 for the first set, 1 for the second.
         """
         super().__init__(raw)
-        self.number = number
+        self.which = which
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n); those that differ elsewhere are one here."""
         inner, total = self._add(effects, sizes)
         if total.ndim == 3:
             return residuals_by_motion(self.raw, inner, total)
-        distinct, which = np.unique(total, axis=0, return_inverse=True)
-        return self.raw.residuals(inner, distinct)[which.reshape(-1)]
+        distinct, place = np.unique(total, axis=0, return_inverse=True)
+        return self.raw.residuals(inner, distinct)[place.reshape(-1)]
 
     def _add(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
         """Return the effects of this set, each once, and their sizes, (n_candidates, .., total sizes)."""
         terms = [
-            (one.effect if isinstance(one, Difference) else one, own)
+            (one.effect, one.split(own)[self.which]) if isinstance(one, Difference) else (one, own)
             for one, own in split_sizes(effects, sizes)
-            if not isinstance(one, Difference) or one.number == self.number
         ]
         return add_sizes(terms, sizes.shape[:-1])
 
     def select(self, motions: Sequence[str]) -> "SetResiduals":
         """Return the residuals of these motions alone."""
-        return SetResiduals(self.raw.select(motions), self.number)
+        return SetResiduals(self.raw.select(motions), self.which)
 
     def around(self, effects: Sequence[Effect], sizes: Array) -> "SetResiduals":
         """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
         inner, total = self._add(effects, sizes)
-        return SetResiduals(refer_to(self.raw, inner, total[0]), self.number)
+        return SetResiduals(refer_to(self.raw, inner, total[0]), self.which)
 
 
 def tell_apart(raw: ResidualModel) -> JoinedResiduals:
-    """Return residuals in which differences act in one of the two sets, by the names of the motions."""
+    """Return residuals in which the two sets may differ, by the names of the motions."""
     parts = []
-    for number in (BEFORE, AFTER):
-        own = [name for name in raw.motions if name.startswith(f"{number}:")]
-        parts.append(SetResiduals(raw.select(own), number))
+    for which, prefix in enumerate((BEFORE, AFTER)):
+        own = [name for name in raw.motions if name.startswith(prefix)]
+        parts.append(SetResiduals(raw.select(own), which))
     return JoinedResiduals(parts, raw.motions)
 
 
@@ -144,7 +146,7 @@ def select_differences(
     model: ResidualModel, base: Sequence[Effect], shown: Sequence[Effect], seed: int, meter: Meter
 ) -> Selection:
     """Select effects that both sets have in common, and differences between the sets, beside one another."""
-    differences = [one for effect in (*base, *shown) for one in differences_of(effect)]
+    differences = [Difference(one.place, unbound(one)) for one in (*base, *shown)]
     return select_effects(model, base, [*shown, *differences], seed=seed, meter=meter)
 
 
@@ -161,10 +163,10 @@ def with_common_model(selection: Selection) -> Selection:
     return replace(selection, base=common)
 
 
-def _rename(motions: Sequence[Motion], name: str) -> list[Motion]:
-    """Put the name of a set before those of motions; motions of two sets are no repeats of one another."""
+def _rename(motions: Sequence[Motion], prefix: str) -> list[Motion]:
+    """Put a set before the names of motions; motions of two sets are no repeats of one another."""
     return [
-        replace(one, name=f"{name}:{one.name}", repeat_of=f"{name}:{one.repeat_of}" if one.repeat_of else "")
+        replace(one, name=prefix + one.name, repeat_of=prefix + one.repeat_of if one.repeat_of else "")
         for one in motions
     ]
 
@@ -176,7 +178,7 @@ def list_limits(selection: Selection) -> tuple[Limit, ...]:
     found = []
     for j, joint in enumerate(context.model.joints):
         base = [one for one in context.base if one.place == joint and one.key not in taken]
-        own = [differences_of(one)[0] for one in base]
+        own = [Difference(joint, unbound(one)) for one in base]
         if not own:
             continue
         start = start_fit(context, (*chosen.effects, *own), j, chosen.sizes, chosen.fits)

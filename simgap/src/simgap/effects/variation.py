@@ -8,9 +8,6 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, JointEffect, Size
 
-BEFORE, AFTER = "before", "after"
-"""Numbers that are 1 in the motions of one of two sets, else 0."""
-
 
 @dataclass(frozen=True)
 class Variation(Effect):
@@ -71,39 +68,29 @@ class Variation(Effect):
 
 @dataclass(frozen=True)
 class Difference(Variation):
-    """Difference of an effect between two sets of motions: sizes that are added in one of the sets.
+    """Difference of an effect between two sets of motions: sizes that are added in one of them.
 
-    An effect whose first size is not negative is larger in one of the sets: so it may be new, or gone, where
-    the sets have none of it in common. The difference of another effect counts from the first set.
+    The second set has a positive difference. So has it a negative one of an effect whose first size may be
+    negative; else the first set has its amount, so that an effect may be gone that the sets do not share.
     """
+
+    number: str = "set"
 
     @property
     def name(self) -> str:
-        """Name of the effect, and in which direction it changes."""
-        how = "change" if self.is_signed else "increase" if self.number == AFTER else "decrease"
-        return f"{how} of {self.effect.key.removeprefix(f'{self.place}: ')}"
-
-    @property
-    def is_signed(self) -> bool:
-        """True if the difference may have either sign."""
-        return self.effect.sizes[0].low < 0.0
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        """Return sizes that are added in the set in which they act."""
-        return super().sizes if self.is_signed else self.effect.sizes
+        """Name of the effect that changes."""
+        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
 
     def describe(self, size: Array) -> str:
         """Return the differences with their signs."""
-        signs = np.where(np.arange(size.size) < self.n_scaled, -1.0 if self.number == BEFORE else 1.0, 1.0)
         names = (one.name for one in self.effect.sizes)
-        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, signs * size, strict=True))
+        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
 
-
-def differences_of(effect: Effect) -> list[Difference]:
-    """Return the differences that an effect may have between two sets of motions."""
-    first = Difference(effect.place, unbound(effect), AFTER)
-    return [first] if first.is_signed else [first, replace(first, number=BEFORE)]
+    def split(self, size: Array) -> tuple[Array, Array]:
+        """Return what is added in the first and in the second set, (.., n_sizes) each."""
+        is_first = (size[..., :1] < 0.0) & (self.effect.sizes[0].low == 0.0)
+        signs = np.where(np.arange(size.shape[-1]) < self.n_scaled, -1.0, 1.0)
+        return np.where(is_first, signs * size, 0.0), np.where(is_first, 0.0, size)
 
 
 def unbound(effect: Effect) -> Effect:
