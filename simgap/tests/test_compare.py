@@ -15,7 +15,8 @@ from simgap.effects.variation import Difference
 from simgap.report.comparison import comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
-from simgap.selection.context import Selection
+from simgap.selection.context import Score, Selection
+from simgap.selection.selection import list_best
 
 N_MOTIONS = 8
 
@@ -81,6 +82,12 @@ def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
         place = np.lexsort((model.time_s, model.joint_of, model.motion_of))
         assert np.array_equal(moved[place], expected)
     assert (change.name, change.describe(np.array([-2.0]))) == ("change of square", "square -2")
+
+
+def test_of_an_effect_and_its_change_the_better_one_is_refitted() -> None:
+    square, sine, *_ = CATALOGUE
+    ranked = [Score(one, np.zeros(0), 0.1) for one in (Difference("near", square), square, sine)]
+    assert [one.effect for one in list_best(ranked)] == [Difference("near", square), sine]
 
 
 def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
