@@ -1,20 +1,22 @@
 """Comparison of two sets of logs: what both share is no change, and what differs is named with its sign."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from helpers.marks import slow_but
-from helpers.toy import BASE, CATALOGUE, NAMES, ToyResiduals, draw_toy
+from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from helpers.verdicts import LIFT, diagnosis, finding
 from simgap.assemble import select_sure
-from simgap.compare import AFTER, list_limits
+from simgap.compare import list_differences, list_limits, select_differences, tell_apart
+from simgap.effects.effect import Size
+from simgap.effects.variation import Difference
 from simgap.report.comparison import comparison_lines
-from simgap.residuals.known_effects import Change, KnownResiduals
 from simgap.result import Comparison, Limit
-from simgap.selection.context import Selection
-from simgap.selection.selection import select_effects
+from simgap.selection.checkpoint import Meter
+from simgap.selection.context import Score, Selection
+from simgap.selection.selection import list_best
 
 N_MOTIONS = 8
 
@@ -34,14 +36,8 @@ def draw_sets(seed: int, common: dict[str, float], change: dict[str, float]) -> 
 
 
 def compare_toys(model: ToyResiduals) -> Selection:
-    common = select_effects(model, BASE, CATALOGUE, seed=1)
-    present, columns = (*BASE, *common.chosen.effects), common.context.union.columns
-    known = {one: common.chosen.sizes[columns([one])] for one in present}
-    changes = [Change(one.place, one) for one in (*BASE, *CATALOGUE)]
-    is_after = np.array([name.startswith(AFTER) for name in model.motions])
-    return select_sure(
-        select_effects(KnownResiduals(model, known, is_after), present, changes, seed=1), None
-    )[0]
+    found = select_differences(tell_apart(model), BASE, CATALOGUE, 1, Meter())
+    return select_sure(found, None)[0]
 
 
 @pytest.mark.parametrize("seed", slow_but(range(1, 6), 1))
@@ -53,29 +49,45 @@ def test_a_change_is_named_with_its_size_and_what_is_common_is_not(
 ) -> None:
     found = compare_toys(draw_sets(seed, {"near: square": 0.1}, change))
     columns = found.context.union.columns
-    sizes = {one.key: float(found.chosen.sizes[columns([one])][0]) for one in found.chosen.effects}
+    sizes = {one.key: float(found.chosen.sizes[columns([one])][0]) for one in list_differences(found)}
     assert sizes.keys() == {key.replace(": ", ": change of ") for key in change}
     assert [*sizes.values()] == pytest.approx([*change.values()], rel=0.1)
 
 
 def test_a_change_that_was_not_seen_has_a_limit() -> None:
-    found = compare_toys(draw_sets(1, {}, {}))
-    limits = list_limits(found, [Change(one.place, one) for one in BASE])
+    limits = list_limits(compare_toys(draw_sets(1, {}, {})))
     assert [(one.place, one.name) for one in limits] == [("near", "gain"), ("far", "gain")]
     assert all(one.low <= 0.0 <= one.high and one.high - one.low < 0.01 for one in limits)
 
 
-def test_a_change_may_undo_an_effect_but_not_turn_it_round() -> None:
-    model = draw_sets(1, {}, {})
-    square, change = CATALOGUE[0], Change("near", CATALOGUE[0])
-    is_after = np.array([name.startswith(AFTER) for name in model.motions])
-    known = KnownResiduals(model, {square: np.array([4.0])}, is_after)
-    alone, beyond = known.residuals([change], np.array([[1.0], [7.0]]))
-    assert np.array_equal(alone, beyond)  # the largest size is 5
-    after = is_after[model.motion_of]
-    (same,) = known.residuals([], np.zeros((1, 0)))
-    assert np.array_equal(alone[~after], same[~after])
-    assert not np.array_equal(alone[after], same[after])
+@dataclass(frozen=True)
+class Amount(Toy):
+    """Toy whose size is not negative."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        return (Size(self.label, 0.0, 5.0, 1.0),)
+
+
+def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
+    raw = draw_sets(1, {}, {})
+    amount, is_after = Amount("near", "square", np.square), raw.motion_of >= N_MOTIONS
+    change = Difference("near", amount)
+    (none,), (all_of_it,) = (raw.residuals([amount], np.array([[size]])) for size in (0.0, 2.0))
+    for size, acts in ((2.0, is_after), (-2.0, ~is_after)):
+        model = tell_apart(raw)
+        order = np.lexsort((raw.time_s, raw.joint_of, raw.motion_of))
+        (moved,) = model.residuals([change], np.array([[size]]))
+        expected = np.where(acts, all_of_it, none)[order]
+        place = np.lexsort((model.time_s, model.joint_of, model.motion_of))
+        assert np.array_equal(moved[place], expected)
+    assert (change.name, change.describe(np.array([-2.0]))) == ("change of square", "square -2")
+
+
+def test_of_an_effect_and_its_change_the_better_one_is_refitted() -> None:
+    square, sine, *_ = CATALOGUE
+    ranked = [Score(one, np.zeros(0), 0.1) for one in (Difference("near", square), square, sine)]
+    assert [one.effect for one in list_best(ranked)] == [Difference("near", square), sine]
 
 
 def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
@@ -85,7 +97,7 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
     assert where == "Where: lift."
     assert what.startswith("What: change of gain at lift (gain_ratio -0.1), 95 % sure")
     assert far == (
-        "How far: with one model for both, the error of lift is 25.5 mrad; with the changes 2.4 mrad "
+        "How far: with one model for both, the error of lift is 12 mrad; with the changes 2.4 mrad "
         "(noise: 2 mrad)."
     )
     nothing = Comparison(replace(found, findings=(), errors=(LIFT,)), (limit,))

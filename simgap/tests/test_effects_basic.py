@@ -260,6 +260,22 @@ def test_encoder_errors_are_seen_and_fed_back() -> None:
         )
 
 
+def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder() -> None:
+    robot = level(ControlMode.POSITION)
+    (joint,) = robot.joints
+
+    def law(scale: float) -> Array:
+        return scale * exact(
+            lambda t, q, v: joint.kp_Nm_rad * (0.1 - scale * q) - joint.kd_Nms_rad * scale * v
+        )
+
+    shown, plain = (
+        simulated(robot, held(0.1), (at_swing(EncoderScale, robot), [size])) for size in (0.08, 0.0)
+    )
+    expected = law(1.08) - law(1.0)
+    assert np.abs(shown - plain - expected).max() < 0.02 * np.abs(expected).max()
+
+
 def shaped(kind: type[JointEffect], size: float, command: Array, period_s: float = 0.01) -> Array:
     """Shape a command of one simulation."""
     return at_swing(kind, pendulum()).shape_command(np.array([[size]]), command[None], period_s)[0]

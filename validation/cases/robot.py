@@ -28,6 +28,7 @@ from validation.cases import sealed
 from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
 from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
 from validation.cases.robot_setup import ARMS, HELD_OUT, MODELS, PLAN, load_robot
+from validation.cases.robot_table import entries_of
 from validation.cases.sealed import CaseScore, SealedTruth
 
 ROBOTS_FOLDER: Final = "robots"
@@ -60,6 +61,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     test_rates: bool = True
     """False if the cases are too few for rates: then only a false alarm counts."""
     kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
+    case_type: ClassVar[type[SealedCase]] = SealedCase
     is_audited: ClassVar[bool] = False
     """True if the logs have samples that an audit refuses."""
 
@@ -73,10 +75,10 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     ) -> tuple[SealedCase, ...]:
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
         plans = plan_robot_cases(cases, seed, self.models, self.kinds)
-        jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", one, self.test_rates) for one in plans]
+        jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", self, one) for one in plans]
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
             progress(done, len(jobs), f"drew {name}")
-        case_type = TypeAdapter(SealedCase)
+        case_type = TypeAdapter(self.case_type)
         drafts = tuple(case_type.validate_json(path.read_bytes()) for path, *_ in jobs)
         drawn = [(one.truth.seed, one.truth.kind) for one in drafts]
         if drawn != [(one.seed, one.kind) for one in plans]:
@@ -88,16 +90,23 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
         return drafts
 
+    def draw_case(self, plan: PlannedRobotCase) -> SealedCase:
+        """Draw a case, with the equivalents of its effects if rates are tested."""
+        truth = draw_truth(plan.seed, plan.kind, plan.model)
+        campaign = make_campaign(plan.seed, plan.model)
+        entries = entries_of(campaign.robot)
+        equivalents = tuple(
+            find_equivalents(campaign, one, entries) if self.test_rates else () for one in truth.effects
+        )
+        return SealedCase(plan.name, truth, equivalents)
+
     def record(self, path: Path, case: SealedCase) -> None:
         write_logs(path, record_logs(case.truth))
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
-        model = json.loads((folder / INDEX_FILE).read_bytes())[case.stem]
         try:
-            return to_document(
-                diagnose_files(folder / ROBOTS_FOLDER / model / ROBOT_FILE, case, self.is_audited)
-            )
+            return to_document(diagnose_files(find_robot_file(folder, case.stem), case, self.is_audited))
         except RobotError as why:
             return {"findings": [], "remaining": [], "refused": str(why)}
 
@@ -105,6 +114,12 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         found = score_cases(solved)
         is_quiet = not found.document["bars"]["false alarms"]["hits"]
         return found if self.test_rates else CaseScore(found.document, found.tables, is_quiet)
+
+
+def find_robot_file(folder: Path, case: str) -> Path:
+    """Return the path of the robot file of a case."""
+    models: dict[str, str] = json.loads((folder / INDEX_FILE).read_bytes())
+    return folder / ROBOTS_FOLDER / models[case] / ROBOT_FILE
 
 
 def plan_robot_cases(
@@ -121,13 +136,10 @@ def plan_robot_cases(
     )
 
 
-def _draw(job: tuple[Path, PlannedRobotCase, bool]) -> str:
-    """Draw a case and write its draft, with the equivalents of its effects if rates are tested."""
-    path, plan, test_rates = job
-    truth = draw_truth(plan.seed, plan.kind, plan.model)
-    campaign = make_campaign(plan.seed, plan.model)
-    equivalents = tuple(find_equivalents(campaign, one) if test_rates else () for one in truth.effects)
-    sealed.write_json(path, asdict(SealedCase(plan.name, truth, equivalents)))
+def _draw(job: tuple[Path, RobotCases, PlannedRobotCase]) -> str:
+    """Draw a case and write its draft."""
+    path, maker, plan = job
+    sealed.write_json(path, asdict(maker.draw_case(plan)))
     return plan.name
 
 

@@ -104,6 +104,8 @@ class CaseMotions:
     nuisance: Nuisance
     limit: float
     """Strength at the family-wise limit."""
+    times_limit: tuple[float, float]
+    """Range of the strength of an effect, in these limits."""
 
 
 def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
@@ -120,21 +122,23 @@ def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
     """Draw the effects and the nuisances of a case; two effects differ in place or in family."""
     campaign = make_campaign(seed, model)
     rng = np.random.default_rng([seed, 2, list(MODELS).index(model)])
-    drawn: list[DrawnEffect] = []
+    entries = OUTSIDE if kind == "outside" else entries_of(campaign.robot)
+    drawn: tuple[DrawnEffect, ...] = ()
     while len(drawn) < COUNTS[kind]:
-        try:
-            one = _draw_effect(campaign, OUTSIDE if kind == "outside" else entries_of(campaign.robot), rng)
-        except (NoSize, FloatingPointError):
-            continue
-        if all((one.place, one.family) != (other.place, other.family) for other in drawn):
-            drawn.append(one)
-    factors = {name: tuple(np.asarray(getattr(campaign.nuisances, name)).tolist()) for name in SPREADS}
-    return Truth(model, kind, seed, tuple(drawn), factors)
+        drawn = (*drawn, draw_effect(campaign, entries, drawn, rng))
+    return make_truth(seed, kind, model, drawn)
+
+
+def make_truth(seed: int, kind: Kind, model: str, effects: tuple[DrawnEffect, ...]) -> Truth:
+    """Return the truth of a case with these effects."""
+    nuisances = make_motions(seed, model).nuisances
+    factors = {name: tuple(np.asarray(getattr(nuisances, name)).tolist()) for name in SPREADS}
+    return Truth(model, kind, seed, effects, factors)
 
 
 @lru_cache(maxsize=4)
-def make_campaign(seed: int, model: str) -> CaseMotions:
-    """Draw motions and nuisances of a case, and simulate what its effects are compared with."""
+def make_motions(seed: int, model: str) -> CaseMotions:
+    """Draw motions and nuisances of a case, and simulate them; nothing in them imitates an effect yet."""
     robot = load_robot(model)
     rng = np.random.default_rng([seed, 1, list(MODELS).index(model)])
     plan = draw_plan(robot, rng)
@@ -150,18 +154,26 @@ def make_campaign(seed: int, model: str) -> CaseMotions:
     nuisances = Nuisances(**factors)
     base = simulate_fitted(make_plant(robot, nuisances), plan, fitted)
     plan = replace(plan, scene=replace(plan.scene, lowest_m=lowest_m(robot, base)))
+    nothing = make_nuisance(np.zeros((whiten_later(base).size, 0)))
+    limit = limit_noncentrality(len(fitted), len(list_hypotheses(robot, entries_of(robot))))
+    times_limit = SERVO_TIMES_LIMIT if MODELS[model].is_servo else TIMES_LIMIT
+    return CaseMotions(robot, plan, fitted, nuisances, base, nothing, limit, times_limit)
+
+
+@lru_cache(maxsize=4)
+def make_campaign(seed: int, model: str) -> CaseMotions:
+    """Make the motions of a case, and simulate what its effects are compared with."""
+    made = make_motions(seed, model)
+    factors = {name: np.asarray(getattr(made.nuisances, name)) for name in SPREADS}
     columns = []
     for name, spread in SPREADS.items():
-        for j in np.flatnonzero(~known):
+        for j in np.flatnonzero([not joint.is_known for joint in made.robot.joints]):
             changed = factors[name].copy()
             changed[j] *= np.exp(0.3 * spread)
             moved = Nuisances(**{**factors, name: changed})
-            change = simulate_fitted(make_plant(robot, moved), plan, fitted) - base
+            change = simulate_fitted(make_plant(made.robot, moved), made.plan, made.fitted) - made.base
             columns.append(whiten_later(change) * UNKNOWN / (0.3 * spread))
-    count = len(list_hypotheses(robot, entries_of(robot)))
-    stacked = np.array(columns).T if columns else np.zeros((whiten_later(base).size, 0))
-    limit = limit_noncentrality(len(fitted), count)
-    return CaseMotions(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
+    return replace(made, nuisance=make_nuisance(np.array(columns).T)) if columns else made
 
 
 def whiten_later(change_rad: Array) -> Array:
@@ -212,6 +224,8 @@ def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
     A large imitation is no straight line, so the nuisances are simulated where the linear one leads.
     """
     change = change_of(campaign, effect)
+    if not campaign.nuisance.columns.size:
+        return float(np.linalg.norm(change))
     known = np.array([joint.is_known for joint in campaign.robot.joints])
     amounts = (campaign.nuisance.solve @ change).reshape(len(SPREADS), -1)
     factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
@@ -223,7 +237,21 @@ def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
     return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
 
 
-def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
+def draw_effect(
+    campaign: CaseMotions, entries: tuple[Entry, ...], others: Sequence[DrawnEffect], rng: np.random.Generator
+) -> DrawnEffect:
+    """Draw an effect that differs from others in place or in family."""
+    taken = {(one.place, one.family) for one in others}
+    while True:
+        try:
+            one = _draw_sized(campaign, entries, rng)
+        except (NoSize, FloatingPointError):
+            continue
+        if (one.place, one.family) not in taken:
+            return one
+
+
+def _draw_sized(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
     """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
     everything = list_hypotheses(campaign.robot, entries)
     names = sorted({one.entry.kind.name for one in everything})
@@ -232,7 +260,7 @@ def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.rand
     one = places[int(rng.integers(len(places)))]
     shape = float(rng.uniform())
     sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
-    times = float(np.exp(rng.uniform(*np.log(strengths(campaign.robot)))))
+    times = float(np.exp(rng.uniform(*np.log(campaign.times_limit))))
     effect, reached = find_size(campaign, one, sign, shape, times)
     kind = one.entry.kind
     accepted = tuple(sorted(map(str, kind.families)))
@@ -268,15 +296,10 @@ def find_size(
         guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
         size = min(guess if below < guess < above else _between(below, above, size), high)
     _, size, reached = best
-    least, most = strengths(campaign.robot)
+    least, most = campaign.times_limit
     if not least <= reached <= most:
         raise NoSize(one.key)
     return one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape), reached
-
-
-def strengths(robot: Robot) -> tuple[float, float]:
-    """Return the range of the strength of an effect."""
-    return SERVO_TIMES_LIMIT if MODELS[robot.name].is_servo else TIMES_LIMIT
 
 
 def _between(below: float, above: float, size: float) -> float:
@@ -285,16 +308,22 @@ def _between(below: float, above: float, size: float) -> float:
     return float(np.sqrt(below * above)) if below > 0.0 else 0.3 * above
 
 
-def record_logs(truth: Truth) -> Logs:
-    """Record all motions of a case with noise, quantised."""
-    campaign, seed = make_campaign(truth.seed, truth.model), truth.seed
+def record_logs(truth: Truth, run: int = 0) -> Logs:
+    """Record all motions of a case with noise, quantised.
+
+    Args:
+        run: Later runs have the same commands, each its own noise, and no motion that is held out.
+    """
+    campaign, seed = make_motions(truth.seed, truth.model), truth.seed
     effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
     plant = make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
     plan, times = campaign.plan, sample_times()
     motions = []
-    for k, name in enumerate(plan.names):
-        shown = simulate_motion(plant, plan, k, seed * 100 + k)
-        rng = np.random.default_rng([seed, 3, k])
+    for k in campaign.fitted if run else range(len(plan.names)):
+        name = plan.names[k]
+        number = run * len(plan.names) + k
+        shown = simulate_motion(plant, plan, k, seed * 100 + number)
+        rng = np.random.default_rng([seed, 3, number])
         measured = measure(shown, rng)
         gains, gain = plan.gains, 1.0
         if gains is not None:

@@ -22,7 +22,7 @@ from simgap.arrays import Array
 from validation.cases import robot_inside as inside
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
-from validation.cases.robot_table import BASE, SUPPLY, PlacedEntry, entries_of, list_hypotheses
+from validation.cases.robot_table import BASE, SUPPLY, Entry, PlacedEntry, list_hypotheses
 from validation.cases.robot_truth import TrueEffect
 from validation.cases.sealed import CaseScore, Table
 
@@ -201,17 +201,20 @@ FAR: Final = 0.9
 """Cosine of a change at about the right size below which no size makes it equal."""
 
 
-def find_equivalents(campaign: CaseMotions, drawn: DrawnEffect) -> tuple[tuple[str, str], ...]:
-    """Return the effects of the catalogue with their places that cannot be told from a true one.
+def find_equivalents(
+    campaign: CaseMotions, drawn: DrawnEffect, entries: tuple[Entry, ...]
+) -> tuple[tuple[str, str], ...]:
+    """Return the effects with their places that cannot be told from a true one.
 
     Args:
-        drawn: The effect; one of the catalogue is its own equivalent.
+        drawn: The effect; one of the entries is its own equivalent.
+        entries: Effects that a verdict may name.
     """
     true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
     near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
     found = [
         (one.entry.kind.name, one.place)
-        for one in list_hypotheses(campaign.robot, entries_of(campaign.robot))
+        for one in list_hypotheses(campaign.robot, entries)
         if one.place in near
         and (
             (one.entry.kind.name, one.place) == (drawn.name, drawn.place)

@@ -1,26 +1,35 @@
-"""Comparison of two sets of logs of one robot: what both have in common, and then what differs."""
+"""Comparison of two sets of logs of one robot: what both have in common, and what differs."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from simgap.arrays import Flags
+from simgap.arrays import Array
 from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_names, choose_shown
-from simgap.effects.variation import unbound
+from simgap.effects.effect import Effect
+from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
 from simgap.report.user_units import convert_errors
-from simgap.residuals.known_effects import Change, KnownResiduals
+from simgap.residuals.conditioned import JoinedResiduals
+from simgap.residuals.residuals import (
+    ResidualModel,
+    WrappedResiduals,
+    add_sizes,
+    refer_to,
+    residuals_by_motion,
+    split_sizes,
+)
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.result import Comparison, Limit
 from simgap.robot import Robot
 from simgap.selection.checkpoint import Meter, Progress
 from simgap.selection.context import Selection, fit_together
-from simgap.selection.joint_fits import start_fit
+from simgap.selection.joint_fits import leave_out, start_fit
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import size_intervals
 
@@ -39,8 +48,8 @@ def compare(
 ) -> Comparison:
     """Find what changed in a robot between two sets of logs.
 
-    Base parameters and effects are first found for both sets together. Changes of all effects then compete
-    to explain what this common model leaves.
+    Base parameters of both sets are fitted together. Effects of both, and differences of all of them between
+    the sets, then compete in one selection, by the rules of a diagnosis.
 
     Args:
         audits: Audit of each set; the samples that they refuse take no part.
@@ -64,27 +73,94 @@ def compare(
     logs = Logs(tuple(motions))
     known = catalogue(robot, logs)
     check_names(known)
-    raw = kind.make(motions, False)
     shown, _ = choose_shown(robot, kind, known)
     base = [one for one in base_effects(robot, logs) if kind.shows(one)]
-    common = select_effects(
-        raw, base, shown, seed=seed, meter=Meter(lambda share, text: progress(0.5 * share, text))
-    )
-    sizes, columns = common.chosen.sizes, common.context.union.columns
-    present = (*base, *common.chosen.effects)
-    is_after: Flags = np.array([name.startswith(AFTER) for name in raw.motions])
-    model = KnownResiduals(raw, {one: sizes[columns([one])] for one in present}, is_after)
-    changes = [Change(one.place, unbound(one)) for one in (*base, *shown)]
-    selection = select_effects(
-        model, present, changes, seed=seed, meter=Meter(lambda share, text: progress(0.5 + 0.5 * share, text))
-    )
+    model = tell_apart(kind.make(motions, False))
+    selection = select_differences(model, base, shown, seed, Meter(progress))
     sure, sets, rejected = select_sure(selection, None)
-    found = convert_errors(robot, assemble(robot, model, sure, sets, model))
-    limits = list_limits(sure, changes[: len(base)])
+    fitted = refer_to(model, base, selection.base.sizes[selection.context.union.columns(base)])
+    found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
+    own = {(one.place, one.name) for one in list_differences(sure)}
     progress(1.0, "done")
     return Comparison(
-        replace(found, seed=seed, base=(), rejected=tuple(rejected), fitted_motions=raw.motions), limits
+        replace(
+            found,
+            seed=seed,
+            base=(),
+            findings=tuple(one for one in found.findings if (one.place, one.effect) in own),
+            rejected=tuple(rejected),
+            fitted_motions=model.motions,
+        ),
+        list_limits(sure),
     )
+
+
+class SetResiduals(WrappedResiduals):
+    """Residuals of one of two sets, with its part of each difference; see `ResidualModel`."""
+
+    def __init__(self, raw: ResidualModel, which: int) -> None:
+        """Keep the residuals.
+
+        Args:
+            which: 0 for the first set, 1 for the second.
+        """
+        super().__init__(raw)
+        self.which = which
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n); those that differ elsewhere are one here."""
+        inner, total = self._add(effects, sizes)
+        if total.ndim == 3:
+            return residuals_by_motion(self.raw, inner, total)
+        distinct, place = np.unique(total, axis=0, return_inverse=True)
+        return self.raw.residuals(inner, distinct)[place.reshape(-1)]
+
+    def _add(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
+        """Return the effects of this set, each once, and their sizes, (n_candidates, .., total sizes)."""
+        terms = [
+            (one.effect, one.split(own)[self.which]) if isinstance(one, Difference) else (one, own)
+            for one, own in split_sizes(effects, sizes)
+        ]
+        return add_sizes(terms, sizes.shape[:-1])
+
+    def select(self, motions: Sequence[str]) -> "SetResiduals":
+        """Return the residuals of these motions alone."""
+        return SetResiduals(self.raw.select(motions), self.which)
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> "SetResiduals":
+        """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
+        inner, total = self._add(effects, sizes)
+        return SetResiduals(refer_to(self.raw, inner, total[0]), self.which)
+
+
+def tell_apart(raw: ResidualModel) -> JoinedResiduals:
+    """Return residuals in which the two sets may differ, by the names of the motions."""
+    parts = []
+    for which, prefix in enumerate((BEFORE, AFTER)):
+        own = [name for name in raw.motions if name.startswith(prefix)]
+        parts.append(SetResiduals(raw.select(own), which))
+    return JoinedResiduals(parts, raw.motions)
+
+
+def select_differences(
+    model: ResidualModel, base: Sequence[Effect], shown: Sequence[Effect], seed: int, meter: Meter
+) -> Selection:
+    """Select effects that both sets have in common, and differences between the sets, beside one another."""
+    differences = [Difference(one.place, unbound(one)) for one in (*base, *shown)]
+    return select_effects(model, base, [*shown, *differences], seed=seed, meter=meter)
+
+
+def list_differences(selection: Selection) -> list[Difference]:
+    """List the differences that were found."""
+    return [one for one in selection.chosen.effects if isinstance(one, Difference)]
+
+
+def with_common_model(selection: Selection) -> Selection:
+    """Return a selection whose base has all that both sets have in common, fitted without what differs."""
+    changes, common = list_differences(selection), selection.chosen
+    if changes:
+        common = leave_out(selection.context, common, changes)
+    return replace(selection, base=common)
 
 
 def _rename(motions: Sequence[Motion], prefix: str) -> list[Motion]:
@@ -95,12 +171,14 @@ def _rename(motions: Sequence[Motion], prefix: str) -> list[Motion]:
     ]
 
 
-def list_limits(selection: Selection, changes: Sequence[Change]) -> tuple[Limit, ...]:
-    """List the intervals of changes of base parameters: all of a joint may change, beside the findings."""
+def list_limits(selection: Selection) -> tuple[Limit, ...]:
+    """List the intervals of changes of base parameters that were not found; all of a joint may change."""
     context, chosen = selection.context, selection.chosen
+    taken = {one.effect.key for one in list_differences(selection)}
     found = []
     for j, joint in enumerate(context.model.joints):
-        own = [one for one in changes if one.place == joint]
+        base = [one for one in context.base if one.place == joint and one.key not in taken]
+        own = [Difference(joint, unbound(one)) for one in base]
         if not own:
             continue
         start = start_fit(context, (*chosen.effects, *own), j, chosen.sizes, chosen.fits)

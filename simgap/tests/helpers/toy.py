@@ -73,6 +73,8 @@ class ToyResiduals:
     def select(self, motions: Sequence[str]) -> "ResidualModel":
         chosen, kept = copy(self), [self.motions.index(name) for name in motions]
         ToyResiduals.__init__(chosen, self.commands[:, kept], self.measured[:, kept], self.joints)
+        chosen.motions = tuple(motions)
+        chosen.repeat_of = tuple(self.repeat_of[k] for k in kept)
         return chosen
 
     def explain(self, name: str) -> Array:

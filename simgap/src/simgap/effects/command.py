@@ -7,7 +7,8 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.actuation import limit_of
-from simgap.effects.effect import Effect, Family, JointEffect, Size
+from simgap.effects.effect import Effect, Family, Fields, JointEffect, Size
+from simgap.robot import ControlMode, Robot
 
 PROFILE_STEP_S: Final = 1e-3
 """Step in which a profile is computed, as in a servo. In steps of a control period of 4 ms, a weak limit is
@@ -276,6 +277,12 @@ class EncoderScale(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Relative error; a tenth is already another gear."""
         return (self.size_of("scale_ratio", -0.1, 0.1, 0.01),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Scale the gains: the servo compares shown angles, the simulation true ones."""
+        if self.joint.mode is ControlMode.POSITION:
+            fields.kp_Nm_rad[:, self.index] *= 1.0 + size[:, 0]
+            fields.kd_Nms_rad[:, self.index] *= 1.0 + size[:, 0]
 
     def encode(self, size: Array, q_rad: Array) -> Array:
         """Scale the angle."""

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, JointEffect, Size
 
@@ -62,6 +64,33 @@ class Variation(Effect):
     def overrides(self, *hooks: str) -> bool:
         """Return whether the effect that varies has its own version of any of these hooks."""
         return self.effect.overrides(*hooks)
+
+
+@dataclass(frozen=True)
+class Difference(Variation):
+    """Difference of an effect between two sets of motions: sizes that are added in one of them.
+
+    The second set has a positive difference. So has it a negative one of an effect whose first size may be
+    negative; else the first set has its amount, so that an effect may be gone that the sets do not share.
+    """
+
+    number: str = "set"
+
+    @property
+    def name(self) -> str:
+        """Name of the effect that changes."""
+        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
+
+    def describe(self, size: Array) -> str:
+        """Return the differences with their signs."""
+        names = (one.name for one in self.effect.sizes)
+        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
+
+    def split(self, size: Array) -> tuple[Array, Array]:
+        """Return what is added in the first and in the second set, (.., n_sizes) each."""
+        is_first = (size[..., :1] < 0.0) & (self.effect.sizes[0].low == 0.0)
+        signs = np.where(np.arange(size.shape[-1]) < self.n_scaled, -1.0, 1.0)
+        return np.where(is_first, signs * size, 0.0), np.where(is_first, 0.0, size)
 
 
 def unbound(effect: Effect) -> Effect:

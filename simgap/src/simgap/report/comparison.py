@@ -49,9 +49,9 @@ def comparison_document(made: Comparison) -> dict[str, Any]:
 
 def _how_far(made: Comparison) -> str:
     """Return the largest error of a joint with one model for both sets, and with the changes."""
-    one = max(made.found.errors, key=lambda each: each.nominal)
+    one = max(made.found.errors, key=lambda each: each.base)
     noise = quantity(one.noise_floor, one.unit) if one.noise_floor > 0.0 else "not known without repeats"
-    far = f"with one model for both, the error of {one.joint} is {quantity(one.nominal, one.unit)}"
+    far = f"with one model for both, the error of {one.joint} is {quantity(one.base, one.unit)}"
     changed = f"; with the changes {quantity(one.explained, one.unit)}" if made.found.findings else ""
     return f"{far}{changed} (noise: {noise})."
 

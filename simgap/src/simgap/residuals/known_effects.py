@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-import numpy as np
-
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array
 from simgap.effects.effect import Effect, Size
 from simgap.residuals.residuals import (
     ResidualModel,
@@ -25,8 +23,8 @@ class Change(Effect):
 
     place: str
     effect: Effect
-    known: tuple[float, ...] = ()
-    """Known sizes, from which bounds follow; empty if they may move too."""
+    known: tuple[float, ...]
+    """Known sizes, from which bounds follow."""
 
     def __post_init__(self) -> None:
         """Take the form from the effect; its hooks are called by `KnownResiduals`."""
@@ -46,13 +44,9 @@ class Change(Effect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Return differences of sizes, which may have either sign."""
-        sizes = self.effect.sizes
-        spans = [(one.low - one.high, one.high - one.low) for one in sizes]
-        if self.known:
-            spans = [(one.low - at, one.high - at) for one, at in zip(sizes, self.known, strict=True)]
         return tuple(
-            replace(one, low=low, high=high, prior_std=math.inf)
-            for one, (low, high) in zip(sizes, spans, strict=True)
+            replace(one, low=one.low - at, high=one.high - at, prior_std=math.inf)
+            for one, at in zip(self.effect.sizes, self.known, strict=True)
         )
 
     @property
@@ -61,12 +55,9 @@ class Change(Effect):
         return tuple(Change(one.place, one, self.known) for one in self.effect.parts)
 
     def describe(self, size: Array) -> str:
-        """Return the changes with their signs, and what they start from if that is known."""
-        names = [one.name for one in self.effect.sizes]
-        starts = [f" from {at:.4g}" for at in self.known] or [""] * len(names)
-        return ", ".join(
-            f"{name} {value:+.4g}{start}" for name, value, start in zip(names, size, starts, strict=True)
-        )
+        """Return the changes with their signs, and what they start from."""
+        parts = zip(self.effect.sizes, size, self.known, strict=True)
+        return ", ".join(f"{one.name} {value:+.4g} from {at:.4g}" for one, value, at in parts)
 
     def overrides(self, *hooks: str) -> bool:
         """Return whether the effect that changes has its own version of any of these hooks."""
@@ -85,23 +76,18 @@ def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
 class KnownResiduals(WrappedResiduals):
     """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
 
-    def __init__(
-        self, raw: ResidualModel, known: Mapping[Effect, Array], is_changed: Flags | None = None
-    ) -> None:
+    def __init__(self, raw: ResidualModel, known: Mapping[Effect, Array]) -> None:
         """Keep the residuals.
 
         Args:
             known: Known effects and their sizes, (n_sizes,) in the units of their names.
-            is_changed: Whether a `Change` acts in each motion, (n_motions,); None: in all of them.
         """
         super().__init__(raw)
         self.by_motion = True
-        self.known, self.is_changed = dict(known), is_changed
+        self.known = dict(known)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n)."""
-        if sizes.ndim == 2 and self.is_changed is not None:
-            sizes = np.repeat(sizes[:, None], len(self.motions), axis=1)
         inner, total = self._add_known(effects, sizes)
         if total.ndim == 2:
             return self.raw.residuals(inner, total)
@@ -109,22 +95,17 @@ class KnownResiduals(WrappedResiduals):
 
     def _add_known(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
         """Return all effects and their sizes, (n_candidates, [n_motions,] total sizes), within bounds."""
-        acts = 1.0 if self.is_changed is None else self.is_changed[:, None]
         terms = [*self.known.items()]
         terms += [
-            (one.effect, own * acts) if isinstance(one, Change) else (one, own)
-            for one, own in split_sizes(effects, sizes)
+            (one.effect if isinstance(one, Change) else one, own) for one, own in split_sizes(effects, sizes)
         ]
         return add_sizes(terms, sizes.shape[:-1])
 
     def around(self, effects: Sequence[Effect], sizes: Array) -> "KnownResiduals":
         """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
-        if self.is_changed is not None:
-            return self  # the two parts have two models
         inner, total = self._add_known(effects, sizes)
         return KnownResiduals(refer_to(self.raw, inner, total[0]), self.known)
 
     def select(self, motions: Sequence[str]) -> "KnownResiduals":
         """Return the residuals of these motions alone, in their old order."""
-        kept = None if self.is_changed is None else self.is_changed[np.isin(self.motions, motions)]
-        return KnownResiduals(self.raw.select(motions), self.known, kept)
+        return KnownResiduals(self.raw.select(motions), self.known)

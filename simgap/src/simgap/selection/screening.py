@@ -15,6 +15,7 @@ import numpy as np
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
+from simgap.effects.variation import Variation
 from simgap.residuals.noise import Blocks, cut_rows
 from simgap.residuals.residuals import ResidualModel, root_weight
 from simgap.selection.chance import stationary_p, wald_p
@@ -227,8 +228,13 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     placed = [one for one in effects if one.place in model.joints]
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
-    typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
-    reach = resume_step(measure_reach, context, sizes, list(zip(columns, typical, strict=True)))
+    # an effect that varies does not act in all motions
+    steady = [one.effect if isinstance(one, Variation) else one for one in placed]
+    distinct = {one.key: one for one in steady}
+    typical = [np.array([np.clip(s.typical, s.low, s.high) for s in e.sizes]) for e in distinct.values()]
+    of_distinct = [union.columns([effect]) for effect in distinct.values()]
+    reach = resume_step(measure_reach, context, sizes, list(zip(of_distinct, typical, strict=True)))
+    reach = reach[[[*distinct].index(one.key) for one in steady]]
     joints = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
     everywhere = {

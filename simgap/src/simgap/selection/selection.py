@@ -13,6 +13,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
+from simgap.effects.variation import Variation
 from simgap.residuals.noise import count_independent
 from simgap.residuals.residuals import ResidualModel, pseudo_huber
 from simgap.selection.acceptance import (
@@ -217,7 +218,16 @@ def screen(
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     count = len if context.model.noise_std else count_distinct  # probabilities are exact then
     n_distinct = float(sum(count(group) for group in directions.values()))
-    return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
+    return [score for group in ranked for score in list_best(group)[:SHORTLIST]], n_distinct
+
+
+def list_best(ranked: Sequence[Score]) -> list[Score]:
+    """List scores, of an effect and its variations only the best: they explain parts of one another."""
+    best: dict[str, Score] = {}
+    for score in ranked:
+        effect = score.effect.effect if isinstance(score.effect, Variation) else score.effect
+        best.setdefault(effect.key, score)
+    return [*best.values()]
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Array]:
