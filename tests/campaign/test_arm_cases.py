@@ -14,32 +14,15 @@ from marsarm.common.rates import median_with_interval
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from validation.campaigns import Context
+from validation.cases import arm_score, sealed
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out
-from validation.cases.arm_score import (
-    CLASSES_FILE,
-    EquivalenceClasses,
-    PublishedHypothesis,
-    load_classes,
-    score,
-)
 from validation.cases.arm_truth import CaseKind, SealedEffect, TrueCase, list_uncatalogued, locate_outside
-from validation.cases.sealed import (
-    CASES_FOLDER,
-    SOLVED_FOLDER,
-    SealedTruth,
-    load_results,
-    result_path,
-    score_cases,
-    seal,
-    solve_cases,
-    write_json,
-)
 
-CLASSES = EquivalenceClasses({
-    ("rub", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
-    ("drag", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
-    ("rub", "hip"): PublishedHypothesis(1, 1.5, "friction", "hip"),
-    ("bend", "shin.x"): PublishedHypothesis(2, 1.5, "structure", "shin"),
+CLASSES = arm_score.EquivalenceClasses({
+    ("rub", "knee"): arm_score.PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("drag", "knee"): arm_score.PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("rub", "hip"): arm_score.PublishedHypothesis(1, 1.5, "friction", "hip"),
+    ("bend", "shin.x"): arm_score.PublishedHypothesis(2, 1.5, "structure", "shin"),
 })  # fmt: skip
 
 
@@ -65,7 +48,7 @@ def said(*findings: dict[str, Any], verdict: str = "set") -> dict[str, Any]:
 
 
 def scored(*solved: Any) -> Any:
-    return score(CLASSES, solved)
+    return arm_score.score(CLASSES, solved)
 
 
 def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
@@ -161,7 +144,7 @@ def test_the_interval_of_a_median_holds_it_as_often_as_it_says(of: int) -> None:
 
 
 HIP, SHIN = ("rub", "hip"), ("bend", "shin.x")
-TRUTH = SealedTruth(
+TRUTH = sealed.SealedTruth(
     "aa",
     (
         true("none"),
@@ -196,36 +179,36 @@ def folder(tmp_path: Path) -> Path:
     for case in TRUTH.cases:
         found = [finding(one.name, one.place) for one in case.effects if case.kind in ("single", "pair")]
         verdict = "named" if found else "unknown" if case.effects else "none"
-        write_json(tmp_path / CASES_FOLDER / case.name / "log", said(*found, verdict=verdict))
+        sealed.write_json(tmp_path / sealed.CASES_FOLDER / case.name / "log", said(*found, verdict=verdict))
     rows = [
         {"name": name, "place": place, "class": one.label, "limit": 1.0, "family_wise_limit": 1.5}
         | {"family": one.family, "location": one.location}
         for (name, place), one in CLASSES.known.items()
     ]
-    write_json(tmp_path / CAMPAIGN_FOLDER / CLASSES_FILE, rows)
-    seal(tmp_path, TRUTH)
+    sealed.write_json(tmp_path / CAMPAIGN_FOLDER / arm_score.CLASSES_FILE, rows)
+    sealed.seal(tmp_path, TRUTH)
     return tmp_path
 
 
 @pytest.fixture
 def solved(folder: Path) -> Path:
     """Return a folder whose cases are solved."""
-    solve_cases(folder, WrittenCases(), run_here, no_progress)
+    sealed.solve_cases(folder, WrittenCases(), run_here, no_progress)
     return folder
 
 
 def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved: Path) -> None:
-    found = score_cases(solved, WrittenCases(), False)
+    found = sealed.score_cases(solved, WrittenCases(), False)
     assert found.document["digest"] == TRUTH.digest()
     rates = [found.document[name] for name in ("false_alarm", "reported", "effect", "covered")]
     assert [(one["hits"], one["of"]) for one in rates] == [(0, 1), (4, 4), (4, 4), (4, 4)]
     assert "| reported, from the limit of the selection on | 85 % |" in found.markdown()
     for number in (2, 4):
-        result_path(solved, f"case-00{number}").unlink()
+        sealed.result_path(solved, f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="2 of 6 cases are not solved, case-002 first"):
-        score_cases(solved, WrittenCases(), False)
-    assert score_cases(solved, WrittenCases(), True).document["cases"] == 4
-    assert solve_cases(solved, WrittenCases(), run_here, no_progress) == (2, 6)
+        sealed.score_cases(solved, WrittenCases(), False)
+    assert sealed.score_cases(solved, WrittenCases(), True).document["cases"] == 4
+    assert sealed.solve_cases(solved, WrittenCases(), run_here, no_progress) == (2, 6)
 
 
 def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
@@ -235,8 +218,8 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
         raise NoDiagnosis(f"{case.name} has no logs")
 
     monkeypatch.setattr(WrittenCases, "diagnose", mute)
-    assert solve_cases(folder, WrittenCases(), run_here, no_progress) == (6, 6)
-    result = load_results(folder, WrittenCases())["case-003"]
+    assert sealed.solve_cases(folder, WrittenCases(), run_here, no_progress) == (6, 6)
+    result = sealed.load_results(folder, WrittenCases())["case-003"]
     assert (result["verdict"], result["refused"]) == ("unknown", "case-003 has no logs")
     found = leave_out(Context(out=folder), WrittenCases(), 60)
     assert (found["named"]["hits"], found["reported"]["hits"]) == (0, found["reported"]["of"])
@@ -269,30 +252,30 @@ NO_SIZE = {"name": "size", "low_90": None, "high_90": 0.002}
     ],
 )
 def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
-    write_json(tmp_path / SOLVED_FOLDER / "case-000.json", GOOD)
-    assert load_results(tmp_path, ArmCases()) == {"case-000": GOOD}
-    (tmp_path / SOLVED_FOLDER / "case-004.json").write_text(text)
+    sealed.write_json(tmp_path / sealed.SOLVED_FOLDER / "case-000.json", GOOD)
+    assert sealed.load_results(tmp_path, ArmCases()) == {"case-000": GOOD}
+    (tmp_path / sealed.SOLVED_FOLDER / "case-004.json").write_text(text)
     with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
-        load_results(tmp_path, ArmCases())
+        sealed.load_results(tmp_path, ArmCases())
 
 
 def test_a_size_or_an_effect_of_another_version_is_refused(solved: Path) -> None:
-    document = json.loads(result_path(solved, "case-001").read_bytes())
+    document = json.loads(sealed.result_path(solved, "case-001").read_bytes())
     document["findings"][0]["sizes"][0]["name"] = "size_of_another"
-    write_json(result_path(solved, "case-001"), document)
+    sealed.write_json(sealed.result_path(solved, "case-001"), document)
     with pytest.raises(BadRequest, match="case-001: rub has no size_of_another"):
-        score_cases(solved, WrittenCases(), False)
+        sealed.score_cases(solved, WrittenCases(), False)
     old = true("out-of-catalogue", ("old-wobble", "elbow"))
-    seal(solved, replace(TRUTH, cases=(old, *TRUTH.cases[1:])))
+    sealed.seal(solved, replace(TRUTH, cases=(old, *TRUTH.cases[1:])))
     with pytest.raises(BadRequest, match="case-000: old-wobble is none of today's effects"):
-        score_cases(solved, WrittenCases(), False)
+        sealed.score_cases(solved, WrittenCases(), False)
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
 def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / CLASSES_FILE).write_text(text)
+    (tmp_path / arm_score.CLASSES_FILE).write_text(text)
     with pytest.raises(BadRequest, match=r"classes\.json: holds no classes \("):
-        load_classes(tmp_path)
+        arm_score.load_classes(tmp_path)
 
 
 @pytest.mark.parametrize(

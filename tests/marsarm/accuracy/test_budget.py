@@ -10,20 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fsw.dictionary.enums import Frame
+from marsarm.accuracy import propagation
 from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
 from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
-from marsarm.accuracy.propagation import (
-    CUMULANTS,
-    Bounds,
-    bounds,
-    load_error_model,
-    moments_rule,
-    paper_rule,
-    root_sum_square,
-    shares,
-    squared_length,
-    worst_case,
-)
 from marsarm.accuracy.request import BudgetRequest
 from simgap.common.report import save_report_page, to_json
 from tests.marsarm.command import marsarm
@@ -111,33 +100,33 @@ AT_LIMIT = np.array([True, False, True, False])
 @settings(max_examples=50, deadline=None)
 @given(ERRORS)
 def test_the_paper_rule_lies_between_the_best_and_the_worst_case(u):
-    assert np.all(root_sum_square(u) <= paper_rule(u, AT_LIMIT) + 1e-15)
-    assert np.all(paper_rule(u, AT_LIMIT) <= worst_case(u) + 1e-15)
+    assert np.all(propagation.root_sum_square(u) <= propagation.paper_rule(u, AT_LIMIT) + 1e-15)
+    assert np.all(propagation.paper_rule(u, AT_LIMIT) <= propagation.worst_case(u) + 1e-15)
 
 
 @settings(max_examples=50, deadline=None)
 @given(ERRORS)
 def test_shares_add_up_to_the_total(u):
-    total = bounds(paper_rule(u, AT_LIMIT)).total_m
+    total = propagation.bounds(propagation.paper_rule(u, AT_LIMIT)).total_m
     there = total > 1e-9
-    assert np.allclose(shares(u, AT_LIMIT).sum(axis=(0, 1))[there], total[there], rtol=1e-9)
+    assert np.allclose(propagation.shares(u, AT_LIMIT).sum(axis=(0, 1))[there], total[there], rtol=1e-9)
 
 
 def test_the_paper_rule_adds_frames_then_roots_sources_then_adds_those_at_their_limits():
     u = np.zeros((4, 6, 7, 1))
     u[0, 3, :2] = [[1.0], [2.0]]
     u[1, 3, 0], u[2, 3, 0], u[3, 3, 0] = 3.0, 5.0, 4.0
-    assert paper_rule(u, AT_LIMIT)[3, 0] == pytest.approx(1 + 2 + 5 + np.hypot(3, 4))
+    assert propagation.paper_rule(u, AT_LIMIT)[3, 0] == pytest.approx(1 + 2 + 5 + np.hypot(3, 4))
 
 
 def test_nothing_makes_up_nothing():
     u = np.zeros((4, 6, 7, 3))
     u[0, 3, 0, 0] = 1e-3
-    assert np.all(np.isfinite(shares(u, AT_LIMIT)[..., 0]))
+    assert np.all(np.isfinite(propagation.shares(u, AT_LIMIT)[..., 0]))
 
 
 def test_lateral_is_across_the_approach_and_normal_along_it():
-    found = bounds(np.array([[9.0], [0.3], [0.4], [2.0], [3.0], [4.0]]))
+    found = propagation.bounds(np.array([[9.0], [0.3], [0.4], [2.0], [3.0], [4.0]]))
     assert (found.normal_m[0], found.lateral_m[0]) == (2.0, 5.0)
     assert found.total_m[0] == pytest.approx(np.sqrt(29))
     assert found.axial_rad[0] == 0.5
@@ -146,13 +135,13 @@ def test_lateral_is_across_the_approach_and_normal_along_it():
 def test_ours_is_never_more_than_the_worst_case():
     u = np.zeros((3, 1, 1))
     u[0] = 2.0
-    length = squared_length([(u, "uniform")])
-    worst = Bounds(*np.full((4, 1), 2.0))
+    length = propagation.squared_length([(u, "uniform")])
+    worst = propagation.Bounds(*np.full((4, 1), 2.0))
     assert length.quantile(0.9973)[0] > 2.0
-    assert moments_rule([length] * 4, worst, 0.9973).total_m.tolist() == [2.0]
+    assert propagation.moments_rule([length] * 4, worst, 0.9973).total_m.tolist() == [2.0]
 
 
-MODEL = load_error_model()
+MODEL = propagation.load_error_model()
 TABLE_2 = {
     "assembly": "systematic",
     "backlash": "random",
@@ -189,7 +178,7 @@ def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
     assert (source.share > 0) == (source.relative_to != "frames")
     assert source.basis
     assert source.text
-    assert CUMULANTS[source.distribution][0] > 0
+    assert propagation.CUMULANTS[source.distribution][0] > 0
 
 
 @pytest.mark.parametrize("name", MODEL.source)

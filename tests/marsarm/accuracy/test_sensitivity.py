@@ -10,33 +10,27 @@ from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, rotate_back
-from marsarm.accuracy.propagation import (
-    Poses,
-    Sensitivity,
-    compute_sensitivity,
-    load_error_model,
-    workspace_poses,
-)
+from marsarm.accuracy import propagation
 from sim.arms import nominal_params
 
 CONFIG = configure(nominal_params())
 ARM = CONFIG.arm
 MARS = np.array([0.0, 0.0, 3.711])
 SMALL = 1e-4
-MODEL = load_error_model()
+MODEL = propagation.load_error_model()
 
 
 @pytest.fixture(scope="module")
-def poses() -> Poses:
-    return workspace_poses(ARM, "mahli", MARS, 60, 3)
+def poses() -> propagation.Poses:
+    return propagation.workspace_poses(ARM, "mahli", MARS, 60, 3)
 
 
 @pytest.fixture(scope="module")
-def sensitivity(poses: Poses) -> Sensitivity:
-    return compute_sensitivity(CONFIG, poses, MARS)
+def sensitivity(poses: propagation.Poses) -> propagation.Sensitivity:
+    return propagation.compute_sensitivity(CONFIG, poses, MARS)
 
 
-def shift(before: Arm, after: Arm, poses: Poses, output_rad: Array) -> Array:
+def shift(before: Arm, after: Arm, poses: propagation.Poses, output_rad: Array) -> Array:
     """Compute the shift of the tool in tool axes, shape (3, n).
 
     The motors stand where they put `before` at the poses.
@@ -53,7 +47,7 @@ def test_poses_are_as_many_as_asked_for_and_put_the_tool_on_its_target(poses):
 
 
 def test_the_same_seed_gives_the_same_poses(poses):
-    again = workspace_poses(ARM, "mahli", MARS, 60, 3)
+    again = propagation.workspace_poses(ARM, "mahli", MARS, 60, 3)
     assert np.array_equal(again.output_rad, poses.output_rad)
 
 

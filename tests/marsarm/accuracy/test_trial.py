@@ -9,18 +9,8 @@ from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
 from helpers.marks import slow_but
+from marsarm.accuracy import trial
 from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity, load_error_model
-from marsarm.accuracy.trial import (
-    Z_TURN,
-    closed_loop_model,
-    configure_believed,
-    error_in_tool,
-    measure_placements,
-    random_placements,
-    sample_effects,
-    sample_source,
-    statics_model,
-)
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.effects.effect import EachMove, Effect, draw_move_disturbance
@@ -35,7 +25,7 @@ MODEL = load_error_model()
 NOMINAL = arm_named("nominal")
 CONFIG = configure(NOMINAL.params)
 TOOL = "mahli"
-PLACE = random_placements(CONFIG, TOOL, 1, np.random.SeedSequence(4))[0]
+PLACE = trial.random_placements(CONFIG, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
 """Factors that make errors larger than the other errors of the plant."""
 CLOSE_M, CLOSE_RAD, CLOSE_SHARE = 3e-5, 4e-5, 0.02
@@ -48,7 +38,9 @@ QUICK = ("assembly", "slop", "encoder", "windup", "zero_offset", "rover_stiffnes
 
 def effects(name: str) -> list[Effect]:
     return list(
-        sample_source(MODEL.source[name], LARGER.get(name, 1.0), TOOL, np.random.default_rng([5, len(name)]))
+        trial.sample_source(
+            MODEL.source[name], LARGER.get(name, 1.0), TOOL, np.random.default_rng([5, len(name)])
+        )
     )
 
 
@@ -65,17 +57,19 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
         [effect for effect in found if isinstance(effect, EachMove)], move_rng(hardware_rng(PLACE.seed))
     )
     theta += np.array([by_chance.screw(frame_body(frame, TOOL)) for frame in Frame]).T
-    theta[Z_TURN, : len(Joint)] += by_chance.gear_rad + by_chance.motor_rad
+    theta[trial.Z_TURN, : len(Joint)] += by_chance.gear_rad + by_chance.motor_rad
     for effect in found:
         match effect:
             case FrameError(frame, screw):
                 theta[:, frame] += screw
             case HardstopAngle(joint, shift_rad):
-                theta[Z_TURN, joint] += shift_rad
+                theta[trial.Z_TURN, joint] += shift_rad
             case GearStiffness(joint, factor):
                 shares[joint] += 1 / factor - 1
             case BacklashWidth(joint, factor):
-                theta[Z_TURN, joint] += (factor - 1) * gap[joint] * MODEL.source["backlash"].theta[2, joint]
+                theta[trial.Z_TURN, joint] += (
+                    (factor - 1) * gap[joint] * MODEL.source["backlash"].theta[2, joint]
+                )
     warming = np.zeros(len(Frame))
     for effect in found:
         if isinstance(effect, Expansion):
@@ -87,7 +81,7 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
 def where(*found: Effect, backlash: str = "on") -> tuple[Pose, Array]:
     arm = BuiltArm("tried", tuple(found), NOMINAL.params)
     # nominal backlash, whatever the true backlash is
-    return closed_loop_model(arm, true_reference(NOMINAL if _widths(found) else arm), backlash)(PLACE)
+    return trial.closed_loop_model(arm, true_reference(NOMINAL if _widths(found) else arm), backlash)(PLACE)
 
 
 def _widths(found: Iterable[Effect]) -> bool:
@@ -111,19 +105,19 @@ def test_a_source_moves_the_tool_by_what_its_sensitivity_says(name, nominal):
     X_RT, gap = where(*found)
     expected = predicted(found, gap)
     assert np.linalg.norm(expected[3:]) > 2 * CLOSE_M
-    check(error_in_tool(nominal[0], X_RT), expected)
+    check(trial.error_in_tool(nominal[0], X_RT), expected)
 
 
 def test_softer_springs_move_the_tool_by_their_share_of_the_deflection(nominal):
     found = effects("deflection")
     X_RT, gap = where(*found)
-    check(error_in_tool(nominal[0], X_RT), predicted(found, gap), LOAD_MOVES_SHARE)
+    check(trial.error_in_tool(nominal[0], X_RT), predicted(found, gap), LOAD_MOVES_SHARE)
 
 
 def test_a_gap_that_is_wider_than_believed_moves_the_tool_by_what_is_not_allowed_for(nominal):
-    found = list(sample_source(MODEL.source["backlash"], 0.1, TOOL, np.random.default_rng(6)))
+    found = list(trial.sample_source(MODEL.source["backlash"], 0.1, TOOL, np.random.default_rng(6)))
     X_RT, gap = where(*found)
-    check(error_in_tool(nominal[0], X_RT), predicted(found, gap))
+    check(trial.error_in_tool(nominal[0], X_RT), predicted(found, gap))
 
 
 def test_a_gap_that_nothing_allows_for_moves_the_tool_by_the_side_that_every_output_lies_on(nominal):
@@ -131,32 +125,32 @@ def test_a_gap_that_nothing_allows_for_moves_the_tool_by_the_side_that_every_out
     theta = MODEL.source["backlash"].theta[2]
     expected = here().J[:, 2, :, 0] @ (theta * np.append(gap, [0.0, 0.0]))
     assert np.abs(gap).min() > 0.999
-    check(error_in_tool(nominal[0], X_RT), expected)
+    check(trial.error_in_tool(nominal[0], X_RT), expected)
 
 
 @pytest.mark.parametrize(
     ("case", "seed"), slow_but([("accuracy", 1), ("mars", 1), ("accuracy", 2), ("mars", 2)], ("mars", 1))
 )
 def test_statics_end_where_the_closed_loop_does(case, seed):
-    found = sample_effects(MODEL, MODEL.case[case], TOOL, np.random.default_rng(seed))
+    found = trial.sample_effects(MODEL, MODEL.case[case], TOOL, np.random.default_rng(seed))
     arm = BuiltArm("drawn", found, NOMINAL.params)
-    believed = configure_believed(arm)
-    place = random_placements(believed, TOOL, 1, np.random.SeedSequence(seed))[0]
+    believed = trial.configure_believed(arm)
+    place = trial.random_placements(believed, TOOL, 1, np.random.SeedSequence(seed))[0]
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
     reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad
     statics, loop = (
-        statics_model(arm, believed, backlash)(place),
-        closed_loop_model(arm, reference, backlash)(place),
+        trial.statics_model(arm, believed, backlash)(place),
+        trial.closed_loop_model(arm, reference, backlash)(place),
     )
-    apart = error_in_tool(statics[0], loop[0])
+    apart = trial.error_in_tool(statics[0], loop[0])
     assert np.linalg.norm(apart[3:]) < 1e-4
     assert np.allclose(statics[1], loop[1], atol=0.01)
 
 
 def test_what_is_drawn_keeps_within_its_magnitude():
     source = MODEL.source["isolator_hysteresis"]
-    (play,) = sample_source(source, 1.0, TOOL, np.random.default_rng(0))
+    (play,) = trial.sample_source(source, 1.0, TOOL, np.random.default_rng(0))
     body = frame_body(Frame.TOOL, TOOL)
     scatters = [play.draw(np.random.default_rng(k)).screw(body) for k in range(300)]
     most = np.abs(scatters).max(axis=0) / source.theta[:, Frame.TOOL]
@@ -165,7 +159,7 @@ def test_what_is_drawn_keeps_within_its_magnitude():
 
 def test_the_same_seed_draws_the_same_arm():
     case = MODEL.case["accuracy"]
-    one, same, other = (sample_effects(MODEL, case, TOOL, np.random.default_rng(k)) for k in (1, 1, 2))
+    one, same, other = (trial.sample_effects(MODEL, case, TOOL, np.random.default_rng(k)) for k in (1, 1, 2))
     assert one == same
     assert one != other
 
@@ -173,9 +167,9 @@ def test_the_same_seed_draws_the_same_arm():
 def errors_m(seed, count):
     """Compute the total errors of the APXS of an arm at placements in the workspace, shape (count,)."""
     arm = arm_named(f"as-built:{seed}")
-    believed = configure_believed(arm)
-    places = random_placements(believed, "apxs", count, np.random.SeedSequence(seed))
-    found = measure_placements(statics_model(arm, believed, "on"), places)
+    believed = trial.configure_believed(arm)
+    places = trial.random_placements(believed, "apxs", count, np.random.SeedSequence(seed))
+    found = trial.measure_placements(trial.statics_model(arm, believed, "on"), places)
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

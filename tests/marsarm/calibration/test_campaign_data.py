@@ -55,9 +55,7 @@ def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
         holes = [None, *t["p_y_m"].to_pylist()[1:]]
         return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
 
-    with pytest.raises(
-        BadData, match=r"'p_x_m' has 'one'.*\n.*p_y_m: no number in 1 rows, the first is 0"
-    ):
+    with pytest.raises(BadData, match=r"'p_x_m' has 'one'.*\n.*p_y_m: no number in 1 rows, the first is 0"):
         read_campaign(table(tmp_path, damaged))
 
 

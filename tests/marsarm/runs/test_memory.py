@@ -19,21 +19,21 @@ GRAVITY_T = (-0.02, 0.0, -1.0)
 """Gravity in the axes of the portioner in the ready pose, almost."""
 FIRST, LAST = FRAME_CYCLES, 4 * FRAME_CYCLES
 """Cycles in the first command and in the second."""
-EMPTY_OBJECT_BYTES = 16
 
 
 def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
+    """No line keeps as many more blocks as there are cycles; caches of NumPy keep a few, never the same."""
     commands = (Process("portion", GRAVITY_T, 6.0), MoveJoint(Joint.TURRET, 1.4))
     checks = (Done(), GravityHeld(1, "portion", GRAVITY_T))
     scenario = Scenario("test", "T", "S.", World(), commands, checks, "ready")
     arm = arm_named("nominal")
     loop = ClosedLoop(scenario_setup(scenario, arm, lab.true_reference(arm), 1))
-    run, kept_bytes = ScenarioRun(loop, scenario), {}
+    run, kept = ScenarioRun(loop, scenario), {}
 
     def note(record):
         if record.tick in (FIRST, LAST):
             gc.collect()
-            kept_bytes[record.tick] = tracemalloc.get_traced_memory()[0]
+            kept[record.tick] = tracemalloc.take_snapshot()
         return run.progress_at(record.tick)
 
     tracemalloc.start()
@@ -42,4 +42,5 @@ def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
     finally:
         tracemalloc.stop()
     assert done.result.passed
-    assert kept_bytes[LAST] - kept_bytes[FIRST] < EMPTY_OBJECT_BYTES * (LAST - FIRST)
+    lines = kept[LAST].compare_to(kept[FIRST], "lineno")
+    assert max(lines, key=lambda line: line.count_diff).count_diff < LAST - FIRST

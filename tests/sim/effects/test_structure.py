@@ -10,17 +10,8 @@ from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
 from helpers.marks import slow_but
 from sim.arms import nominal_params
+from sim.effects import geometry
 from sim.effects.effect import Effect
-from sim.effects.geometry import (
-    WIDTH_M,
-    LinkAngle,
-    LinkLength,
-    LinkWarming,
-    ThermalGradient,
-    ToolOffset,
-    ToolTurn,
-    Warming,
-)
 from sim.effects.sensors import EncoderZero
 from sim.effects.structure import (
     LinkBending,
@@ -44,16 +35,16 @@ TITANIUM_1_K = 8.6e-6
 TOOL = "drill"
 
 SHIFTS = [
-    LinkLength(Frame.ARM1, "z", 2e-3),
-    LinkLength(Frame.ARM3, "x", 2e-3),
-    LinkLength(Frame.ARM6, "y", 2e-3),
-    ToolOffset(TOOL, "x", 2e-3),
+    geometry.LinkLength(Frame.ARM1, "z", 2e-3),
+    geometry.LinkLength(Frame.ARM3, "x", 2e-3),
+    geometry.LinkLength(Frame.ARM6, "y", 2e-3),
+    geometry.ToolOffset(TOOL, "x", 2e-3),
 ]
 TURNS = [
-    LinkAngle(Frame.ARM1, "y", 1e-3),
-    LinkAngle(Frame.ARM4, "x", 1e-3),
-    LinkAngle(Frame.ARM5, "z", 1e-3),
-    ToolTurn(TOOL, "y", 1e-3),
+    geometry.LinkAngle(Frame.ARM1, "y", 1e-3),
+    geometry.LinkAngle(Frame.ARM4, "x", 1e-3),
+    geometry.LinkAngle(Frame.ARM5, "z", 1e-3),
+    geometry.ToolTurn(TOOL, "y", 1e-3),
 ]
 SPRINGS = [
     LinkTorsion(Frame.ARM3, 5e-6),
@@ -108,19 +99,19 @@ def test_a_link_or_tool_of_another_length_or_angle_moves_the_tool_by_its_jacobia
 def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float) -> None:
     """Compare with two thousand short pieces, each rotated slightly against the last."""
     length, gradient_K = 0.785, 20.0 * times
-    bend = TITANIUM_1_K * gradient_K * length / WIDTH_M
+    bend = TITANIUM_1_K * gradient_K * length / geometry.WIDTH_M
     turns = bend * (np.arange(2000) + 0.5) / 2000
     along, aside = length * np.cos(turns).mean(), length * np.sin(turns).mean()
     link = nominal_params().links.arm4
     X = transform6_to_pose(link.transform)
-    error = ThermalGradient(Frame.ARM4, axis, gradient_K)._error(X.R.T @ X.p, link.expansion_1_K)
+    error = geometry.ThermalGradient(Frame.ARM4, axis, gradient_K)._error(X.R.T @ X.p, link.expansion_1_K)
     screw = np.array(error.screw)
     assert screw["xyz".index(axis)] == pytest.approx(bend)
     across = 3 + (2 if axis == "y" else 1)
     assert abs(screw[across]) == pytest.approx(aside, rel=1e-3)
     assert screw[3] == pytest.approx(along - length, abs=1e-6)
     with pytest.raises(ValueError, match="arm4 lies along x; it bends about y and z"):
-        ThermalGradient(Frame.ARM4, "x", 5.0)
+        geometry.ThermalGradient(Frame.ARM4, "x", 5.0)
 
 
 @TIMES
@@ -128,8 +119,8 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
     warming_K, J = 40.0 * times, jacobian()
     growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, tool_index(TOOL)]]) * warming_K
     expected = np.einsum("ijk,jk->i", J, growth)[3:]
-    np.testing.assert_allclose(rigid_shift_m(Warming(warming_K)), expected, rtol=1e-3, atol=1e-9)
-    one = rigid_shift_m(LinkWarming(Frame.ARM4, warming_K))
+    np.testing.assert_allclose(rigid_shift_m(geometry.Warming(warming_K)), expected, rtol=1e-3, atol=1e-9)
+    one = rigid_shift_m(geometry.LinkWarming(Frame.ARM4, warming_K))
     np.testing.assert_allclose(one, J[3:, :, 3] @ growth[:, 3], rtol=1e-3, atol=1e-9)
 
 
@@ -164,7 +155,7 @@ def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, 
     np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
-TOLD = [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, ThermalGradient(Frame.ARM3, "z", 20.0)]
+TOLD = [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, geometry.ThermalGradient(Frame.ARM3, "z", 20.0)]
 
 
 @pytest.mark.parametrize("effect", slow_but(TOLD, *TOLD[::3]), ids=str)

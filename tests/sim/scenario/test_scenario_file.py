@@ -22,16 +22,10 @@ from fsw.dictionary.enums import Joint
 from sim.arms import nominal_params
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
+from sim.scenario import tables
 from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
 from sim.scenario.file import BadScenario, built_in_scenarios, load_scenario, parse_scenario
 from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake
-from sim.scenario.tables import (
-    CHECK_CLASSES,
-    COMMAND_CLASSES,
-    FAULT_CLASS_BY_NAME,
-    FAULT_CLASSES,
-    read_command,
-)
 from sim.setting import Surface
 from tests.sim.scenario.bad import BAD, GOOD
 from tests.tools import TOOLS
@@ -54,7 +48,7 @@ SAMPLES = {
 
 def command(**table: object) -> Command:
     findings = Findings(TOOLS)
-    found = read_command(table, (), findings, {"inlet": "drill"}, nominal_params())
+    found = tables.read_command(table, (), findings, {"inlet": "drill"}, nominal_params())
     assert not findings.problems
     assert found is not None
     return found
@@ -77,7 +71,7 @@ def sample(hint: object, name: str, k: int) -> object:
 
 
 @pytest.mark.parametrize(
-    "kind", [*get_args(Command), *get_args(Check), *FAULT_CLASSES], ids=lambda kind: kind.__name__
+    "kind", [*get_args(Command), *get_args(Check), *tables.FAULT_CLASSES], ids=lambda kind: kind.__name__
 )
 @pytest.mark.parametrize("unit", [0, 1], ids=["SI", "another unit"])
 def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
@@ -118,11 +112,11 @@ def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind
 
 
 def test_every_command_check_and_fault_has_a_name_in_the_file():
-    assert set(COMMAND_CLASSES.values()) == set(get_args(Command))
-    assert set(CHECK_CLASSES.values()) == set(get_args(Check))
-    assert set(FAULT_CLASS_BY_NAME.values()) == set(FAULT_CLASSES)
-    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMAND_CLASSES)
-    assert {"same_spot", "over_inlet"} <= set(CHECK_CLASSES)
+    assert set(tables.COMMAND_CLASSES.values()) == set(get_args(Command))
+    assert set(tables.CHECK_CLASSES.values()) == set(get_args(Check))
+    assert set(tables.FAULT_CLASS_BY_NAME.values()) == set(tables.FAULT_CLASSES)
+    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(tables.COMMAND_CLASSES)
+    assert {"same_spot", "over_inlet"} <= set(tables.CHECK_CLASSES)
 
 
 def test_the_words_of_a_field_leave_out_the_letters_of_its_frames():
