@@ -28,7 +28,7 @@ from fsw.state import boot as boot
 from marsarm.accuracy.monte_carlo import run_monte_carlo as run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest as MonteCarloRequest
 from marsarm.calibration.execution import run_calibration as run_calibration
-from marsarm.calibration.request import CalibrateRequest as CalibrateRequest
+from marsarm.common.options import CalibrateRequest as CalibrateRequest
 from marsarm.diagnosis.arm.diagnose_logs import diagnose as diagnose
 from marsarm.diagnosis.arm.output_files import effects_of_findings as effects_of_findings
 from marsarm.diagnosis.arm.record import record_logs as record_logs

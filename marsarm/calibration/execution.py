@@ -20,7 +20,6 @@ from marsarm.calibration.campaign import (
     run_campaign,
 )
 from marsarm.calibration.campaign_data import BadData, Campaign, read_campaign, save_campaign
-from marsarm.calibration.request import LEAST_POSES, CalibrateRequest
 from marsarm.calibration.residual_model import predict_poses
 from marsarm.calibration.verify import (
     HARDSTOP_TARGETS,
@@ -29,6 +28,7 @@ from marsarm.calibration.verify import (
     register_tools,
     verify_calibration,
 )
+from marsarm.common.options import LEAST_POSES, CalibrateRequest
 from marsarm.common.requests import load_params, select_arm
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named

@@ -5,8 +5,7 @@ from typing import Annotated
 import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.calibration.request import CalibrateRequest
-from marsarm.common.options import ArmRequest
+from marsarm.common.options import ArmRequest, CalibrateRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress

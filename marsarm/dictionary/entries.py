@@ -16,9 +16,16 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits, NameMark
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
-from marsarm.common.fields import alias_docs, class_doc, field_docs, unit_of
 from marsarm.telemetry.events import record_to_json
-from marsarm.telemetry.schema import arm_names, array_shape, strip_optional
+from marsarm.telemetry.schema import (
+    alias_docs,
+    arm_names,
+    array_shape,
+    class_doc,
+    field_docs,
+    strip_optional,
+    unit_of,
+)
 from marsarm.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name
 from sim.arms import nominal_params
 from sim.scenario.records import suggest_name, upper_snake

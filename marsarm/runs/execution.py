@@ -38,7 +38,7 @@ from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.recorded_run import RecordedRun
+    from marsarm.view.watched_run import RecordedRun
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
 """Cycles between two frames of a movie, and between two reports of the progress."""
@@ -252,8 +252,8 @@ def open_view(
     if not files.view and files.page is None:
         yield None
         return
-    from marsarm.view.recorded_run import RecordedRun  # a run without a view does not wait for it
     from marsarm.view.server import LiveView
+    from marsarm.view.watched_run import RecordedRun  # a run without a view does not wait for it
 
     opened = LiveView if files.view else RecordedRun
     with ExitStack() as stack:

@@ -42,7 +42,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.recorded_run import RecordedRun
+    from marsarm.view.watched_run import RecordedRun
 
 BEFORE_S: Final = 3.0
 """Time before the contact with the hardstop from which the figure begins."""

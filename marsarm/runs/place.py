@@ -28,7 +28,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.recorded_run import RecordedRun
+    from marsarm.view.watched_run import RecordedRun
 
 
 @dataclass(frozen=True, slots=True)

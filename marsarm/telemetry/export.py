@@ -14,10 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from marsarm.common.fields import unit_of
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from marsarm.telemetry.inspection import index_text, severity_name
 from marsarm.telemetry.read import Log
+from marsarm.telemetry.schema import unit_of
 from marsarm.telemetry.topics import ENTRIES
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_distinct_files, check_new_path, check_output

@@ -16,8 +16,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name
 from fsw.estimate.reference import Reference
-from marsarm.common.fields import unit_of
-from marsarm.telemetry.schema import ROS_NAME, Field, Layout, arm_names, packet_layout
+from marsarm.telemetry.schema import ROS_NAME, Field, Layout, arm_names, packet_layout, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import nominal_params, params_over_nominal
 from sim.params import BadParams

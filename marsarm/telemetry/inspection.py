@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
-from marsarm.common.fields import unit_of
 from marsarm.render.svg import save_figure
 from marsarm.telemetry.events import EvrEntry
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import Log
+from marsarm.telemetry.schema import unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS, channel_matches
 from sim.scenario.records import suggest_name
 from simgap.common.errors import BadRequest

@@ -15,7 +15,6 @@ from fsw.dictionary.evrs import Severity
 from marsarm.common.options import DEFAULT_PORT
 from marsarm.render.rays import Triangles, join_triangles
 from marsarm.view.frames import SAMPLE_CYCLES, Event, Trail, ViewFrames
-from marsarm.view.recorded_run import RecordedRun
 from marsarm.view.scene import (
     ARROW_HEAD_M,
     ARROW_M_PER_N,
@@ -34,7 +33,7 @@ from marsarm.view.scene import (
     TRAIL_STEP_M,
     Scene,
 )
-from marsarm.view.watched_run import Plot, WatchedRun, make_plots
+from marsarm.view.watched_run import Plot, RecordedRun, WatchedRun, make_plots
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.record import CycleRecord

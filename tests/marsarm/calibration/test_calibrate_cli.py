@@ -12,7 +12,7 @@ from marsarm.calibration.calibrate import calibrated_params, data_sha256, parame
 from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import calibration_document, calibration_page
-from marsarm.calibration.request import CalibrateRequest
+from marsarm.common.options import CalibrateRequest
 from marsarm.common.requests import select_arm
 from sim.arms import params_over_nominal
 from simgap.common.errors import BadRequest

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.calibration.request import CalibrateRequest
 from marsarm.cli import analysis, diagnosis, runs
-from marsarm.common.options import ArmRequest, ViewRequest
+from marsarm.common.options import ArmRequest, CalibrateRequest, ViewRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest, NextRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest

@@ -17,9 +17,8 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from marsarm.cli.app import app
-from marsarm.common.fields import unit_of
 from marsarm.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
-from marsarm.telemetry.schema import arm_names, array_shape
+from marsarm.telemetry.schema import arm_names, array_shape, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named, nominal_params
 from sim.effects.catalogue import catalogue

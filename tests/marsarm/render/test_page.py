@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.calibration.request import CalibrateRequest
+from marsarm.common.options import CalibrateRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.render import svg
 from simgap.common.options import command_text

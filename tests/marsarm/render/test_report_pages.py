@@ -13,7 +13,7 @@ from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import calibration_page
-from marsarm.calibration.request import CalibrateRequest
+from marsarm.common.options import CalibrateRequest
 from simgap.common.report import save_report_page
 from tests.marsarm.calibration.lab import campaign
 from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED, MISSING, Browser, find_chromium
