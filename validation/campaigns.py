@@ -51,6 +51,7 @@ class Context:
     ) -> list[Result]:
         """Return `work(*job)` of each job in the order of the jobs, and tell the progress."""
         every, found = list(jobs), list[Result]()
+        self.progress(0, len(every), what)
         for one in in_order(self.run, work, every):
             found.append(one)
             self.progress(len(found), len(every), what)

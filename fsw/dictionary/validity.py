@@ -42,7 +42,8 @@ def read_hints(kind: type) -> dict[str, Any]:
 
 def check_limits(record: Any, place: str = "") -> Iterator[str]:
     """Yield a sentence for each number that is not finite or outside its limits, and for each empty range."""
-    hints = read_hints(type(record))
+    kind: type = type(record)
+    hints = read_hints(kind)
     for field in fields(record):
         value, where = getattr(record, field.name), f"{place}{field.name}"
         if is_dataclass(value):
