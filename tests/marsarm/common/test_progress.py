@@ -84,7 +84,7 @@ def test_lines_come_without_a_terminal(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(module, "WAITS_S", (0.02, 0.01))
-    with show_progress("job") as progress:
+    with show_progress("job", "") as progress:
         progress(0, 2, "arms")
         progress(1, 2, "arms")
         lines: list[str] = []
@@ -127,6 +127,14 @@ def test_a_run_without_a_report_has_the_time_left_of_the_earlier_one() -> None:
     assert state.line(10.0) == "starting: 0% after 10 s, 40 s left"
 
 
+def test_a_run_for_another_request_says_nothing_before_a_share_is_done() -> None:
+    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 60.0)], 120.0, "long.csv"), "short.csv")
+    state.update(0.0, 1.0, "fit", 1.0)
+    assert state.left_s(10.0) is None
+    state.update(0.5, 1.0, "fit", 19.0)
+    assert state.left_s(19.0) == pytest.approx((20.0 / 61.0 * 60.0,) * 2)
+
+
 def test_what_an_earlier_command_has_done_counts_for_nothing() -> None:
     state = ProgressState(0.0, EarlierRun.of_points([(0.5, 80.0), (0.75, 90.0)], 100.0))
     state.update(0.5, 1.0, "going on", 1.0)
@@ -139,7 +147,7 @@ def test_the_course_of_a_run_is_kept_for_the_next_one(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert read_earlier_run("job") is None
-    run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0)
+    run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0, "log.csv")
     assert run.shares == (0.0, 0.3, 1.0)
     keep_run("job", run)
     assert read_earlier_run("job") == run

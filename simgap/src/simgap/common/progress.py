@@ -49,6 +49,8 @@ class ProgressState:
     """Time of the start, of a monotonic clock."""
     earlier: EarlierRun | None = None
     """Earlier run of the same command, which had the same stages; None if there was none."""
+    request: str = ""
+    """What the command is asked for."""
     what: str = "starting"
     share: float = 0.0
     """Share of the work that is done; it never falls."""
@@ -85,12 +87,14 @@ class ProgressState:
         The least is right if the present step ends now, the most if nothing of it is done.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
+        if self.share <= first and (self.earlier is None or self.earlier.request != self.request):
+            return None  # a run for another request says how the time is spread, not how long it takes
         if self.earlier is not None:
             begun_s = self.first_s if first else self.started_s
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
             return left_s, left_s
-        if self.share <= first or reached_s <= self.first_s:
+        if reached_s <= self.first_s:
             return None
         rest = (1.0 - self.share) / (self.share - first)
         least_s = (reached_s - self.first_s) * rest - (now_s - reached_s)
@@ -124,13 +128,14 @@ def no_progress(done: float, total: float, what: str) -> None:
 
 
 @contextmanager
-def show_progress(job: str) -> Iterator[Progress]:
+def show_progress(job: str, request: str) -> Iterator[Progress]:
     """Show the progress and the time left of the work in a block; give the function that updates it.
 
     Args:
         job: Name of the work, under which its course is kept for the next time.
+        request: What it is asked for, such as the words of the command line.
     """
-    state = ProgressState(time.monotonic(), read_earlier_run(job))
+    state = ProgressState(time.monotonic(), read_earlier_run(job), request)
     has_bar = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     with (_show_bar if has_bar else _print_lines)(state) as refresh:
 
@@ -140,7 +145,7 @@ def show_progress(job: str) -> Iterator[Progress]:
 
         yield update
     if not state.first_share:  # what an earlier command has done took no time
-        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s))
+        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s, request))
 
 
 @contextmanager

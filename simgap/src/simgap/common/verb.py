@@ -148,7 +148,7 @@ def _carry_out(
         if is_dataclass(parameter.annotation):
             values[parameter.name] = _build_request(parameter.annotation, values)
     current_date()  # a wrong one is refused before the work; numpy would raise an exception
-    with show_progress(f"{work.__module__}.{work.__name__}") as progress:
+    with show_progress(f"{work.__module__}.{work.__name__}", " ".join(sys.argv[1:])) as progress:
         if any(parameter.name == "progress" for parameter in parameters):
             values["progress"] = progress
         return work(**values)
