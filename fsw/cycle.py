@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from fsw.config import CYCLE_S, Config, configure_at
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.estimate.reference import HardstopFit

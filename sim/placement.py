@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config, configure
-from fsw.dictionary.commands import AUTO, Command, PlaceTool, Retract, Unstow
+from fsw.dictionary.arguments import Wrong, read_arguments
+from fsw.dictionary.commands import Command, PlaceTool, Retract, Unstow
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
-from fsw.dictionary.types import Vector3, vector3
-from fsw.dictionary.validity import Wrong, read_arguments
+from fsw.dictionary.types import AUTO, Vector3, vector3
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
 from fsw.executive.context import known_names

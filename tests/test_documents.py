@@ -59,6 +59,8 @@ def find_unknown(words: list[str]) -> list[str]:
         if rest[0] not in command.commands:
             return [rest[0]]
         command, rest = command.commands[rest[0]], rest[1:]
+    if not isinstance(command, TyperGroup):
+        command.read_options()
     known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
     used = {word.partition("=")[0] for word in rest if word.startswith("--")}
     return sorted(used - known - {"--help", "--install-completion"})

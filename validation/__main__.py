@@ -55,7 +55,7 @@ def run(campaign: Campaign, options: Any) -> int:
     work = campaign.load()
     brief = campaign.brief or {} if options.brief else {}
     sizes = read_sizes(work, [*(f"{name}={value}" for name, value in brief.items()), *options.sizes])
-    with show_progress(f"validation.{campaign.name}") as progress:
+    with show_progress(f"validation.{campaign.name}", str(sizes)) as progress:
         runner = select_runner(options.workers, options.cluster)
         kept = options.out if campaign.keeps else None
         context = Context(options.seed, runner, kept, progress, options.workers, options.cluster)

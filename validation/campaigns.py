@@ -51,6 +51,7 @@ class Context:
     ) -> list[Result]:
         """Return `work(*job)` of each job in the order of the jobs, and tell the progress."""
         every, found = list(jobs), list[Result]()
+        self.progress(0, len(every), what)
         for one in in_order(self.run, work, every):
             found.append(one)
             self.progress(len(found), len(every), what)
@@ -181,6 +182,7 @@ def brief(context: Context, only: str = "") -> Document:
         raise BadRequest(f"set only: no campaign with a brief form is called {only}")
     os.chdir(ROOT)
     document: Document = {}
+    context.progress(0, len(chosen), chosen[0].name)  # a share in the first report would be an earlier result
     with ThreadPoolExecutor(context.workers) as pool:
         for done, ended in enumerate(pool.map(partial(run_brief, seed=context.seed), chosen), 1):
             context.progress(done, len(chosen), ended.campaign.name)

@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
+from fsw.dictionary.commands import Command, Retract, ToolChange
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
-from fsw.dictionary.types import joints5
+from fsw.dictionary.types import AUTO, joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array

@@ -5,6 +5,7 @@ from typing import Annotated, Final, Literal
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import (
+    AUTO,
     Angle,
     BranchName,
     Direction,
@@ -25,8 +26,6 @@ JointDeflectionMode = Literal["off", "absolute"]
 """Gravity compensation of a move to joint angles, which has no tool as reference."""
 ROVER: Final = "rover"
 """Name of frame RMECH in a command."""
-AUTO: Final = "auto"
-"""Name of a branch that flight software chooses."""
 
 JointAngles = Annotated[Joints5, Limits(-7.0, 7.0)]
 """Output angles; a full turn and a tenth, as no joint turns farther."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any, TypeVar, dataclass_transform, get_args
+from typing import Annotated, Any, Final, TypeVar, dataclass_transform, get_args
 
 Record = TypeVar("Record")
 
@@ -48,7 +48,9 @@ SwitchName = Annotated[str, NameMark.SWITCH]
 FrameName = Annotated[str, NameMark.FRAME]
 """Name of a frame, in small letters."""
 BranchName = Annotated[str, NameMark.BRANCH]
-"""auto, or one of the names in kinematics.branches.BRANCHES."""
+"""AUTO, or one of the names in kinematics.branches.BRANCHES."""
+AUTO: Final = "auto"
+"""Name of a branch that flight software chooses."""
 
 
 def match_name(text: object, known: Iterable[str]) -> str | None:

@@ -1,6 +1,6 @@
 """Context of a command: the mode machine, the checks that commands share, and the settings: tilt, parameters.
 
-The types and limits of single arguments are checked where a command arrives (dictionary/validity.py).
+The types and limits of single arguments are checked where a command arrives (dictionary/arguments.py).
 """
 
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.config import Config, configure, configure_at
+from fsw.dictionary.arguments import Names
 from fsw.dictionary.commands import (
-    AUTO,
     ROVER,
     Command,
     Dock,
@@ -33,8 +33,8 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Frame, Joint, Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused, Evr, ParamSet, TiltSet
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import NameMark
-from fsw.dictionary.validity import Names, check_arm, check_limits
+from fsw.dictionary.types import AUTO, NameMark
+from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forget_joint
 from fsw.kinematics.closed_form import BRANCHES

@@ -7,7 +7,6 @@ import numpy as np
 from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
-    AUTO,
     Calibrate,
     DeflectionMode,
     Dock,
@@ -24,7 +23,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
-from fsw.dictionary.types import joints5, vector3
+from fsw.dictionary.types import AUTO, joints5, vector3
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.poses import HOMED_TWICE, find_gravity_pose
 from fsw.kinematics.transforms import Array, normalize

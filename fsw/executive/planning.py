@@ -9,7 +9,6 @@ from fsw.collision.distance import limit_surface
 from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
-    AUTO,
     GuardedMove,
     MoveJoint,
     MoveJoints,
@@ -21,6 +20,7 @@ from fsw.dictionary.commands import (
     Unstow,
 )
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import AUTO
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.context import check_arguments
 from fsw.executive.expansion import CompoundCommand, expand_command, locate_surface

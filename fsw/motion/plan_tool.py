@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
-from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
+from fsw.dictionary.commands import ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.types import AUTO
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import Frames, tool_pose
 from fsw.kinematics.closed_form import BRANCHES

@@ -1,22 +1,24 @@
 """Define the verbs that compute: `ik`, `reach`, `budget`, `monte-carlo`, `calibrate`, `arm`, `dictionary`."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.common.options import ArmRequest, CalibrateRequest
-from marsarm.ik.request import IkRequest, ReachRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import JsonOption, VerbResult, print_result, report_user_errors, shown, verb
 
+if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
+    import marsarm.accuracy.request
+    import marsarm.common.options
+    import marsarm.ik.request
+
 
 @verb
-def ik(request: IkRequest, progress: Progress) -> VerbResult:
+def ik(request: "marsarm.ik.request.IkRequest", progress: Progress) -> VerbResult:
     """Compute the five output angles of every branch of a target, or the reason why it is invalid.
 
-    x forward, y right, z down; collisions are not checked. The exit status is 0 also if no branch reaches the
+    x forward, y right, z down; collisions are not checked. The exit status is 3 if no branch reaches the
     target. With compensation, a branch far outside the limits has no angles, only its approximate excess.
 
     Example: marsarm ik --tool mahli --position 2.1 0 -0.3 --approach 0.5 0 0.85 --tilt-pitch 10
@@ -25,12 +27,13 @@ def ik(request: IkRequest, progress: Progress) -> VerbResult:
 
     report = solve(request, progress)
     if isinstance(report, IkReport):
-        return shown(ik_document(report), ik_parts(report))
+        document = ik_document(report)
+        return shown(document, ik_parts(report), is_done=document["valid"] > 0)
     return shown(batch_document(report), batch_parts(report))
 
 
 @verb
-def reach(request: ReachRequest, progress: Progress) -> VerbResult:
+def reach(request: "marsarm.ik.request.ReachRequest", progress: Progress) -> VerbResult:
     """Count the valid branches in the workspace of an arm, and the reasons why others are invalid.
 
     That of Curiosity is a cylinder 0.8 m across and 1.0 m tall around RNAV x = 2.1 m, from 0.2 m below the
@@ -46,7 +49,7 @@ def reach(request: ReachRequest, progress: Progress) -> VerbResult:
 
 
 @verb
-def budget(request: BudgetRequest, progress: Progress) -> VerbResult:
+def budget(request: "marsarm.accuracy.request.BudgetRequest", progress: Progress) -> VerbResult:
     """Predict the accuracy of the arm before it is built, from eleven sources of error at seven frames.
 
     Every source is a small rotation or translation of some frames. It is propagated to the tool over the
@@ -66,7 +69,7 @@ def budget(request: BudgetRequest, progress: Progress) -> VerbResult:
 
 
 @verb
-def monte_carlo(request: MonteCarloRequest, progress: Progress) -> VerbResult:
+def monte_carlo(request: "marsarm.accuracy.request.MonteCarloRequest", progress: Progress) -> VerbResult:
     """Check the error budget on arms with sampled errors, which flight software moves.
 
     Every arm has errors of its own, and every move adds random ones. The position error of the tool is
@@ -85,7 +88,7 @@ def monte_carlo(request: MonteCarloRequest, progress: Progress) -> VerbResult:
 
 
 @verb
-def calibrate(request: CalibrateRequest, progress: Progress) -> VerbResult:
+def calibrate(request: "marsarm.common.options.CalibrateRequest", progress: Progress) -> VerbResult:
     """Find the parameters of an arm and their uncertainty from poses that a laser tracker measured.
 
     In simulation the whole campaign is run: hardstops, every move by flight software, two stand-in turrets,
@@ -111,7 +114,7 @@ def calibrate(request: CalibrateRequest, progress: Progress) -> VerbResult:
 
 
 @verb
-def arm(request: ArmRequest) -> VerbResult:
+def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
     """List the arms of the project, show one, or make its files.
 
     Without a name it lists them. With one it shows links, joints and frames at the pose above the workspace.

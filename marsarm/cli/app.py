@@ -5,7 +5,6 @@ from marsarm.cli.diagnosis import diagnose, gap_app
 from marsarm.cli.log import log_app, replay
 from marsarm.cli.runs import hardstop, place, run, show, view
 from simgap.common.app import make_app, run_app
-from simgap.common.verb import VerbCommand
 
 app = make_app(
     "marsarm", "Control of the arms of Curiosity and like rovers, a MuJoCo plant for them, and ground tools."
@@ -13,8 +12,8 @@ app = make_app(
 
 app.command()(show)
 app.command()(place)
-app.command(cls=VerbCommand)(ik)
-app.command(cls=VerbCommand)(reach)
+app.command()(ik)
+app.command()(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(view)
@@ -24,9 +23,9 @@ app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
 app.command()(arm)
 app.command()(budget)
-app.command("monte-carlo", cls=VerbCommand)(monte_carlo)
+app.command("monte-carlo")(monte_carlo)
 app.command()(calibrate)
-app.command(cls=VerbCommand)(diagnose)
+app.command()(diagnose)
 
 
 def main() -> None:

@@ -1,15 +1,17 @@
 """Define the verbs of the diagnosis: `gap record`, `gap demo` and `diagnose`."""
 
 import sys
+from typing import TYPE_CHECKING
 
-import typer
-
-from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, NextRequest, RecordRequest
+from simgap.common.app import VerbApp
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, verb
 
-gap_app = typer.Typer(
+if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
+    import marsarm.diagnosis.arm.request
+
+gap_app = VerbApp(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
     "Example: marsarm gap demo --seed 3",
     no_args_is_help=True,
@@ -18,7 +20,7 @@ gap_app = typer.Typer(
 
 @gap_app.command()
 @verb
-def record(request: RecordRequest, progress: Progress) -> VerbResult:
+def record(request: "marsarm.diagnosis.arm.request.RecordRequest", progress: Progress) -> VerbResult:
     """Record the campaign of motions for `marsarm diagnose`; it takes half a minute.
 
     Logs hold no truth of the plant. Motions to validate a diagnosis on are in DIR/held-out.
@@ -35,7 +37,7 @@ def record(request: RecordRequest, progress: Progress) -> VerbResult:
 
 @gap_app.command("next")
 @verb
-def propose(request: NextRequest, progress: Progress) -> VerbResult:
+def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Progress) -> VerbResult:
     """Diagnose logs, and propose the motion that settles what the diagnosis leaves open.
 
     A finding may be a set of effects or a place, or another effect may imitate it: these are rivals. Sweeps
@@ -65,7 +67,7 @@ def propose(request: NextRequest, progress: Progress) -> VerbResult:
 
 @gap_app.command()
 @verb
-def demo(request: DemoRequest, progress: Progress) -> VerbResult:
+def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progress) -> VerbResult:
     """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
 
     In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
@@ -107,7 +109,7 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
 
 
 @verb
-def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
+def diagnose(request: "marsarm.diagnosis.arm.request.DiagnoseRequest", progress: Progress) -> VerbResult:
     """Find why an arm and its simulation differ: the effect, its place and the residual that remains.
 
     Four lines say where the gap is, its cause and how sure that is, how far it shrinks, and what to record.

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from simgap.common.app import VerbApp
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb
@@ -19,7 +20,7 @@ ToOption = Annotated[
     float | None, typer.Option("--to", help="Log time to end before, in seconds.", metavar="S")
 ]
 
-log_app = typer.Typer(
+log_app = VerbApp(
     help="Inspect, plot, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
     no_args_is_help=True,
 )

@@ -1,14 +1,16 @@
 """Define the verbs that move an arm or show it: `show`, `place`, `run`, `hardstop` and `view`."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from marsarm.common.options import ViewRequest
-from marsarm.runs.request import SHOWN_PLACEMENT, HardstopRequest, PlaceRequest, RunRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb
+
+if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
+    import marsarm.common.options
+    import marsarm.runs.request
 
 AllOption = Annotated[
     bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
@@ -20,7 +22,7 @@ ListOption = Annotated[bool, typer.Option("--list", help="Run nothing; list the 
 
 
 @verb
-def show(progress: Progress, request: PlaceRequest = SHOWN_PLACEMENT) -> VerbResult:
+def show(request: "marsarm.runs.request.ShowRequest", progress: Progress) -> VerbResult:
     """Place an instrument, and open a page in the browser that plays it.
 
     The options are those of `place`. Without a display it says where the page is; any browser plays it, also
@@ -40,7 +42,7 @@ def show(progress: Progress, request: PlaceRequest = SHOWN_PLACEMENT) -> VerbRes
 
 
 @verb
-def place(request: PlaceRequest, progress: Progress) -> VerbResult:
+def place(request: "marsarm.runs.request.PlaceRequest", progress: Progress) -> VerbResult:
     """Unstow, place an instrument on a rock, and retract.
 
     RNAV is x forward, y right, z down, from the ground below the rover: a rock 0.25 m high has z = -0.25.
@@ -57,7 +59,10 @@ def place(request: PlaceRequest, progress: Progress) -> VerbResult:
 
 @verb
 def hardstop(
-    request: HardstopRequest, progress: Progress, all_joints: AllOption = False, plan: PlanOption = False
+    request: "marsarm.runs.request.HardstopRequest",
+    progress: Progress,
+    all_joints: AllOption = False,
+    plan: PlanOption = False,
 ) -> VerbResult:
     """Run joints against their negative hardstops and set the encoder zeros there.
 
@@ -83,7 +88,9 @@ def hardstop(
 
 
 @verb
-def run(request: RunRequest, progress: Progress, lists: ListOption = False) -> VerbResult:
+def run(
+    request: "marsarm.runs.request.RunRequest", progress: Progress, lists: ListOption = False
+) -> VerbResult:
     """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.mp4
@@ -102,7 +109,7 @@ def run(request: RunRequest, progress: Progress, lists: ListOption = False) -> V
 
 
 @verb
-def view(request: ViewRequest, progress: Progress) -> VerbResult:
+def view(request: "marsarm.common.options.ViewRequest", progress: Progress) -> VerbResult:
     """Play a log in the browser, or write a page that plays it without a server.
 
     Both show the true arm, the arm that flight software believes, rover, rock, contact force, plots and

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.collision.geometry import build_collision_geometry
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
@@ -103,8 +104,9 @@ def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
     def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
         return _draw_map(axes, (across, along, samples.valid), ranges, scale_max)
 
+    rover = build_collision_geometry(model.params, model.arm).rover
     for axes, plane in ((side, (0, 2)), (top, (1, 0))):
-        outlines = project_outlines(model.rover, model.rover.X_CS, plane)
+        outlines = project_outlines(rover, rover.X_CS, plane)
         draw_outlines(axes, outlines, P_NR_M[list(plane)], facecolor="0.93", edgecolor="0.6")
     down, right = np.degrees((space.wedge_down_rad, space.wedge_side_rad))
     outline: dict[str, Any] = {"fill": False, "edgecolor": "black", "linewidth": 1.2}

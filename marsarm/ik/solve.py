@@ -10,8 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
-from fsw.dictionary.params import digest
+from fsw.dictionary.params import Params, digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
@@ -40,17 +39,15 @@ class IkModel:
     arm: Arm
     tool: str
     gravity_R_m_s2: Array | None
-    params_sha256: str
+    params: Params
     workspace: Workspace
     """Workspace of the drawing."""
-    rover: RoundedBoxes
-    """Hull of the rover in RMECH."""
 
     @property
     def description(self) -> str:
         """Describe the arm and its load."""
         request = self.request
-        text = f"{self.tool}, {request.arm} arm"
+        text = f"{self.tool}, arm {request.arm}"
         if request.warming_K:
             text += f" {request.warming_K:+g} K"
         if self.gravity_R_m_s2 is None:
@@ -86,10 +83,8 @@ def build_ik_model(request: ModelRequest) -> IkModel:
     params = arm.params
     tool = parse_tool(request.tool or arm.model.description.instrument, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
-    cold = build_arm(params)
-    rover = build_collision_geometry(params, cold).rover
-    warm = heat_arm(cold, request.warming_K)
-    return IkModel(request, warm, tool, gravity, digest(params), arm.model.workspace, rover)
+    warm = heat_arm(build_arm(params), request.warming_K)
+    return IkModel(request, warm, tool, gravity, params, arm.model.workspace)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +187,7 @@ def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
         "marsarm": version("marsarm"),
         **asdict(request.model),
         "params": None if params is None else str(params),
-        "params_sha256": model.params_sha256,
+        "params_sha256": digest(model.params),
         "gravity_R_m_s2": None if model.gravity_R_m_s2 is None else model.gravity_R_m_s2.tolist(),
         "batch": str(request.batch),
         "frame": request.frame,
@@ -239,7 +234,8 @@ def ik_parts(report: IkReport) -> list[str | ReportTable]:
     valid = [one for one in branches if one["reason"] is None]
     rows = [(one["branch"], *(f"{angle:.3f}" for angle in one["output_deg"])) for one in valid]
     head = ("branch", *(f"{joint}\ndeg" for joint in JOINT_NAMES))
-    title = f"{report.model.description}: {len(valid)} of {len(branches)} branches valid"
+    found = f"{len(valid)} of {len(branches)} branches valid" if valid else "no branch reaches the target"
+    title = f"{report.model.description}: {found}"
     parts: list[str | ReportTable] = [ReportTable(head, rows, title, is_whole=True)] if valid else [title]
     if valid:
         worst = max(float(one["forward_error"]) for one in valid)
@@ -276,7 +272,7 @@ def model_document(model: IkModel) -> dict[str, Any]:
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "gravity_R_m_s2": model.gravity_R_m_s2,
         "warming_K": request.warming_K,
-        "params_sha256": model.params_sha256,
+        "params_sha256": digest(model.params),
     }
 
 

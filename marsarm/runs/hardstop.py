@@ -100,7 +100,7 @@ class HardstopJob:
 def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
     """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_hardstop(request)
-    title = f"hardstops of {job.arm.name} arm"
+    title = f"hardstops of arm {job.arm.name}"
     with open_view(RunFiles(view=request.view), title, job.world, job.arm, job.effects) as view:
         runs = tuple(_iter_runs(request, job, progress, view))
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)

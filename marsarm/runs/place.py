@@ -97,7 +97,7 @@ class PlaceReport:
 def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceReport:
     """Carry out a placement; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_placement(request)
-    title = f"{job.placement.tool} on {job.arm.name} arm"
+    title = f"{job.placement.tool} on arm {job.arm.name}"
     effects = effects_of_run(job.effects)
     with (
         reserve(request.files.log, "log"),

@@ -67,7 +67,7 @@ def place_parts(report: "PlaceReport") -> list[str | Emphasis | ReportTable]:
             total, lateral, normal, backlash = (f"{value:.2f}" for value in _error_mm(error).values())
             rows.append((name, total, lateral, normal, f"{degrees(error.axis_rad):.3f}", backlash))
     head = ("", "total mm", "lateral mm", "normal mm", "axis deg", "backlash mm")
-    title = f"{report.tool} on {request.arm} arm: {result.outcome.value}"
+    title = f"{report.tool} on arm {request.arm}: {result.outcome.value}"
     branch = f"branch    {result.branch or 'none'}"
     return [ReportTable(head, rows, title), branch, *_execution_lines(report.execution, request.files)]
 
@@ -154,7 +154,7 @@ def run_parts(report: "RunReport") -> list[str | Emphasis | ReportTable]:
     """Show a run: each check with its bounds, the warnings, and the files."""
     result, scenario = report.execution.result, report.scenario
     passed = "passed" if report.passed else "NOT passed"
-    title = f"{scenario.title} on {report.arm} arm: {result.outcome.value}, {passed}"
+    title = f"{scenario.title} on arm {report.arm}: {result.outcome.value}, {passed}"
     rows = [_check_cells(check) for check in result.checks]
     parts: list[str | Emphasis | ReportTable] = [
         ReportTable(("check", "", "measured", "bound", ""), rows, title)

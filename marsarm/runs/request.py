@@ -93,6 +93,13 @@ class PlaceRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class ShowRequest(PlaceRequest):
+    """Options of `marsarm show`."""
+
+    files: RunFiles = RunFiles(page=Path("place.html"))
+
+
+@dataclass(frozen=True, slots=True)
 class RunRequest:
     """Options of `marsarm run`; None takes the value of the scenario."""
 
@@ -170,7 +177,3 @@ class HardstopRequest:
     picture: Annotated[
         Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
     ] = None
-
-
-SHOWN_PLACEMENT: Final = PlaceRequest(files=RunFiles(page=Path("place.html")))
-"""Placement of `marsarm show`."""

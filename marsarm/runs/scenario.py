@@ -58,7 +58,7 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
-    title = f"{scenario.title} on {arm.name} arm"
+    title = f"{scenario.title} on arm {arm.name}"
     with (
         reserve(request.files.log, "log"),
         open_view(request.files, title, scenario.world, arm, scenario.effects) as view,

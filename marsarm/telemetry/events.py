@@ -10,9 +10,9 @@ from typing import Any, Final, Literal, Self, get_args, get_origin, get_type_hin
 
 import numpy as np
 
+from fsw.dictionary.arguments import MAX_FLOAT
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
-from fsw.dictionary.validity import MAX_FLOAT
 from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 

@@ -25,10 +25,10 @@ import numpy as np
 from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
 
 from fsw.config import Config
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params, digest
-from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.estimate.reference import Reference
 from fsw.executive.context import known_names
 from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message

@@ -1,6 +1,7 @@
 """Reports of the verbs of `marsarm log`: documents, and tables and sentences for people."""
 
 import json
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,6 +26,9 @@ OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""
 JSON_KEYS: Final = ("boot", "cpu", "effects", "request", "session", "world")
 """Keys of the header whose values are JSON."""
+
+LABEL_WIDTH: Final = 18
+LINE_WIDTH: Final = 100
 
 
 def info_document(log: Log) -> dict[str, Any]:
@@ -79,6 +83,8 @@ def _say_value(value: Any) -> str:
         return ", ".join(said) or "none" if len(said) < 7 else f"{said[0]} and {len(said) - 1} more"
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
     text = str(value)
     return text[:12] if len(text) in (40, 64) and set(text) <= set("0123456789abcdef") else text
 
@@ -94,6 +100,14 @@ def _lost_document(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
         }
         for one in lost
     ]
+
+
+def _wrap(line: str) -> str:
+    """Return a line with its label in lines of LINE_WIDTH; a path stays whole."""
+    indent = " " * LABEL_WIDTH
+    return textwrap.fill(
+        line, LINE_WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def info_parts(log: Log) -> list[str | ReportTable]:
@@ -116,7 +130,7 @@ def info_parts(log: Log) -> list[str | ReportTable]:
     if log.lost:
         recovered = ["This log was recovered from a damaged one.", _lost_table(log.lost)]
     return [
-        *(f"{name:<16}  {text}" for name, text in about.items()),
+        *(_wrap(f"{name:<{LABEL_WIDTH}}{text}") for name, text in about.items()),
         *([ReportTable(("topic", "messages", "rate Hz", ""), rows)] if rows else []),
         f"EVRs: {evrs or 'none'}",
         *recovered,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Final
 
-from fsw.dictionary.commands import AUTO
+from fsw.dictionary.types import AUTO
 from fsw.dictionary.validity import check_limits
 from fsw.kinematics.closed_form import BRANCHES
 from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import Annotated, Final, Literal
 
-from fsw.dictionary.commands import AUTO, Command
-from fsw.dictionary.types import Direction, Limits, Position, ToolName
+from fsw.dictionary.commands import Command
+from fsw.dictionary.types import AUTO, Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect, check_effects
 from sim.effects.faults import InjectedFault

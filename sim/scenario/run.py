@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, CYCLE_S
-from fsw.dictionary.commands import AUTO, MoveJoints, MoveTool
+from fsw.dictionary.commands import MoveJoints, MoveTool
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, Evr
 from fsw.dictionary.params import TeachPoint
-from fsw.dictionary.types import Joints5, joints5, vector3
+from fsw.dictionary.types import AUTO, Joints5, joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.closed_form import BRANCHES

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Final, get_args
 
 import numpy as np
 
-from fsw.dictionary.commands import AUTO, ROVER, Command, Dock
+from fsw.dictionary.arguments import Wrong, read_arguments
+from fsw.dictionary.commands import ROVER, Command, Dock
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits, NameMark, match_name, vector3
-from fsw.dictionary.validity import Wrong, read_arguments
+from fsw.dictionary.types import AUTO, Limits, NameMark, match_name, vector3
 from fsw.executive.context import check_arguments, known_names
 from fsw.kinematics.closed_form import BRANCHES
 from sim.effects.environment import PowerLoss

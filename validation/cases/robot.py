@@ -76,6 +76,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
         plans = plan_robot_cases(cases, seed, self.models, self.kinds)
         jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", self, one) for one in plans]
+        progress(0, len(jobs), "drawing")
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
             progress(done, len(jobs), f"drew {name}")
         case_type = TypeAdapter(self.case_type)

@@ -308,6 +308,7 @@ def solve_cases(folder: Path, maker: CaseMaker[Any], run: Runner, progress: Prog
     ]
     if jobs:  # before the workers start, else each would compute it
         maker.prepare(folder, run, progress)
+    progress(0, len(jobs), "solving")
     for done, name in enumerate(run(solve_case, jobs), 1):
         progress(done, len(jobs), name)
     return len(jobs), len(cases)

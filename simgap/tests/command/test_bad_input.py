@@ -189,6 +189,7 @@ DIAGNOSE = {
     "robot.toml log.parquet --seed -1": "seed: -1 is below 0",
     "robot.toml log.parquet --split nosuch": "the robot file names no split file",
     "robot.toml log.parquet --held-out nosuch": "'nosuch' is no motion, condition or file",
+    "robot.toml log.parquet --held-out 'motion 2,motion 3'": "name each by itself: --held-out A",
     "robot.toml log.parquet --held-out ''": "'' is no motion, condition or file",
     "robot.toml log.parquet --held-out log": "nothing is fitted",
     "robot.toml log.parquet --split a --held-out log": "they exclude each other",

@@ -73,6 +73,22 @@ def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     )
 
 
+def test_radians_that_are_read_as_degrees_at_every_joint_are_a_question(folder):
+    text = (folder / "robot.toml").read_text()
+    assert text.count('unit = "rad"') == 4
+    (folder / "wrong.toml").write_text(text.replace('unit = "rad"', 'unit = "deg"'))
+    done = run_simgap(folder, "check", "wrong.toml", "log.parquet")
+    words = " ".join(done.stdout.split())
+    assert "degrees in a motion: are the positions in radians?" in words
+    assert "in radians?" not in run_simgap(folder, "check", "robot.toml", "log.parquet").stdout
+
+
+def test_a_model_in_place_of_the_robot_file_is_refused_with_the_command_that_makes_one(folder):
+    done = run_simgap(folder, "check", "model.xml", "log.parquet")
+    assert done.returncode == 2
+    assert done.stderr.endswith("give a robot file, which `simgap init model.xml LOGS` writes\n")
+
+
 @pytest.mark.parametrize("name", ["set", "bag"])
 def test_a_folder_is_a_log_whose_files_have_one_digest(tmp_path, name):
     (tmp_path / "model.xml").write_text(LINKS)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import (
     Command,
     MoveJoint,
@@ -24,7 +25,6 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from fsw.state import Hold
 from sim.arms import nominal_params

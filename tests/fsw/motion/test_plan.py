@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.commands import AUTO, GuardedMove, MoveJoints, MoveTool, Retract
+from fsw.dictionary.commands import GuardedMove, MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import AUTO
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics

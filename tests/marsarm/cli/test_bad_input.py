@@ -10,12 +10,12 @@ import shlex
 from pathlib import Path
 
 import pytest
-import typer
 
 from helpers.command import LIBRARY_WORDS, call, snapshot
 from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
+from simgap.common.app import VerbApp
 from simgap.common.verb import VerbResult, verb
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
@@ -305,7 +305,7 @@ def test_the_help_shows_brackets_as_they_are(tmp_path: Path) -> None:
         """Read an [[effect]] table and [world]."""
         raise AssertionError
 
-    app = typer.Typer()
+    app = VerbApp()
     app.command()(verb(work))
 
     def program() -> None:

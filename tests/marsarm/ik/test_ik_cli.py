@@ -97,9 +97,11 @@ def test_a_branch_out_of_limits_says_which_joint_and_by_how_much():
             assert has_angles or (document["compensate"] == "absolute" and "about" in branch["reason"])
 
 
-def test_a_target_out_of_reach_is_an_answer_and_no_error(tmp_path):
-    done = marsarm(tmp_path, "ik", "--position", "15", "0", "0", "--approach", "1", "0", "0", "--json")
-    assert (done.returncode, done.stderr) == (0, "")
+def test_a_target_that_no_branch_reaches_has_the_status_of_a_refusal(tmp_path):
+    words = ("ik", "--position", "15", "0", "0", "--approach", "1", "0", "0")
+    assert "no branch reaches the target" in marsarm(tmp_path, *words).stdout
+    done = marsarm(tmp_path, *words, "--json")
+    assert (done.returncode, done.stderr) == (3, "")
     document = json.loads(done.stdout)
     assert document["valid"] == 0
     assert len(document["branches"]) >= 8

@@ -62,7 +62,7 @@ def test_a_run_that_is_refused_faults_or_misses_a_check_ends_with_status_3(folde
     done = marsarm(folder, "run", f"{name}.toml")
     assert done.returncode == 3, done.stderr
     words = " ".join(done.stdout.split())
-    assert f"nominal arm: {outcome}, NOT passed" in words
+    assert f"arm nominal: {outcome}, NOT passed" in words
     assert said in words
     assert [path.name for path in folder.iterdir() if path.suffix != ".toml"] == []
 

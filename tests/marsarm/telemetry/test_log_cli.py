@@ -14,7 +14,7 @@ from marsarm.telemetry.export import export, index_suffixes
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
-from marsarm.telemetry.tables import channels_document, info_document
+from marsarm.telemetry.tables import LINE_WIDTH, channels_document, info_document
 from sim.record import CycleRecord
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import no_progress
@@ -51,6 +51,10 @@ def test_a_log_cut_short_is_said_to_be(folder):
     assert not found["closed"]
     assert 0 < found["cycles"] < CYCLES
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
+
+
+def test_the_header_of_a_log_has_lines_that_a_person_can_read(folder):
+    assert max(map(len, marsarm(folder, "log", "info", "run.mcap").stdout.splitlines())) <= LINE_WIDTH
 
 
 def test_channels_of_a_part(folder):

@@ -39,6 +39,27 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
             wrong = [*_beyond_range(robot, joint, names, samples)]
         yield from wrong or (_beside_command(joint, names, samples) if ratio > 0.0 else ())
     yield from _compare_velocities(robot, speeds, tuple(motion.name for motion in motions))
+    yield from _all_small(robot, motions)
+
+
+def _all_small(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Remark positions in degrees that would be a turn or less if they were radians, at all hinges."""
+    hinges = [joint.name for joint in robot.joints if not joint.is_slide]
+    tables = {} if robot.file is None else robot.file.joints
+    if not hinges or any(name not in tables or tables[name].position.unit != "deg" for name in hinges):
+        return
+    moved = [
+        joint_samples(motion.joints[name]).position
+        for name in hinges
+        for motion in motions
+        if name in motion.joints
+    ]
+    widest_deg = math.degrees(max(map(span, moved), default=math.inf))
+    if widest_deg < math.tau:
+        text = (
+            f"no joint moves by more than {widest_deg:.2g} degrees in a motion: are the positions in radians?"
+        )
+        yield Remark(RemarkKind.STILL, "", tuple(motion.name for motion in motions), text, widest_deg)
 
 
 def _compare_velocities(

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.table import Table
 
@@ -19,6 +19,8 @@ from simgap.files.table_log import TableLog
 from simgap.setup.times import find_times
 from simgap.units import UNITS
 
+MODELS: Final = (".xml", ".mjcf", ".urdf")
+
 
 @dataclass(frozen=True, slots=True)
 class LogContent:
@@ -33,10 +35,15 @@ def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[
     """List the columns of the logs of a request that names no robot file.
 
     Raises:
-        BadRequest: a page is asked for, which only a check with a robot file makes.
+        BadRequest: a model stands in place of the robot file, or a page is asked for, which only a check with
+            a robot file makes.
         RobotError: a log cannot be read.
     """
     check_options(request)
+    if request.robot.suffix.lower() in MODELS:
+        raise BadRequest(
+            f"{request.robot}: is a model; give a robot file, which `simgap init {request.robot} LOGS` writes"
+        )
     if request.report is not None:
         raise BadRequest("report: is of a check; name a robot file before the logs")
     paths = (request.robot, *request.logs)

@@ -4,18 +4,26 @@ The output is buffered, so that a full disk gives one error and a closed pipe no
 """
 
 import gc
+import inspect
 import json
 import os
+import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from io import BytesIO, TextIOWrapper
-from typing import Annotated, Final, NoReturn, TextIO
+from itertools import pairwise
+from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
+from typer.core import TyperCommand
+from typer.main import get_command_from_info
+from typer.models import CommandInfo
+
+from simgap.common.options import CLUSTER_HERE
 
 GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that turn OpenGL off in mujoco."""
@@ -24,6 +32,8 @@ NEW_OBJECTS: Final = 50_000
 EXIT_BAD_INPUT: Final = 2
 LEAST_LIKENESS: Final = 0.75
 """Least ratio of `difflib` for an option to be suggested: `--tol` has 0.91 to `--tool`, `--foo` 0.73."""
+ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
+"""Value of the option `--cluster`."""
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
 
@@ -84,9 +94,43 @@ def _discard(stdout: TextIO) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
 
 
-def make_app(program: str, about: str) -> typer.Typer:
+class VerbCommand(TyperCommand):
+    """Command whose options are read when it is chosen: those of all verbs take a third of `--help`."""
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """Parse the words of the command line; typer does not know that `--cluster` may stand alone."""
+        self.read_options()
+        return super().make_context(info_name, list(give_address(args)), parent, **extra)
+
+    def read_options(self) -> None:
+        """Read the options of the verb; those of a command that is no verb are there."""
+        read = getattr(inspect.unwrap(self.callback), "read_options", None) if self.callback else None
+        if read is not None:
+            whole = get_command_from_info(
+                CommandInfo(callback=read()), pretty_exceptions_short=False, rich_markup_mode=None
+            )
+            self.callback, self.params = whole.callback, whole.params
+
+
+class VerbApp(typer.Typer):
+    """Command line, or a part of it, whose commands are verbs."""
+
+    def command(self, name: str | None = None, **_: Any) -> Callable[..., Any]:
+        """Make a command of a verb."""
+        return super().command(name, cls=VerbCommand)
+
+
+def give_address(words: Sequence[str]) -> Iterator[str]:
+    """Put CLUSTER_HERE after an option `--cluster` that no HOST:PORT follows."""
+    for word, following in pairwise((*words, "")):
+        yield word
+        if word == "--cluster" and not ADDRESS.fullmatch(following):
+            yield CLUSTER_HERE
+
+
+def make_app(program: str, about: str) -> VerbApp:
     """Make the command line of a program, with its version and no verb yet."""
-    app = typer.Typer(
+    app = VerbApp(
         name=program,
         help=about,
         no_args_is_help=True,

@@ -51,5 +51,5 @@ WARNING_STYLE: Final = "bold"
 
 
 def plain_console(width: int | None = None) -> Console:
-    """Make a console that interprets no markup: titles, paths and messages may contain brackets."""
-    return Console(highlight=False, markup=False, width=width)
+    """Make a console that interprets no markup: titles, paths and messages may contain brackets, colons."""
+    return Console(highlight=False, markup=False, emoji=False, width=width)

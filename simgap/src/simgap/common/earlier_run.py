@@ -28,21 +28,24 @@ class EarlierRun:
 
     shares: tuple[float, ...]
     times_s: tuple[float, ...]
+    request: str = ""
+    """What the run was asked for."""
 
     @classmethod
-    def of_points(cls, points: Sequence[tuple[float, float]], total_s: float) -> Self:
+    def of_points(cls, points: Sequence[tuple[float, float]], total_s: float, request: str = "") -> Self:
         """Make the course of a run from its reports.
 
         Args:
             points: Share and time since the start, neither falls.
             total_s: Duration of the run.
+            request: What it was asked for.
         """
         kept = [(0.0, 0.0)]
         for share, time_s in points:
             if share >= kept[-1][0] + STEP and share < 1.0:
                 kept.append((share, time_s))
         shares, times_s = zip(*kept, (1.0, total_s), strict=True)
-        return cls(shares, times_s)
+        return cls(shares, times_s, request)
 
     def left_s(self, first_share: float, share: float, spent_s: float, since_s: float) -> float:
         """Estimate the time left of a run, which is as fast in its rest as it was until now.
@@ -74,8 +77,8 @@ def read_earlier_run(job: str) -> EarlierRun | None:
     """Return the course of the last run of a job that was kept; None if there is none."""
     try:
         document = json.loads(_path(job).read_text())
-        points = [(float(share), float(time_s)) for share, time_s in document[:-1]]
-        return EarlierRun.of_points(points, float(document[-1][1]))
+        points = [(float(share), float(time_s)) for share, time_s in document["points"]]
+        return EarlierRun.of_points(points[:-1], points[-1][1], str(document["request"]))
     except (OSError, ValueError, TypeError, IndexError, KeyError):  # absent, torn or of another version
         return None
 
@@ -88,7 +91,8 @@ def keep_run(job: str, run: EarlierRun) -> None:
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as part:
-            part.write_text(json.dumps([*zip(run.shares, run.times_s, strict=True)]))
+            points = [*zip(run.shares, run.times_s, strict=True)]
+            part.write_text(json.dumps({"request": run.request, "points": points}))
 
 
 def _path(job: str) -> Path:

@@ -4,7 +4,6 @@ import fcntl
 import hashlib
 import json
 import os
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -218,7 +217,7 @@ def atomic_path(target: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot replace the target, which is then unchanged.
     """
-    part = target.with_name(f".write-{secrets.token_hex(8)}.part")
+    part = target.with_name(f".write-{os.urandom(8).hex()}.part")
     try:
         yield part
         os.replace(part, target)

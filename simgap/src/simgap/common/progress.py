@@ -1,7 +1,8 @@
 """Progress of long work: its interface, and its output on standard error with the time left.
 
 On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line after a second, then ever more rarely.
-The time left follows from an earlier run of the same command on this machine, or else from the share done.
+The time left follows from an earlier run of the same command on this machine, or else from the share done;
+then it is a range while a step of the work lasts.
 """
 
 import os
@@ -26,6 +27,9 @@ WAITS_S: Final = (1.2, 8.8, 20.0, 30.0, 60.0)
 Most bad input is refused before the first line, which comes within 2 s of the start of Python.
 """
 
+MOST_SPREAD: Final = 1.5
+"""Ratio of the most to the least time left up to which the most stands for both."""
+
 
 def part_of(progress: Progress, begin: float, end: float) -> Progress:
     """Make the progress of one stage, which begins and ends at these shares of the whole work."""
@@ -45,6 +49,8 @@ class ProgressState:
     """Time of the start, of a monotonic clock."""
     earlier: EarlierRun | None = None
     """Earlier run of the same command, which had the same stages; None if there was none."""
+    request: str = ""
+    """What the command is asked for."""
     what: str = "starting"
     share: float = 0.0
     """Share of the work that is done; it never falls."""
@@ -54,8 +60,6 @@ class ProgressState:
     """Share at the first report: results of an earlier command, which took no time."""
     first_s: float = 0.0
     """Time of the first report."""
-    total_s: float | None = None
-    """Estimated time from the first report to the end; None before there is an estimate."""
     n_reports: int = 0
     """Reports, which show that the work goes on while no share of it is known to be done."""
     points: list[tuple[float, float]] = field(default_factory=list)
@@ -76,22 +80,33 @@ class ProgressState:
             self.points.append((self.share, now_s - self.started_s))
         if self.first_share is None:
             self.first_share, self.first_s = self.share, now_s
-        elif self.share > self.first_share and now_s > self.first_s:
-            rest = (1.0 - self.first_share) / (self.share - self.first_share)
-            self.total_s = (now_s - self.first_s) * rest
 
-    def left_s(self, now_s: float) -> float | None:
-        """Estimate the time left; None before there is an estimate."""
+    def left_s(self, now_s: float) -> tuple[float, float] | None:
+        """Estimate the least and the most time left; None before there is an estimate.
+
+        The least is right if the present step ends now, the most if nothing of it is done.
+        """
+        first, reached_s = self.first_share or 0.0, self.reached_s
+        if self.share <= first and (self.earlier is None or self.earlier.request != self.request):
+            return None  # a run for another request says how the time is spread, not how long it takes
         if self.earlier is not None:
-            begun_s = self.first_s if self.first_share else self.started_s
-            first, reached_s = self.first_share or 0.0, max(self.reached_s, begun_s)
-            return self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
-        return None if self.total_s is None else max(self.first_s + self.total_s - now_s, 0.0)
+            begun_s = self.first_s if first else self.started_s
+            reached_s = max(reached_s, begun_s)
+            left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
+            return left_s, left_s
+        if reached_s <= self.first_s:
+            return None
+        rest = (1.0 - self.share) / (self.share - first)
+        least_s = (reached_s - self.first_s) * rest - (now_s - reached_s)
+        return max(least_s, 0.0), (now_s - self.first_s) * rest
 
     def left_text(self, now_s: float) -> str:
         """Return the time left as text."""
         left_s = self.left_s(now_s)
-        return "time left not known" if left_s is None else f"{format_duration(left_s)} left"
+        if left_s is None:
+            return "time left not known"
+        least, most = map(format_duration, left_s)
+        return f"{most} left" if left_s[1] <= MOST_SPREAD * left_s[0] else f"{least} to {most} left"
 
     def line(self, now_s: float) -> str:
         """Return the state as one line of text."""
@@ -113,13 +128,14 @@ def no_progress(done: float, total: float, what: str) -> None:
 
 
 @contextmanager
-def show_progress(job: str) -> Iterator[Progress]:
+def show_progress(job: str, request: str) -> Iterator[Progress]:
     """Show the progress and the time left of the work in a block; give the function that updates it.
 
     Args:
         job: Name of the work, under which its course is kept for the next time.
+        request: What it is asked for, such as the words of the command line.
     """
-    state = ProgressState(time.monotonic(), read_earlier_run(job))
+    state = ProgressState(time.monotonic(), read_earlier_run(job), request)
     has_bar = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     with (_show_bar if has_bar else _print_lines)(state) as refresh:
 
@@ -129,7 +145,7 @@ def show_progress(job: str) -> Iterator[Progress]:
 
         yield update
     if not state.first_share:  # what an earlier command has done took no time
-        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s))
+        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s, request))
 
 
 @contextmanager

@@ -8,16 +8,15 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
-from itertools import pairwise
+from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, get_args, get_origin
 
 import typer
-from typer.core import TyperCommand
 
 from simgap.common.app import EXIT_BAD_INPUT, release_stdout
 from simgap.common.errors import UserError, describe_problems
 from simgap.common.modules import user_files
-from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
+from simgap.common.options import Field, Option, option_fields
 from simgap.common.origin import current_date
 from simgap.common.progress import show_progress
 
@@ -43,8 +42,6 @@ def describe_failed_effect(error: Exception) -> str | None:
     return f"effect {places[-1]['file']}:{places[-1]['line']}: {what}; mend the effect, or leave it out"
 
 
-ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
-"""Value of the option `--cluster`."""
 EXIT_NOT_DONE: Final = 3
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
@@ -84,35 +81,18 @@ def shown(
     )
 
 
-class VerbCommand(TyperCommand):
-    """Command with options that may stand without a value, which typer does not know."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words of the command line, after each such option has got a value."""
-        return super().parse_args(ctx, list(give_address(args)))
-
-
-def give_address(words: Sequence[str]) -> Iterator[str]:
-    """Put CLUSTER_HERE after an option `--cluster` that no HOST:PORT follows."""
-    for word, following in pairwise((*words, "")):
-        yield word
-        if word == "--cluster" and not ADDRESS.fullmatch(following):
-            yield CLUSTER_HERE
-
-
 def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
     """Make a command for typer from a function that carries out a verb.
 
-    The options are the fields of each parameter that is a request, all other parameters, and `--json`. The
-    default of a request, if it has one, holds the defaults of its options. A
+    The options are the fields of each parameter that is a request, all other parameters, and `--json`. A
     parameter `progress` is no option: it gets the function that updates the progress bar. The function
-    imports its domain itself, so that `--help` does not load it.
+    imports its domain itself, and a request may be given as `"module.Request"`, so that `--help` loads
+    neither.
     """
-    parameters = tuple(inspect.signature(work, eval_str=True).parameters.values())
 
     def command(as_json: bool, **values: Any) -> None:
         with report_user_errors(as_json):
-            result = _carry_out(work, parameters, values)
+            result = _carry_out(work, _read_parameters(work), values)
         print_result(result.document, as_json, result.print_table)
         if result.save is not None:
             with report_user_errors(as_json=False):  # the JSON document is complete
@@ -125,11 +105,29 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
         if not result.is_done:
             raise typer.Exit(EXIT_NOT_DONE)
 
-    options = [option for parameter in parameters for option in _verb_options(parameter)]
-    signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])
-    command.__signature__ = signature  # type: ignore[attr-defined]
+    def read_options() -> Callable[..., None]:
+        options = [option for parameter in _read_parameters(work) for option in _verb_options(parameter)]
+        signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])
+        command.__signature__ = signature  # type: ignore[attr-defined]
+        return command
+
+    command.__signature__ = inspect.Signature()  # type: ignore[attr-defined]
+    command.read_options = read_options  # type: ignore[attr-defined]
     command.__name__, command.__doc__ = work.__name__, _help_text(inspect.getdoc(work) or "")
     return command
+
+
+def _read_parameters(work: Callable[..., VerbResult]) -> tuple[inspect.Parameter, ...]:
+    """Return the parameters of the function of a verb, with the classes of its requests."""
+
+    def find(annotation: Any) -> Any:
+        if not isinstance(annotation, str):
+            return annotation
+        module, _, name = annotation.rpartition(".")
+        return getattr(import_module(module), name)
+
+    given = inspect.signature(work).parameters.values()
+    return tuple(parameter.replace(annotation=find(parameter.annotation)) for parameter in given)
 
 
 def _help_text(doc: str) -> str:
@@ -150,7 +148,7 @@ def _carry_out(
         if is_dataclass(parameter.annotation):
             values[parameter.name] = _build_request(parameter.annotation, values)
     current_date()  # a wrong one is refused before the work; numpy would raise an exception
-    with show_progress(f"{work.__module__}.{work.__name__}") as progress:
+    with show_progress(f"{work.__module__}.{work.__name__}", " ".join(sys.argv[1:])) as progress:
         if any(parameter.name == "progress" for parameter in parameters):
             values["progress"] = progress
         return work(**values)
@@ -158,8 +156,7 @@ def _carry_out(
 
 def _verb_options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
     if is_dataclass(parameter.annotation):
-        is_given = parameter.default is not inspect.Parameter.empty
-        yield from _request_options(parameter.annotation, parameter.default if is_given else MISSING)
+        yield from _request_options(parameter.annotation, MISSING)
     elif parameter.name != "progress":
         yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
 

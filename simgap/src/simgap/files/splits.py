@@ -1,6 +1,6 @@
 """Split files: which motions are fitted, and which only judge."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -119,5 +119,7 @@ def find_members(names: Sequence[str], members: Sequence[Member], where: str) ->
     return frozenset(found)
 
 
-def _near(name: str, there: Iterable[str]) -> str:
+def _near(name: str, there: Collection[str]) -> str:
+    if "," in name and all(part.strip() in there for part in name.split(",")):
+        return "; name each by itself: --held-out A --held-out B, or ['A', 'B'] in Python and files"
     return f"; {hint_at(name, [one for one in there if one], 'there are')}"
