@@ -1,4 +1,4 @@
-"""Layout of packets as messages: units of fields, numpy type, ROS 2 definition and JSON; and the encoder of CDR."""
+"""Layout of packets as messages: units of fields, numpy type, ROS 2 definition, JSON; encoder of CDR."""
 
 import ast
 import inspect
