@@ -157,7 +157,7 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
     [
         ({"q1": [0.0, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]}, "'q1', motion 'slow': is no finite number at 0.01"),
         ({"q1": [0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0.0]}, "'q1', motion 'fast': is no finite number at 0.02"),
-        ({"q1": ["a"] * 7}, "column 'q1' has 'a' in row 1; a signal needs numbers"),
+        ({"q1": ["1", *["a"] * 6]}, "column 'q1' has 'a' in row 2; a signal needs numbers"),
         ({"q1": [None] * 7}, "column 'q1' is empty; a signal needs numbers"),
         ({"q1": [None, None, None, 0.0, 0.0, 0.0, 0.0]}, "column 'q1' has no value in motion 'slow'"),
         ({"t": [0.0, 2.0, 1.0, 0.0, 1.0, 2.0, 3.0]}, "motion 'slow': the time of 't' runs backwards from"),

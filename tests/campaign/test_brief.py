@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from validation.__main__ import main
-from validation.campaigns import TABLE, Campaign, Context, read_sizes
+from validation.campaigns import TABLE, BriefResult, Campaign, Context, read_sizes
 
 WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "so101", "view"}
 """Measurements of speed, lists of other campaigns, and what needs optional programs."""
@@ -61,6 +61,11 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
     assert json.loads(printed) == json.loads(written) == document
     assert main(["hardstops"]) == status
     assert capsys.readouterr().out.splitlines() == ["rate: 0.1235", "part / n: 3", f"in_bounds: {in_bounds}"]
+
+
+@pytest.mark.parametrize(("status", "verdict"), [(0, "in bounds"), (2, "FAILED, exit status 2")])
+def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status: int, verdict: str) -> None:
+    assert BriefResult(TABLE[0], status, 3.0, "").line().endswith(f"  3 s, {verdict}")
 
 
 def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:
