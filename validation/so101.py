@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from marsarm.render.svg import save_figure
 from simgap.arrays import Array
-from simgap.assemble import list_base, simulate_models
+from simgap.assemble import list_base
 from simgap.catalogue.catalogue import base_effects
 from simgap.checks.audit import audit
 from simgap.checks.limits import site_heights
@@ -30,7 +30,7 @@ from simgap.logs import Logs, Motion
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.robot import Robot
 from simgap.selection.checkpoint import Meter
-from simgap.selection.context import start_context
+from simgap.selection.context import simulate_models, start_context
 from simgap.selection.joint_fits import fit_base
 from validation.campaigns import Context, Document
 

@@ -1,4 +1,4 @@
-"""Layout of packets as messages: units of fields, numpy type, ROS 2 definition, JSON; encoder of CDR."""
+"""Layout of packets as messages: units, numpy type, ROS 2 definition and JSON of fields; encoder of CDR."""
 
 import ast
 import inspect

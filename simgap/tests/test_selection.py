@@ -13,9 +13,9 @@ from simgap.assemble import (
     find_interval,
     list_remainders,
     select_sure,
-    simulate_models,
 )
 from simgap.selection.chance import FALSE_ALARM
+from simgap.selection.context import simulate_models
 from simgap.selection.fit import Hypothesis, Union
 from simgap.selection.fitting import Fitting
 from simgap.selection.screening import adjust
@@ -79,6 +79,19 @@ def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn() -> None:
     ((place, name, reason),) = [(one.place, one.effect, one.reason) for one in rejected]
     assert (place, name) == ("near", "toy")
     assert reason.startswith("it makes near worse on motions that took no part: ")
+
+
+@pytest.mark.parametrize(("held_out", "members"), [("square", ["square"]), ("bent", ["square", "bent"])])
+def test_what_predicts_motions_that_took_no_part_as_well_stays_in_the_set(
+    held_out: str, members: list[str]
+) -> None:
+    shapes = {"square": np.square, "bent": lambda x: x**2 + 0.2 * x**3}
+    bent = Toy("near", "bent", shapes["bent"])
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, bent), seed=1)
+    judge = draw_toy(2, {})
+    judge.measured[0] += 0.1 * shapes[held_out](judge.commands[0])
+    ((_, (found,), _)) = select_sure(selection, judge)
+    assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

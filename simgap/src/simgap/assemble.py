@@ -19,7 +19,7 @@ from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weigh
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
-from simgap.selection.context import Context, FittedModel, Selection
+from simgap.selection.context import Context, FittedModel, Selection, simulate_models
 from simgap.selection.fit import select_rows
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
@@ -29,6 +29,7 @@ from simgap.selection.verdict import (
     find_confidence_sets,
     find_pushed,
     list_members,
+    readmit_rivals,
     size_intervals,
     unexplained_dependence,
 )
@@ -95,6 +96,8 @@ def select_sure(
 ) -> tuple[Selection, list[ConfidenceSet], list[Rejected]]:
     """Withdraw findings that harm a joint of motions that took no part, or whose intervals all hold 0.
 
+    Such motions also take effects back into the sets, which then are as sure as they say.
+
     Args:
         held_out: Residuals of motions that took no part; None if there are none.
 
@@ -109,6 +112,8 @@ def select_sure(
         sets = find_confidence_sets(selection)
         idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
         if idle is None:
+            if held_out is not None:
+                sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
             return selection, sets, rejected
         rejected.append(Rejected(idle.place, idle.name, "its 90 % interval holds 0"))
         selection = drop_finding(selection, idle)
@@ -159,13 +164,6 @@ def _left_out_gain(selection: Selection, effect: Effect) -> float:
     without = next(model for layer, model in selection.left_out if effect in layer)
     rows = select_rows(context.model, context.joint_of(effect))
     return improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
-
-
-def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
-    """Return the residuals of some motions, (n_models, n), with models that were found on others."""
-    union, points = context.union, np.array(sizes)
-    part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
-    return model.residuals(part, points[:, union.columns(part)])
 
 
 def describe_finding(

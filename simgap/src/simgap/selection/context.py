@@ -193,3 +193,10 @@ def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array
         sharing=context.sharing,
         report=lambda count: context.meter.advance(text, count),
     )
+
+
+def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
+    """Return the residuals of some motions, (n_models, n), with models that were found on others."""
+    union, points = context.union, np.array(sizes)
+    part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
+    return model.residuals(part, points[:, union.columns(part)])

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
-from simgap.residuals.residuals import half_loss_derivatives, root_weight
+from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -21,6 +21,7 @@ from simgap.selection.context import (
     Score,
     Selection,
     resume_step,
+    simulate_models,
     start_fitting,
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
@@ -154,6 +155,24 @@ def start_competitor(
         start[gone], start[own] = 0.0, score.start[own]
     first = start_refit(context, without, replace(score, start=starts[0]))
     return replace(first, other_starts=(starts[1],))
+
+
+def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualModel) -> ConfidenceSet:
+    """Take effects back that were excluded, but predict motions that took no part as well as the finding.
+
+    A test of fits excludes the cause where the model lacks something else. It then predicts no worse.
+    """
+    here = np.isin(held_out.joint_of, joints_of(context, found.effect))
+    if not found.excluded or not here.any():
+        return found
+    sizes = [found.alternatives[0].sizes, *(one.sizes for one in found.excluded)]
+    own, *others = np.mean(np.abs(simulate_models(context, held_out, sizes)[:, here]), axis=1)
+    is_back = [bool(error <= own) for error in others]
+    back, excluded = (
+        tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
+        for wanted in (True, False)
+    )
+    return replace(found, alternatives=(*found.alternatives, *back), excluded=excluded)
 
 
 def _cause_p(
