@@ -196,7 +196,12 @@ def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array
 
 
 def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
-    """Return the residuals of some motions, (n_models, n), with models that were found on others."""
+    """Return the residuals of some motions, (n_models, n), with models that were found on others.
+
+    Args:
+        model: Residuals of the motions.
+        sizes: Sizes of the union, (n_sizes,) for each model.
+    """
     union, points = context.union, np.array(sizes)
     part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
     return model.residuals(part, points[:, union.columns(part)])
