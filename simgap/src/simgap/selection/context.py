@@ -200,7 +200,7 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
 
     Args:
         model: Residuals of the motions.
-        sizes: Sizes of the union, (n_sizes,) for each model.
+        sizes: Those of the union in their units, (n_sizes,) for each model.
     """
     union, points = context.union, np.array(sizes)
     part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
