@@ -16,7 +16,7 @@ from simgap.report.comparison import comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import Score, Selection
-from simgap.selection.selection import list_best
+from simgap.selection.selection import SHORTLIST, list_best
 
 N_MOTIONS = 8
 
@@ -84,10 +84,10 @@ def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
     assert (change.name, change.describe(np.array([-2.0]))) == ("change of square", "square -2")
 
 
-def test_of_an_effect_and_its_change_the_better_one_is_refitted() -> None:
-    square, sine, *_ = CATALOGUE
-    ranked = [Score(one, np.zeros(0), 0.1) for one in (Difference("near", square), square, sine)]
-    assert [one.effect for one in list_best(ranked)] == [Difference("near", square), sine]
+def test_an_effect_and_its_change_count_once_in_the_shortlist_and_are_both_refitted() -> None:
+    effects = [*CATALOGUE[: SHORTLIST + 1], Difference("near", CATALOGUE[0])]
+    ranked = [Score(one, np.zeros(0), 0.1) for one in effects]
+    assert [one.effect for one in list_best(ranked)] == [*effects[:SHORTLIST], effects[-1]]
 
 
 def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:

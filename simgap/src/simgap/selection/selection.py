@@ -218,16 +218,18 @@ def screen(
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     count = len if context.model.noise_std else count_distinct  # probabilities are exact then
     n_distinct = float(sum(count(group) for group in directions.values()))
-    return [score for group in ranked for score in list_best(group)[:SHORTLIST]], n_distinct
+    return [score for group in ranked for score in list_best(group)], n_distinct
 
 
 def list_best(ranked: Sequence[Score]) -> list[Score]:
-    """List scores, of an effect and its variations only the best: they explain parts of one another."""
-    best: dict[str, Score] = {}
-    for score in ranked:
-        effect = score.effect.effect if isinstance(score.effect, Variation) else score.effect
-        best.setdefault(effect.key, score)
-    return [*best.values()]
+    """List the scores of the SHORTLIST best effects, each with its variations: a refit tells them apart.
+
+    Args:
+        ranked: Scores, the best first.
+    """
+    steady = [one.effect.effect if isinstance(one.effect, Variation) else one.effect for one in ranked]
+    first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
+    return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Array]:
