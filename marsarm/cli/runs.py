@@ -32,7 +32,7 @@ def show(request: "marsarm.runs.request.ShowRequest", progress: Progress) -> Ver
     """
     from marsarm.runs.place import place
     from marsarm.runs.report import place_document, place_parts
-    from marsarm.view.browser import OpenedPage
+    from marsarm.view.page import OpenedPage
 
     report = place(request, progress)
     page = report.execution.artifacts.page

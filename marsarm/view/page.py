@@ -1,9 +1,12 @@
-"""View of a log: serve it in the browser, or write it as a page that needs no server."""
+"""View of a log: serve it in the browser, or write it as a page that needs no server; open a page."""
 
 import base64
 import gzip
 import html
 import json
+import os
+import sys
+import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -182,3 +185,21 @@ def view_parts(report: ViewReport) -> list[str]:
     if report.viewer is not None:
         lines.append(f"playing   {what}; Ctrl-C ends it")
     return [*lines, *(f"note      {note}" for note in report.run.notes)]
+
+
+OWN_SCREEN: Final = ("darwin", "win32")
+"""Platforms on which a browser needs no variable to find the screen."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedPage:
+    """Page that is opened when it is played."""
+
+    path: Path
+
+    def play(self) -> None:
+        """Open the page in the browser, or say where it is if there is no display or no browser."""
+        has_display = sys.platform in OWN_SCREEN or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+        is_open = has_display and webbrowser.open(self.path.resolve().as_uri())
+        what = "opened in the browser" if is_open else "there is no display here; open it in any browser"
+        print(f"{self.path}: {what}", file=sys.stderr)

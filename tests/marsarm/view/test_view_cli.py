@@ -17,7 +17,7 @@ import pytest
 
 from helpers.marks import slow_but
 from marsarm.view import server
-from marsarm.view.browser import OpenedPage
+from marsarm.view.page import OpenedPage
 from marsarm.view.scene import TRAIL_STEP_M
 from marsarm.view.server import LiveView
 from simgap.common.errors import BadRequest
