@@ -76,12 +76,13 @@ CONTRAST = """
   const light = (colour) => colour.slice(0, 3).map((v) => v / 255)
     .map((v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
     .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-  const behind = (node) => {
-    for (let at = node; at; at = at.parentElement) {
-      const colour = parse(getComputedStyle(at).backgroundColor);
-      if (colour[3] === 255) return colour;
+  const behind = (node) => {  // a colour that lets light through lies over what is behind it
+    const layers = [];
+    for (let at = node; at && layers.at(-1)?.[3] !== 255; at = at.parentElement) {
+      layers.push(parse(getComputedStyle(at).backgroundColor));
     }
-    return [255, 255, 255];
+    return layers.reduceRight((below, [r, g, b, a]) =>
+      below.map((v, k) => v + (a / 255) * ([r, g, b][k] - v)), [255, 255, 255]);
   };
   let least = 21;
   for (const node of document.body.querySelectorAll(":not(script):not(style):not(noscript)")) {
