@@ -6,7 +6,7 @@ a clock many times in each step, and nothing here reads the profile.
 
 import ctypes
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -99,45 +99,3 @@ def change_gains(model: mujoco.MjModel, servos: Servos, change: Array) -> None:
     model.actuator_gainprm[servos.actuators, GAINS] = servos.gains * share[:, None]
     rise = np.minimum(1.0 / share, servos.full_voltage)
     model.actuator_dynprm[servos.actuators, INTEGRAL_LIMIT] = servos.integral_limit_rads * rise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MotorLimits:
-    """Torque limits of the motors: views of MuJoCo's arrays, in the order of Joint.
-
-    MuJoCo limits the torque of the start of a step, and `discrete` acts with the angle of its end. Without
-    `widen`, a fast motor is limited, and loses its damping, at three quarters of its current limit.
-    """
-
-    limits_Nm: Array
-    """Least and greatest, of the same size, shape (5, 2)."""
-    torque_Nm: Array
-    rate_rad_s: Array
-    position_gain_Nm_rad: Array
-    step_s: float
-    """Time step; 0 for the dual solver, which acts with the angle of the start."""
-
-    @classmethod
-    def view(cls, model: mujoco.MjModel, data: mujoco.MjData, actuators: slice) -> Self:
-        """Make the views of a model and its data."""
-        is_dual = model.opt.solver == mujoco.mjtSolver.mjSOL_PGS
-        return cls(
-            model.actuator_forcerange[actuators],
-            data.actuator_force[actuators],
-            data.actuator_velocity[actuators],
-            model.actuator_gainprm[actuators, POSITION_GAIN],
-            0.0 if is_dual else float(model.opt.timestep),
-        )
-
-    def widen(self) -> Array:
-        """Widen the limits of motors below them by what a servo takes off its torque in a step.
-
-        Returns:
-            The limits before, shape (5, 2).
-        """
-        before_Nm = self.limits_Nm.copy()
-        taken_Nm = self.position_gain_Nm_rad * (self.step_s * self.rate_rad_s)
-        taken_Nm *= np.abs(self.torque_Nm) < before_Nm[:, 1]
-        np.add(before_Nm[:, 0], np.minimum(taken_Nm, 0.0), out=self.limits_Nm[:, 0])
-        np.add(before_Nm[:, 1], np.maximum(taken_Nm, 0.0), out=self.limits_Nm[:, 1])
-        return before_Nm

@@ -16,7 +16,6 @@ from sim.mujoco_settings import (
     MOTOR_CONSTANT,
     RATE_GAIN,
     REFERENCE_STEP_S,
-    MotorLimits,
     apply_settings,
     change_gains,
     match_reference_damping,
@@ -84,7 +83,6 @@ class StateViews:
     servo_rate_rad_s: Array
     """Motor rates that the motor controllers use."""
     motor_torque_Nm: Array
-    limits: MotorLimits
     setpoint_rad: Array
     setpoint_rate_rad_s: Array
     warnings: NDArray[np.int32]
@@ -164,7 +162,6 @@ class Plant:
             servo_angle_rad=data.actuator_length[actuators],
             servo_rate_rad_s=data.actuator_velocity[actuators],
             motor_torque_Nm=data.actuator_force[actuators],
-            limits=MotorLimits.view(self.model, data, actuators),
             setpoint_rad=data.ctrl[0::2],
             setpoint_rate_rad_s=data.ctrl[1::2],
             warnings=data.warning.number,
@@ -269,11 +266,9 @@ class Plant:
         self.damp_gears()
         data, setpoint_rad, end_s = self.data, self._views.setpoint_rad, self.data.time + 1.0 / CYCLE_HZ
         angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
-        limits_Nm = self._views.limits.widen()
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
             mujoco.mj_step(self.model, data)
-        self._views.limits.limits_Nm[:] = limits_Nm
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()

@@ -25,6 +25,7 @@ from sim.effects.joints import GearFriction
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
 from sim.tolerances import draw_calibration_errors
+from tests.tools import TOOLS
 from validation.cases import arm
 from validation.cases.arm import ArmCases, choose_sessions, draw_truth
 from validation.cases.arm_truth import (
@@ -156,9 +157,9 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
 def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
     (effect,) = cases()["out-of-catalogue"].effects
     assert effect.spec.startswith("related.py:DriftingCurrent:")
-    made = resolve_effect(effect.spec)
+    made = resolve_effect(effect.spec, TOOLS)
     assert {"drift_A_s": getattr(made, "drift_A_s", None)} == effect.values
-    assert resolve_effect(effect.spec.replace("related.py", "related/sensors.py")) == made
+    assert resolve_effect(effect.spec.replace("related.py", "related/sensors.py"), TOOLS) == made
 
 
 def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:

@@ -8,8 +8,11 @@ import pytest
 from validation.__main__ import main
 from validation.campaigns import TABLE, BriefResult, Campaign, Context, read_sizes
 
-WITHOUT_A_BRIEF_FORM = {"benchmarks", "brief", "documents", "mutants", "so101", "view"}
-"""Measurements of speed, lists of other campaigns, and what needs optional programs."""
+WITHOUT_A_BRIEF_FORM = {
+    *("benchmarks", "brief", "documents", "mutants", "so101", "view"),
+    *("next-cases", "robot-pairs"),
+}
+"""Measurements of speed, lists of other campaigns, what needs optional programs, and diagnoses in pairs."""
 
 
 def test_every_campaign_has_a_brief_form_or_a_reason() -> None:
@@ -72,4 +75,4 @@ def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:
     told: list[tuple[float, float, str]] = []
     backwards = Context(run=lambda work, jobs: map(work, reversed(jobs)), progress=lambda *x: told.append(x))
     assert backwards.each(pow, ((2, 3), (3, 2)), "powers") == [8, 9]
-    assert told == [(1, 2, "powers"), (2, 2, "powers")]
+    assert told == [(0, 2, "powers"), (1, 2, "powers"), (2, 2, "powers")]

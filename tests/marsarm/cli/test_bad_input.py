@@ -244,7 +244,7 @@ CASES = {
     "diagnose run.mcap --held-out run.mcap": "is log run.mcap too",
     "diagnose run.mcap --patch one.toml --new-params one.toml": "this is the file of patch too",
     "diagnose run.mcap": "log run.mcap",
-    "diagnose run.mcap --catalogue nosuch": "is not known",
+    "diagnose run.mcap --catalogue nosuch": "is no effect that a diagnosis can identify",
     # tables
     "calibrate --data nosuch.csv": "there is no such log",
     "calibrate --data bytes.csv": "line 2 is not text in UTF-8",
