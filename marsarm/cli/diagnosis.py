@@ -46,7 +46,7 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
 
     Example: marsarm gap next logs --held-out logs/held-out --out next.toml --report next.html
     """
-    from marsarm.diagnosis.arm.next_motion import propose_next, save_next_files
+    from marsarm.diagnosis.arm.next_motion import propose_next, save_files
     from sim.plant import PlantDiverged
     from simgap.common.report import print_parts
     from simgap.report.next_motion import next_document, next_lines, next_tables
@@ -61,7 +61,7 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
         next_document(made.proposal),
         lambda: print_parts([*next_lines(made.proposal), *tables]),
         is_done=is_done,
-        save=lambda: save_next_files(made),
+        save=lambda: save_files(made),
     )
 
 

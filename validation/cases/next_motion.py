@@ -7,14 +7,13 @@ part in solving as the servo does: it makes the motion, and says which cases cou
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from scipy.stats import beta
 
-from marsarm.common.rates import check_rate
+from marsarm.common.rates import check_rate, clopper_pearson
 from simgap.checks.audit import audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
@@ -36,7 +35,7 @@ from validation.cases.robot_draw import (
     measure,
     temperature_degC,
 )
-from validation.cases.robot_score import SealedCase, make_table, members, pair_up, plain_place
+from validation.cases.robot_score import SealedCase, members, pair_up, plain_place, score_bars
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
 from validation.cases.sealed import CaseScore
@@ -103,19 +102,12 @@ class NextCases(ServoCases):
         }
         bars = {"settled by one motion": check_rate(settled, BAR, False)}
         counts = {name: f"{sum(own)} of {len(own)}" for name, own in groups.items()}
-        n, k = len(settled), sum(settled)
-        ends = [
-            float(beta.ppf(0.05, k, n - k + 1)) if k else 0.0,
-            float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0,
-        ]
-        document = {
-            "cases": len(solved),
-            "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
+        more = {
             "settled": counts,
-            "interval 90 %": ends,
+            "interval 90 %": [*clopper_pearson(sum(settled), len(settled), 0.9)],
             "cpu seconds": sum(one["seconds"] for _, one in solved),
         }
-        return CaseScore(document, (make_table(bars),), all(bar.is_met for bar in bars.values()))
+        return score_bars(bars, len(solved), more)
 
 
 def _diagnose(robot: Robot, logs: Logs) -> tuple[Diagnosis, Usable]:

@@ -10,7 +10,7 @@ nuisances: their changes are hypotheses.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -45,9 +45,9 @@ from validation.cases.robot_score import (
     SealedCase,
     find_equivalents,
     first_choice,
-    make_table,
     pair_up,
     plain_place,
+    score_bars,
 )
 from validation.cases.robot_setup import ARMS, MODELS, limit_noncentrality
 from validation.cases.robot_table import ENTRIES, list_hypotheses
@@ -165,14 +165,12 @@ def score_pairs(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
         "right place of the change": check_rate(is_placed, 0.95, False),
         "right effect": check_rate(is_named, 0.88, False),
     }
-    document = {
-        "cases": len(solved),
-        "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
+    more = {
         "further findings beside a change": sum(len(rest) for _, rest in paired),
         "refused": sum(bool(one.get("refused")) and not one["findings"] for _, one in solved),
         "cpu seconds": sum(one["seconds"] for _, one in solved),
     }
-    return CaseScore(document, (make_table(bars),), all(bar.is_met for bar in bars.values()))
+    return score_bars(bars, len(solved), more)
 
 
 def campaign(

@@ -4,7 +4,7 @@ The robot plug-in with another truth (`servo_truth`), other shares of kinds, and
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -13,7 +13,7 @@ from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.robot import RobotCases
 from validation.cases.robot_draw import Kind
-from validation.cases.robot_score import SealedCase, first_choice, make_table, members, pair_up
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, score_bars
 from validation.cases.robot_setup import SERVOS
 from validation.cases.sealed import CaseScore
 
@@ -57,12 +57,7 @@ def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
         ),
         "false alarms": check_rate((bool(one["findings"]) for one in quiet), 0.05, True),
     }
-    document = {
-        "cases": len(solved),
-        "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
-        "cpu seconds": sum(one["seconds"] for _, one in solved),
-    }
-    return CaseScore(document, (make_table(bars),), all(bar.is_met for bar in bars.values()))
+    return score_bars(bars, len(solved), {"cpu seconds": sum(one["seconds"] for _, one in solved)})
 
 
 def is_sure_and_wrong(case: SealedCase, result: Document) -> bool:

@@ -19,14 +19,13 @@ from marsarm.diagnosis.next_motion import propose_motion
 from marsarm.diagnosis.selection import FeatureEffect
 from sim.arms import BuiltArm
 from sim.initialisation import true_reference
-from simgap.common.files import atomic_write, cache_folder, file_sha256, json_sha256
+from simgap.common.files import cache_folder, file_sha256, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress, part_of
-from simgap.common.report import file_lines
 from simgap.next_motion.proposal import Proposal
 from simgap.next_motion.rivals import choose_rivals
-from simgap.report.next_motion import save_next_page
+from simgap.report.next_motion import save_next_files
 
 SAME_OPTIONS: Final = (
     *("logs", "held_out", "arm", "params", "mismatch", "campaign", "effects", "seed", "workers", "cluster"),
@@ -83,15 +82,13 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     return NextArmMotion(request, made, motions[name], origin)
 
 
-def save_next_files(made: NextArmMotion) -> list[str]:
-    """Write the files of a request, and return a line about each; BadOutput if one cannot be written.
-
-    Where no motion tells rivals apart there is no file of a motion.
-    """
-    out = made.request.out if made.proposal.choice.tells_apart else None
-    if out is not None:
-        with atomic_write(out, "out") as file:
-            file.write(motion_text(made.motion).encode())
-    if made.request.report is not None:
-        save_next_page(made.proposal, made.request.report, made.origin)
-    return file_lines({"motion": out, "report": made.request.report})
+def save_files(made: NextArmMotion) -> list[str]:
+    """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
+    request = made.request
+    return save_next_files(
+        made.proposal,
+        {"motion": request.out},
+        lambda: motion_text(made.motion),
+        request.report,
+        made.origin,
+    )

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.case import CaseDiagnosis
-from marsarm.diagnosis.arm.next_motion import NextArmMotion, save_next_files
+from marsarm.diagnosis.arm.next_motion import NextArmMotion, save_files
 from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import NextRequest
@@ -113,7 +113,7 @@ def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path,
     proposal = propose_motion(campaign, rivals, replace(sensitivities, layout=deaf), BLOCKS)
     request = NextRequest((tmp_path,), out=tmp_path / "next.toml")
     motion = next(iter(list_motions()))
-    assert save_next_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
+    assert save_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
     assert not (tmp_path / "next.toml").exists()
 
 

@@ -85,7 +85,7 @@ def propose(request: NextRequest, progress: Progress) -> VerbResult:
 
     Example: simgap next robot.toml logs.parquet --start found --out next.csv --report next.html
     """
-    from simgap.command.next_motion import print_next, propose_next, save_next_files
+    from simgap.command.next_motion import print_next, propose_next, save_files
     from simgap.report.next_motion import next_document
 
     made = propose_next(request, progress)
@@ -93,7 +93,7 @@ def propose(request: NextRequest, progress: Progress) -> VerbResult:
         next_document(made.proposal),
         lambda: print_next(made),
         is_done=made.proposal.choice.tells_apart,
-        save=lambda: save_next_files(made),
+        save=lambda: save_files(made),
     )
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.checks.audit import audit
 from simgap.command.request import NextRequest
-from simgap.common.files import atomic_write, digest_files
+from simgap.common.files import digest_files
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
-from simgap.common.report import file_lines, print_parts
+from simgap.common.report import print_parts
 from simgap.files.motion_rows import conversion
 from simgap.files.robot_file import SignalColumn
 from simgap.loading import load
@@ -22,7 +22,7 @@ from simgap.logs import Motion
 from simgap.next_motion.family import NAME
 from simgap.next_motion.proposal import Proposal, propose_motion
 from simgap.patch.found import FOUND_FILE, read_rivals
-from simgap.report.next_motion import next_lines, next_tables, save_next_page
+from simgap.report.next_motion import next_lines, next_tables, save_next_files
 from simgap.robot import Robot
 from simgap.units import UNITS
 
@@ -78,21 +78,16 @@ def _after(made: NextMotion) -> list[str]:
     return [f"Then diagnose the earlier logs and that of this motion together.{named}"]
 
 
-def save_next_files(made: NextMotion) -> list[str]:
-    """Write the files of a request, and return a line about each; BadOutput if one cannot be written.
-
-    Where no motion tells rivals apart there is no command file.
-    """
-    request, out = made.request, None
-    if request.out is not None and made.proposal.choice.tells_apart:
-        out = request.out
-        with atomic_write(out, "out") as file:
-            file.write(command_table(made.robot, made.motion).encode())
-    if request.report is not None:
-        save_next_page(
-            made.proposal, request.report, Origin(command_text("simgap next", request), made.digests)
-        )
-    return file_lines({"commands": out, "report": request.report})
+def save_files(made: NextMotion) -> list[str]:
+    """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
+    request, origin = made.request, Origin(command_text("simgap next", made.request), made.digests)
+    return save_next_files(
+        made.proposal,
+        {"commands": request.out},
+        lambda: command_table(made.robot, made.motion),
+        request.report,
+        origin,
+    )
 
 
 def command_table(robot: Robot, motion: Motion) -> str:

@@ -1,4 +1,4 @@
-"""Variation: sizes of an effect that follow a number of the motions."""
+"""Effects that act through another one: sizes that follow a number of the motions, or differ between sets."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -10,30 +10,50 @@ from simgap.effects.effect import Effect, JointEffect, Size
 
 
 @dataclass(frozen=True)
-class Variation(Effect):
-    """Sizes of another effect that are added in proportion to a number of the motions."""
+class Dependent(Effect):
+    """Sizes that are added to those of another effect; residuals call the hooks of that one."""
 
     place: str
     effect: Effect
+
+    def __post_init__(self) -> None:
+        """Take the form from the effect."""
+        for key in ("has_shape", "is_steady"):
+            object.__setattr__(self, key, getattr(self.effect, key))
+
+    @property
+    def effect_name(self) -> str:
+        """Name of the other effect at this place."""
+        return self.effect.key.removeprefix(f"{self.place}: ")
+
+    @property
+    def family(self) -> StrEnum:
+        """Family of the other effect."""
+        return self.effect.family
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """The same at the joints, where the other effect acts at each of them."""
+        return tuple(replace(self, place=one.place, effect=one) for one in self.effect.parts)
+
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether the other effect has its own version of any of these hooks."""
+        return self.effect.overrides(*hooks)
+
+
+@dataclass(frozen=True)
+class Variation(Dependent):
+    """Sizes of another effect that are added in proportion to a number of the motions."""
+
     number: str
     """Name of the number: a condition."""
     largest: float = 1.0
     """Largest magnitude of the number over all motions."""
 
-    def __post_init__(self) -> None:
-        """Take the form from the effect; its hooks are called by `ConditionedResiduals`."""
-        for key in ("has_shape", "is_steady"):
-            object.__setattr__(self, key, getattr(self.effect, key))
-
     @property
     def name(self) -> str:
         """Name of the effect, and what varies it."""
-        return f"{self.effect.key.removeprefix(f'{self.place}: ')} by {self.number}"
-
-    @property
-    def family(self) -> StrEnum:
-        """Family of the effect that varies."""
-        return self.effect.family
+        return f"{self.effect_name} by {self.number}"
 
     @property
     def n_scaled(self) -> int:
@@ -50,20 +70,11 @@ class Variation(Effect):
             found.append(Size(one.name, low / unit, one.high / unit, one.typical / unit))
         return tuple(found)
 
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """Variations at the joints, where the effect acts at each of them."""
-        return tuple(replace(self, place=one.place, effect=one) for one in self.effect.parts)
-
     def describe(self, size: Array) -> str:
         """Return the sizes with their signs."""
         names = (one.name for one in self.effect.sizes)
         text = ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
         return f"{text} for 1 of {self.number}"
-
-    def overrides(self, *hooks: str) -> bool:
-        """Return whether the effect that varies has its own version of any of these hooks."""
-        return self.effect.overrides(*hooks)
 
 
 @dataclass(frozen=True)
@@ -79,7 +90,7 @@ class Difference(Variation):
     @property
     def name(self) -> str:
         """Name of the effect that changes."""
-        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
+        return f"change of {self.effect_name}"
 
     def describe(self, size: Array) -> str:
         """Return the differences with their signs."""
@@ -91,6 +102,11 @@ class Difference(Variation):
         is_first = (size[..., :1] < 0.0) & (self.effect.sizes[0].low == 0.0)
         signs = np.where(np.arange(size.shape[-1]) < self.n_scaled, -1.0, 1.0)
         return np.where(is_first, signs * size, 0.0), np.where(is_first, 0.0, size)
+
+
+def steady_effect(effect: Effect) -> Effect:
+    """Return the effect that varies; an effect that does not vary itself."""
+    return effect.effect if isinstance(effect, Variation) else effect
 
 
 def unbound(effect: Effect) -> Effect:

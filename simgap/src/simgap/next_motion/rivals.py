@@ -7,16 +7,13 @@ from typing import Final
 import numpy as np
 
 from simgap.common.errors import RobotError
-from simgap.effects.variation import Variation
-from simgap.residuals.known_effects import Change
+from simgap.effects.variation import Dependent
 from simgap.result import Rival
 from simgap.selection.context import Context, FittedModel
 from simgap.selection.verdict import ConfidenceSet
 
 NEXT_MOTION: Final = "the motion that `simgap next` proposes"
 """What to record where rivals of a finding are left."""
-DEPENDENT: Final = (Change, Variation)
-"""Effects that a file of what was found does not hold: they act beside another, not in a model alone."""
 MOST_RIVALS: Final = 5
 """Rivals of a finding that are kept, itself included: more than any verdict names."""
 
@@ -24,7 +21,7 @@ MOST_RIVALS: Final = 5
 def can_be_settled(found: ConfidenceSet) -> bool:
     """Return whether another motion may settle a finding; a change has no model of its own."""
     has_rivals = len(found.alternatives) + len(found.excluded) > 1
-    return has_rivals and not isinstance(found.effect, DEPENDENT)
+    return has_rivals and not isinstance(found.effect, Dependent)
 
 
 def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> list[Rival]:
@@ -42,7 +39,7 @@ def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> 
         own = [(each, context.union.columns([each])) for each in context.union.effects]
         fitted = [pair for pair in own if np.isin(pair[1], one.columns).all()]
         beside = [pair for pair in own if np.any(sizes[pair[1]]) and not np.isin(pair[1], one.columns).all()]
-        if any(isinstance(effect, DEPENDENT) for effect, _ in (*fitted, *beside)):
+        if any(isinstance(effect, Dependent) for effect, _ in (*fitted, *beside)):
             continue
         rivals.append(
             Rival(

@@ -1,17 +1,18 @@
 """The next motion in sentences, tables, JSON and a picture with a band for each rival."""
 
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.common.files import atomic_write
 from simgap.common.page import Origin, heading, paragraph, save_page
 from simgap.common.page import figures as draw_figures
 from simgap.common.page import table as draw_table
-from simgap.common.report import ReportTable
+from simgap.common.report import ReportTable, file_lines
 from simgap.next_motion.proposal import Curve, Proposal
 from simgap.next_motion.separation import LEAST_POWER
 from simgap.report.sentences import join_words, percent
@@ -97,6 +98,34 @@ def next_document(made: Proposal) -> dict[str, Any]:
             for k in range(min(SHOWN, len(choice.motions)))
         ],
     }
+
+
+def save_next_files(
+    made: Proposal,
+    motion: dict[str, Path | None],
+    write: Callable[[], str],
+    report: Path | None,
+    origin: Origin | None,
+) -> list[str]:
+    """Write the best motion and the page, where they are wanted, and return a line about each.
+
+    Where no motion tells rivals apart there is no file of a motion.
+
+    Args:
+        motion: What the file of the motion is called, and its path.
+        write: Makes the text of that file.
+
+    Raises:
+        BadOutput: A file cannot be written.
+    """
+    ((name, out),) = motion.items()
+    out = out if made.choice.tells_apart else None
+    if out is not None:
+        with atomic_write(out, "out") as file:
+            file.write(write().encode())
+    if report is not None:
+        save_next_page(made, report, origin)
+    return file_lines({name: out, "report": report})
 
 
 def save_next_page(made: Proposal, path: Path, origin: Origin | None) -> None:

@@ -73,9 +73,7 @@ class JoinedResiduals:
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n)."""
         found = [
-            residuals_by_motion(one, effects, sizes[:, own])
-            if sizes.ndim == 3
-            else one.residuals(effects, sizes)
+            residuals_by_motion(one, effects, sizes[:, own] if sizes.ndim == 3 else sizes)
             for own, one in zip(self._own, self.parts, strict=True)
         ]
         return np.concatenate(found, axis=1)

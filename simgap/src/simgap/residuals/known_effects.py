@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, Size
+from simgap.effects.variation import Dependent
 from simgap.residuals.residuals import (
     ResidualModel,
     WrappedResiduals,
@@ -18,28 +18,16 @@ from simgap.residuals.residuals import (
 
 
 @dataclass(frozen=True)
-class Change(Effect):
+class Change(Dependent):
     """Change of the sizes of another effect from those that are known."""
 
-    place: str
-    effect: Effect
     known: tuple[float, ...]
     """Known sizes, from which bounds follow."""
-
-    def __post_init__(self) -> None:
-        """Take the form from the effect; its hooks are called by `KnownResiduals`."""
-        for key in ("has_shape", "is_steady"):
-            object.__setattr__(self, key, getattr(self.effect, key))
 
     @property
     def name(self) -> str:
         """Name of the effect that changes."""
-        return f"change of {self.effect.key.removeprefix(f'{self.place}: ')}"
-
-    @property
-    def family(self) -> StrEnum:
-        """Family of the effect that changes."""
-        return self.effect.family
+        return f"change of {self.effect_name}"
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -49,19 +37,10 @@ class Change(Effect):
             for one, at in zip(self.effect.sizes, self.known, strict=True)
         )
 
-    @property
-    def parts(self) -> tuple[Effect, ...]:
-        """Changes at the joints, where the effect acts at each of them."""
-        return tuple(Change(one.place, one, self.known) for one in self.effect.parts)
-
     def describe(self, size: Array) -> str:
         """Return the changes with their signs, and what they start from."""
         parts = zip(self.effect.sizes, size, self.known, strict=True)
         return ", ".join(f"{one.name} {value:+.4g} from {at:.4g}" for one, value, at in parts)
-
-    def overrides(self, *hooks: str) -> bool:
-        """Return whether the effect that changes has its own version of any of these hooks."""
-        return self.effect.overrides(*hooks)
 
 
 def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
@@ -88,10 +67,7 @@ class KnownResiduals(WrappedResiduals):
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n)."""
-        inner, total = self._add_known(effects, sizes)
-        if total.ndim == 2:
-            return self.raw.residuals(inner, total)
-        return residuals_by_motion(self.raw, inner, total)
+        return residuals_by_motion(self.raw, *self._add_known(effects, sizes))
 
     def _add_known(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
         """Return all effects and their sizes, (n_candidates, [n_motions,] total sizes), within bounds."""

@@ -91,13 +91,13 @@ def refer_to(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> R
 
 
 def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> Array:
-    """Return the residuals of candidates, (n_candidates, n), whose sizes differ from motion to motion.
+    """Return the residuals of candidates, (n_candidates, n), whose sizes may differ from motion to motion.
 
     Args:
-        sizes: Sizes of all effects one after the other, in their own units, (n_candidates, n_motions, total
-            sizes).
+        sizes: Sizes of all effects one after the other, in their own units, (n_candidates, total sizes) or
+            (n_candidates, n_motions, total sizes).
     """
-    if model.by_motion:
+    if model.by_motion or sizes.ndim == 2:
         return model.residuals(effects, sizes)
     found = []
     for candidate in sizes:

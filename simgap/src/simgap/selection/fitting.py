@@ -149,10 +149,7 @@ class _Evaluator:
         used = np.flatnonzero(np.any(sizes != 0.0, axis=tuple(range(sizes.ndim - 1))))
         part = [self.union.effects[k] for k in np.unique(self.union.owner[used])]
         sizes = sizes[..., self.union.columns(part)]
-        if sizes.ndim == 3:
-            simulated = residuals_by_motion(self.model, part, sizes)
-        else:
-            simulated = self.model.residuals(part, sizes)
+        simulated = residuals_by_motion(self.model, part, sizes)
         for numbers, row in zip(plan, simulated, strict=True):
             for number in numbers:
                 found[number] = row[self.rows[points[number][0]]]

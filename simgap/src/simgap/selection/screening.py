@@ -15,7 +15,7 @@ import numpy as np
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.effects.variation import Variation
+from simgap.effects.variation import steady_effect
 from simgap.residuals.noise import Blocks, cut_rows
 from simgap.residuals.residuals import ResidualModel, root_weight
 from simgap.selection.chance import stationary_p, wald_p
@@ -229,7 +229,7 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
     # an effect that varies does not act in all motions
-    steady = [one.effect if isinstance(one, Variation) else one for one in placed]
+    steady = [steady_effect(one) for one in placed]
     distinct = {one.key: one for one in steady}
     typical = [np.array([np.clip(s.typical, s.low, s.high) for s in e.sizes]) for e in distinct.values()]
     of_distinct = [union.columns([effect]) for effect in distinct.values()]

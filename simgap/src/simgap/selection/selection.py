@@ -13,7 +13,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.effects.variation import Variation
+from simgap.effects.variation import steady_effect
 from simgap.residuals.noise import count_independent
 from simgap.residuals.residuals import ResidualModel, pseudo_huber
 from simgap.selection.acceptance import (
@@ -227,7 +227,7 @@ def list_best(ranked: Sequence[Score]) -> list[Score]:
     Args:
         ranked: Scores, the best first.
     """
-    steady = [one.effect.effect if isinstance(one.effect, Variation) else one.effect for one in ranked]
+    steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
 
