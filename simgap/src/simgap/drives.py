@@ -29,15 +29,7 @@ class Drive:
 
 
 def read_drive(table: JointTable, model: mujoco.MjModel, joint: int, where: str) -> Drive:
-    """Read the drive of a joint.
-
-    Args:
-        joint: Index of the joint in the model.
-        where: Path of the table of the joint, for errors.
-
-    Raises:
-        RobotError: the actuator is not known, is one of several, or has what a diagnosis lacks.
-    """
+    """Read the drive of a joint, by its index in the model; RobotError if it cannot be diagnosed."""
     k = _find_actuator(table, model, joint, where)
     if k < 0:
         return Drive()

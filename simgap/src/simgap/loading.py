@@ -69,9 +69,6 @@ def _name_motions(
 
     Files of one name are told apart by their folders. A motion that has the name of its file is named by the
     file alone.
-
-    Raises:
-        RobotError: a file is given twice.
     """
     whole = [path.resolve() for path in paths]
     twice = next((paths[k] for k, path in enumerate(whole) if path in whole[:k]), None)
@@ -91,11 +88,7 @@ def _name_motions(
 
 
 def _add_conditions(file: RobotFile, motions: list[Motion], members: Sequence[Member]) -> list[Motion]:
-    """Return motions with the conditions whose values the robot file gives by motion or log file.
-
-    Raises:
-        RobotError: a name is unknown, or a motion has no value or two.
-    """
+    """Return motions with the conditions given by motion or file; RobotError for a wrong name or value."""
     for name, table in file.conditions.items():
         if not table.values:
             continue
@@ -196,9 +189,6 @@ def _column_by_name(log: LogFile, file: RobotFile, joint: str, key: str, column:
 
     Messages may have their joints in any order. The place means the name that stood there first; if other
     publishers put names there that the robot file does not know, the joint's own.
-
-    Raises:
-        RobotError: the name is another joint of the robot file.
     """
     stood = log.names_at(column)
     if not stood:

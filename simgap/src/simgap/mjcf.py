@@ -18,11 +18,7 @@ FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": 
 
 
 def read_model_text(path: Path) -> str:
-    """Read an MJCF file such that its text compiles from any folder.
-
-    Raises:
-        RobotError: it cannot be read or is no XML.
-    """
+    """Read an MJCF file such that its text compiles from any folder; RobotError if it is no XML."""
     text, root = _read_xml(path)
     if root.tag != "mujoco":
         raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
@@ -53,14 +49,7 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
 def set_conditions(
     xml: str, tables: Mapping[str, ConditionTable], values: Mapping[str, float], path: Path
 ) -> str:
-    """Return the text of a model with the numbers that conditions set; those without a value are checked.
-
-    Args:
-        path: Robot file, for errors.
-
-    Raises:
-        RobotError: the model has no such element, or no such place in an attribute.
-    """
+    """Return the text of a model with numbers that conditions set; RobotError if it has no place for one."""
     root = ElementTree.fromstring(xml)
     is_changed = False
     for name, table in tables.items():

@@ -32,13 +32,7 @@ class LogContent:
 
 
 def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[LogContent, ...]:
-    """List the columns of the logs of a request that names no robot file.
-
-    Raises:
-        BadRequest: a model stands in place of the robot file, or a page is asked for, which only a check with
-            a robot file makes.
-        RobotError: a log cannot be read.
-    """
+    """List the columns of logs; BadRequest for a model or a page, RobotError for a log that is damaged."""
     check_options(request)
     if request.robot.suffix.lower() in MODELS:
         raise BadRequest(

@@ -50,11 +50,7 @@ from simgap.serial_arm.tracker import TrackerFit, describe_tracker, fit_tracker
 
 
 def parse_terms(text: str) -> tuple[str, ...]:
-    """Return the terms that a text names, in the order of TERMS.
-
-    Raises:
-        BadRequest: a word is not known, or `all` or `none` stands with others.
-    """
+    """Return the terms that a text names, in the order of TERMS; BadRequest if a word is not known."""
     if text in ("all", "none"):
         return TERMS if text == "all" else ()
     words = [word.strip() for word in text.split(",")]
@@ -210,12 +206,7 @@ class RobotDiagnosis:
 
 
 def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
-    """Diagnose a robot; nothing is written but steps in the cache, which are deleted at the end.
-
-    Raises:
-        BadRequest: an option is wrong.
-        RobotError: the robot file, a log or a file of effects is wrong.
-    """
+    """Diagnose a robot, writing in the cache alone; BadRequest or RobotError if anything given is wrong."""
     check_options(request)
     if request.split and request.held_out:
         raise BadRequest("split, held-out: they exclude each other; give one of the two")

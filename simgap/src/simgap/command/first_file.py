@@ -30,12 +30,7 @@ class FirstFile:
 
 
 def write_first_file(request: InitRequest, progress: Progress = no_progress) -> FirstFile:
-    """Write a robot file; nothing is written unless it reads the logs.
-
-    Raises:
-        BadRequest: no log is given, or the file is there already.
-        RobotError: model or logs cannot be read, or no column fits a joint.
-    """
+    """Write a robot file, if it reads the logs; else BadRequest or RobotError, and nothing is written."""
     check_options(request)
     if not request.logs:
         raise BadRequest("logs: none is given; name at least one log after the model")

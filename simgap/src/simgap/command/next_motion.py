@@ -43,12 +43,7 @@ class NextMotion:
 
 
 def propose_next(request: NextRequest, progress: Progress = no_progress) -> NextMotion:
-    """Propose a motion; nothing is written.
-
-    Raises:
-        BadRequest: an option is wrong.
-        RobotError: a file is wrong, or there is nothing to tell apart.
-    """
+    """Propose a motion and write nothing; BadRequest or RobotError if an option or a file is wrong."""
     check_options(request)
     progress(0.0, 0.0, "reading")
     robot = Robot.from_toml(request.robot)

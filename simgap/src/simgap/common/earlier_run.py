@@ -33,13 +33,7 @@ class EarlierRun:
 
     @classmethod
     def of_points(cls, points: Sequence[tuple[float, float]], total_s: float, request: str = "") -> Self:
-        """Make the course of a run from its reports.
-
-        Args:
-            points: Share and time since the start, neither falls.
-            total_s: Duration of the run.
-            request: What it was asked for.
-        """
+        """Make the course of a run from reports of share and time since the start, which never fall."""
         kept = [(0.0, 0.0)]
         for share, time_s in points:
             if share >= kept[-1][0] + STEP and share < 1.0:

@@ -227,11 +227,7 @@ class SupplySag(Effect):
 
     @classmethod
     def of(cls, robot: Robot, scales: Mapping[str, JointScales], motions: Sequence[Motion] = ()) -> Self:
-        """Return the effect for a robot.
-
-        Args:
-            motions: Motions that are fitted; a voltage that they log bounds the effect.
-        """
+        """Return the effect for a robot; a voltage that the fitted motions log bounds it."""
         torques = tuple(scales[joint.name].torque_Nm for joint in robot.joints)
         return cls(torque_Nm_all=torques, high=largest_sag(motions))
 

@@ -65,11 +65,7 @@ class ColumnInfo:
 
 
 def split_name(name: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
-    """Divide a name into the longest known one that it begins with, and steps: `.field`, `[2]` or `[elbow]`.
-
-    Returns:
-        None if it begins with no known name, or the rest is no steps.
-    """
+    """Divide a name into the longest known one that begins it and steps `.field`, `[2]`, `[elbow]`."""
     fits = [one for one in known if name == one or name.startswith((f"{one}.", f"{one}["))]
     for base in sorted(fits, key=len, reverse=True):
         rest = name[len(base) :]
@@ -117,11 +113,7 @@ def describe_numbers(
 
 
 def say_disorder(time_s: Array, rows: Integers | None = None) -> str:
-    """Say where times (n,) do not increase, and what would be right; empty if they do.
-
-    Args:
-        rows: Their rows in the file, from 1; None: they are all.
-    """
+    """Say where times (n,), of these rows from 1, do not increase, and what would be right; else nothing."""
     step_s = np.diff(time_s)
     back = np.flatnonzero(step_s <= 0.0)
     if not back.size:

@@ -61,12 +61,9 @@ class _Scan:
 
 
 def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
-    """Read fields of an MCAP file; None for all.
+    """Read fields of an MCAP file, None for all; RobotError if it is damaged or lacks one.
 
     A file that ends before its data do is used as far as it goes, and the log tells the loss.
-
-    Raises:
-        RobotError: the file is damaged, a field is missing, or its encoding is unknown.
     """
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     scans = [_scan_file(one, names) for one in files]

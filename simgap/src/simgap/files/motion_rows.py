@@ -157,11 +157,7 @@ class MotionRows:
         return LongGap(f"{said} {gaps}: cut it there, in [motion] {windows_text(windows_s)}", windows_s)
 
     def labels(self, column: str) -> list[str]:
-        """Return the text of a column for each motion; empty texts for no column.
-
-        Raises:
-            RobotError: it changes within a motion.
-        """
+        """Return the text of a column by motion, empty for no column; RobotError if it changes within one."""
         if not column:
             return [""] * len(self.names)
         texts = self._log.texts(column)
@@ -172,11 +168,7 @@ class MotionRows:
         ]
 
     def values(self, column: str) -> list[float]:
-        """Return the number of a column for each motion.
-
-        Raises:
-            RobotError: it changes within a motion, or is not finite.
-        """
+        """Return the number of a column by motion; RobotError if it changes within one or is not finite."""
         values = self._log.numbers(column).value
         self._check_length(values, column)
         found = [
@@ -191,11 +183,7 @@ class MotionRows:
         return found
 
     def gains(self, column: str) -> list[float]:
-        """Return the number of a gain column for each motion.
-
-        Raises:
-            RobotError: it changes within a motion, or is not positive.
-        """
+        """Return the gain by motion; RobotError if it changes within one, or is not positive."""
         found = self.values(column)
         for name, gain in zip(self.names, found, strict=True):
             if not 0.0 < gain < np.inf:

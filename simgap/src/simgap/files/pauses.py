@@ -31,11 +31,7 @@ class LongGap(RobotError):
 
 
 def find_pauses(time_s: Array, period_s: float) -> list[tuple[float, float]]:
-    """Find pauses in increasing times, (n,), whose usual period is given.
-
-    Returns:
-        The last time before and the first time after each of them [s].
-    """
+    """Find pauses in increasing times (n,) of a usual period: last time before, first time after [s]."""
     long = np.flatnonzero(np.diff(time_s) > max(SETTLING_S, GAP * period_s))
     return [(float(time_s[k]), float(time_s[k + 1])) for k in long]
 

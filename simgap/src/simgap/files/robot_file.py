@@ -382,11 +382,7 @@ def read_robot_file(path: Path) -> RobotFile | SerialFile:
 
 
 def read_model_file(path: Path) -> RobotFile:
-    """Read the robot file of a robot with an MJCF model.
-
-    Raises:
-        RobotError: it cannot be read, is wrong, or has no model.
-    """
+    """Read the robot file of a robot with an MJCF model; RobotError if it is wrong, or has no model."""
     found = read_robot_file(path)
     if isinstance(found, SerialFile):
         raise RobotError(

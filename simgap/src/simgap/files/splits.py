@@ -60,16 +60,7 @@ def read_split(path: Path) -> SplitFile:
 def choose_motions(
     file: SplitFile | None, members: Sequence[Member], split: str, held_out: Sequence[str]
 ) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the names of the motions that are fitted, and of those that judge.
-
-    Args:
-        file: Split file; None: there is none.
-        split: Name of a split; empty: the default of the file.
-        held_out: Motions, conditions or files in place of a split; empty: the split counts.
-
-    Raises:
-        RobotError: a name is unknown, a motion is both fitted and held out, or nothing is left to fit.
-    """
+    """Return the names of fitted and of judging motions; RobotError if one is in both, or none is fitted."""
     everything = frozenset(one.motion for one in members)
     if held_out:
         judged = find_members(held_out, members, "held out")
@@ -102,11 +93,7 @@ def _part_members(file: SplitFile, parts: Sequence[str], members: Sequence[Membe
 
 
 def find_members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
-    """Return the motions with these names, of these conditions or in these files.
-
-    Raises:
-        RobotError: a name is unknown.
-    """
+    """Return the motions with these names, conditions or files; RobotError if a name is unknown."""
     found: set[str] = set()
     for name in names:
         chosen = {one.motion for one in members if name and name in (one.motion, *one.others)}

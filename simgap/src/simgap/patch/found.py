@@ -21,11 +21,7 @@ FORMAT: Final = "robot effects 1"
 def found_text(
     robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
 ) -> str:
-    """Return the text of the file.
-
-    Args:
-        rivals: Rivals of the findings, with their sizes by the keys of effects.
-    """
+    """Return the text of the file, with the rivals of the findings."""
     known = {one.key for one in effects}
     others = {one.key: one for rival in rivals for one in rival.effects if one.key not in known}
     tables = {
@@ -40,24 +36,13 @@ def found_text(
 
 
 def read_found(robot: Robot, folder: Path) -> dict[Effect, Array]:
-    """Read what an earlier diagnosis of a robot has found, with sizes in the units of their names.
-
-    Args:
-        folder: Folder of its patch. Files of effects of one's own that it names are run.
-
-    Raises:
-        RobotError: The folder has no such file, or it is of another robot.
-    """
+    """Read effects and sizes of a patch, and run files of effects of one's own; RobotError if it has none."""
     path, content = _read_file(robot, folder)
     return {one: np.asarray(size) for one, size in (read_effect(each, path) for each in content["effects"])}
 
 
 def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
-    """Read the rivals of what an earlier diagnosis of a robot has found; none if it kept none.
-
-    Raises:
-        RobotError: As for `read_found`.
-    """
+    """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`."""
     path, content = _read_file(robot, folder)
     tables = (*content["effects"], *content.get("rival_effects", ()))
     effects = {one.key: one for one, _ in (read_effect(each, path) for each in tables)}

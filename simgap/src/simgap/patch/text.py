@@ -47,11 +47,7 @@ class Change:
 
 
 def change_text(text: str, changes: Sequence[Change]) -> str:
-    """Return MJCF text with changes made.
-
-    Raises:
-        RobotError: An element is not in this text, as those that MuJoCo makes from others.
-    """
+    """Return MJCF text with changes; RobotError if an element is not in it, as one that MuJoCo makes."""
     root = ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
     for change in changes:
         parent, element = _find(root, change)
@@ -199,17 +195,7 @@ def effect_table(effect: Effect, size: Sequence[float]) -> dict[str, Any]:
 
 
 def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
-    """Make the effect of a table.
-
-    Args:
-        table: Table as `effect_table` makes it. The file of an effect of one's own is run.
-
-    Returns:
-        The effect, and its sizes, (n_sizes,) in the units of their names.
-
-    Raises:
-        RobotError: The table names no effect, or its sizes are not those of the effect.
-    """
+    """Make effect and sizes, (n_sizes,), of a table, and run a file of one's own; RobotError if it fails."""
     try:
         kind = _effect_class(table)
         effect = cast(Effect, _build(kind, table["fields"]))

@@ -56,13 +56,9 @@ def trace_motions(
     diagnosis: Diagnosis,
     usable: Usable | None = None,
 ) -> tuple[Trace, ...]:
-    """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
+    """Predict motions without and with what was found, by each kind of residual that was used.
 
-    Returns:
-        The traces; none by simulation of a motion in which a joint has no command.
-
-    Raises:
-        RobotError: A motion cannot be predicted.
+    None is simulated in which a joint has no command. RobotError says that a motion cannot be predicted.
     """
     driven = [one for one in motions if all(log.command is not None for log in one.joints.values())]
     found: list[Trace] = []

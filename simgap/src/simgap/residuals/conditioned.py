@@ -23,11 +23,7 @@ MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
 
 
 def join_conditions(robot: Robot, motions: Sequence[Motion], make: MakePart) -> ResidualModel:
-    """Make the residuals of motions, each by the robot under its conditions.
-
-    Raises:
-        RobotError: a model cannot have a number that a condition sets.
-    """
+    """Make the residuals of motions, each by the robot under its conditions; RobotError if it has no such."""
     tables = {} if robot.file is None else robot.file.conditions
     setting = [name for name, table in tables.items() if table.sets]
     groups: dict[tuple[float, ...], list[Motion]] = {}
@@ -52,11 +48,7 @@ class JoinedResiduals:
     by_motion = True
 
     def __init__(self, parts: Sequence[ResidualModel], motions: Sequence[str]) -> None:
-        """Join models of different motions.
-
-        Args:
-            motions: Names of all motions, in the order that they get.
-        """
+        """Join models of different motions, which get the order of these names."""
         first = parts[0]
         self.parts, self.kind, self.units, self.joints = tuple(parts), first.kind, first.units, first.joints
         self.step_s, self.method, self.noise_std = first.step_s, first.method, first.noise_std
@@ -101,11 +93,7 @@ class ConditionedResiduals(WrappedResiduals):
     """Residuals in which sizes follow numbers of the motions; see `ResidualModel`."""
 
     def __init__(self, raw: ResidualModel, numbers: Mapping[str, Array]) -> None:
-        """Keep the residuals and the numbers.
-
-        Args:
-            numbers: Name of a number -> its value for each motion, (n_motions,).
-        """
+        """Keep the residuals, and numbers by name with a value for each motion, (n_motions,)."""
         super().__init__(raw)
         self.by_motion = True
         self.numbers = dict(numbers)

@@ -44,11 +44,7 @@ class Change(Dependent):
 
 
 def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
-    """Return the changes that known effects may have.
-
-    Args:
-        known: Effects with their sizes, (n_sizes,) in the units of their names.
-    """
+    """Return the changes that known effects may have from their sizes, (n_sizes,) each."""
     return [Change(one.place, one, tuple(size.tolist())) for one, size in known.items()]
 
 
@@ -56,11 +52,7 @@ class KnownResiduals(WrappedResiduals):
     """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
 
     def __init__(self, raw: ResidualModel, known: Mapping[Effect, Array]) -> None:
-        """Keep the residuals.
-
-        Args:
-            known: Known effects and their sizes, (n_sizes,) in the units of their names.
-        """
+        """Keep the residuals, and known effects with their sizes, (n_sizes,) each."""
         super().__init__(raw)
         self.by_motion = True
         self.known = dict(known)

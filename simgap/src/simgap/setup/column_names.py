@@ -140,13 +140,9 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
 
 
 def take_joint(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """Take the words of a joint out of those of a name.
+    """Take the words of the joint with the longest part in a name out of it; of none if several have it.
 
     Words that all joints share, such as "joint", may be missing, if more than a number is left.
-
-    Returns:
-        The joint with the longest part in the name, empty if there is none or no single one; and the other
-        words.
     """
     every = [set(split_words(joint)) for joint in joints]
     shared = set.intersection(*every) if len(every) > 1 else set()

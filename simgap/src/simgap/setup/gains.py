@@ -76,11 +76,7 @@ def sag_gains(robot: Robot, logs: Logs) -> dict[str, float]:
 
 
 def ask_about_gains(draft: Draft, robot: Robot, shown: Mapping[str, float]) -> None:
-    """Ask about gains of the model, but where the logs agree with them.
-
-    Args:
-        shown: Gains that the logs show, by joint [N m/rad].
-    """
+    """Ask about gains of the model, but where the logs show the same, by joint [N m/rad]."""
     own = [one for one in robot.joints if one.mode is ControlMode.POSITION]
     own = [one for one in own if "kp_Nm_rad" not in draft.joint(one.name)]
     for gain in dict.fromkeys(one.kp_Nm_rad for one in own):
