@@ -14,7 +14,7 @@ from simgap.diagnosis import check_names, choose_shown
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
-from simgap.report.user_units import convert_errors
+from simgap.report.traces import convert_errors
 from simgap.residuals.conditioned import JoinedResiduals
 from simgap.residuals.residuals import (
     ResidualModel,

@@ -17,9 +17,9 @@ from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation, unbound
 from simgap.files.columns import hint_at
 from simgap.logs import Logs, Motion, Usable
-from simgap.report.user_units import convert_errors
+from simgap.report.traces import convert_errors
+from simgap.residuals.conditioned import Change, KnownResiduals, changes_of
 from simgap.residuals.encoder_residuals import why_refused
-from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
 from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Base, Diagnosis, Rejected

@@ -13,12 +13,15 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.drives import Drive, describe_unknown, read_drive, read_torque_limit
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
 from simgap.mjcf import (
+    Drive,
+    describe_unknown,
     gravity_amplitudes,
     joint_name,
+    read_drive,
     read_model_text,
+    read_torque_limit,
     set_conditions,
     take_out_joints,
     tied_joints,

@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.checks.records import hold, joint_samples, robust_sigma, runs, span
-from simgap.files.pauses import SETTLING_S
+from simgap.files.columns import SETTLING_S
 from simgap.logs import Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.robot import ControlMode, Robot

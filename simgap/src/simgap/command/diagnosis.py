@@ -30,14 +30,13 @@ from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.logs import Logs, Motion
-from simgap.patch.found import FOUND_FILE, read_found
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.patch.text import FOUND_FILE, read_found
 from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
-from simgap.report.traces import Trace, trace_motions
-from simgap.report.user_units import convert_trace
+from simgap.report.traces import Trace, convert_trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors

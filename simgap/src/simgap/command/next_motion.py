@@ -21,7 +21,7 @@ from simgap.loading import load
 from simgap.logs import Motion
 from simgap.next_motion.family import NAME
 from simgap.next_motion.proposal import Proposal, propose_motion
-from simgap.patch.found import FOUND_FILE, read_rivals
+from simgap.patch.text import FOUND_FILE, read_rivals
 from simgap.report.next_motion import next_lines, next_tables, save_next_files
 from simgap.robot import Robot
 from simgap.units import UNITS

@@ -8,10 +8,19 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import read_bytes
+
+
+class Record(BaseModel):
+    """Table of a TOML file: no unknown keys, no conversion of types, only finite numbers."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
 
 MAX_BYTES: Final = 1_000_000
 """Largest size of a file of settings, seventy times that of all flight parameters."""

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
-from simgap.common.toml import parse_record, read_toml
+from simgap.common.toml import Record, parse_record, read_toml
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 
 Text = Annotated[str, Field(min_length=1)]

@@ -16,12 +16,13 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
-from simgap.patch.found import FOUND_FILE, found_text
 from simgap.patch.text import (
     BODY_OF,
+    FOUND_FILE,
     Change,
     change_text,
     effect_table,
+    found_text,
     law_attributes,
     model_law,
     number_text,

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
-from simgap.common.toml import parse_record, read_toml, toml_text
+from simgap.common.toml import Record, parse_record, read_toml, toml_text
 from simgap.files.log_file import LogFile, open_log
 from simgap.files.robot_file import CsvTable, Text
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
