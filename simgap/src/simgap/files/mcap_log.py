@@ -90,7 +90,7 @@ def _scan_file(path: Path, names: Sequence[str] | None) -> _Scan:
                 raise RobotError(f"{path}: cannot be read: it is cut before its first message") from error
             used_s = (scan.last_ns - scan.first_ns) * 1e-9
             scan.loss = "" if scan.has_all_data else f"is cut; the first {used_s:.6g} s are used"
-        except RobotError:
+        except (RobotError, MemoryError):
             raise
         except Exception as error:  # the package, lz4 and zstd raise errors of any kind
             what = " ".join(str(error).split()) or type(error).__name__
