@@ -21,7 +21,7 @@ from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import nominal_params, params_over_nominal
 from sim.params import BadParams
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
+from simgap.common.toml import Record
 from simgap.files.robot_file import CsvTable, TimeTable
 from simgap.units import UNITS, Unit, find_unit
 

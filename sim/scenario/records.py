@@ -13,8 +13,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 from pydantic import Field, ValidationError, create_model
 
 from fsw.dictionary.types import DirectionMark, Limits, match_name, names_tool
-from simgap.common.record import Record
-from simgap.common.toml import KeyPath, describe_fault, key_path
+from simgap.common.toml import KeyPath, Record, describe_fault, key_path
 
 T = TypeVar("T")
 Choices = Mapping[str, tuple[str, ...]]

@@ -12,7 +12,7 @@ from simgap.assemble import select_sure
 from simgap.compare import list_differences, list_limits, select_differences, tell_apart
 from simgap.effects.effect import Size
 from simgap.effects.variation import Difference
-from simgap.report.comparison import comparison_lines
+from simgap.report.document import comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import Score, Selection

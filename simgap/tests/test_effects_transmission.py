@@ -38,11 +38,11 @@ def flywheel(damping=DAMPING, dry=0.0):
 
 
 def backlash(place="turn", index=0, encoder_is_at_output=True):
-    return Backlash(place, index, encoder_is_at_output, typical_rad=0.01, high_rad=0.1)
+    return Backlash(place, index, encoder_is_at_output, typical=0.01, highest=0.1)
 
 
 def compliance(place="turn", index=0, encoder_is_at_output=True):
-    return JointCompliance(place, index, encoder_is_at_output, typical_rad_Nm=0.02, high_rad_Nm=0.2)
+    return JointCompliance(place, index, encoder_is_at_output, typical=0.02, highest=0.2)
 
 
 def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):

@@ -187,7 +187,7 @@ def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_i
 
 STEADY: list[Effect] = [
     *(at_swing(kind, pendulum()) for kind in (GainError, CommandDelay, MeasurementDelay, ConstantTorque)),
-    Backlash("swing", 0, encoder_is_at_output=False, typical_rad=0.01, high_rad=0.1),
+    Backlash("swing", 0, encoder_is_at_output=False, typical=0.01, highest=0.1),
 ]
 
 

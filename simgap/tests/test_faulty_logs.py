@@ -11,7 +11,7 @@ from helpers.robot_folder import COLUMNS, write_parquet, write_robot
 from simgap.checks.audit import audit
 from simgap.checks.records import REFUSED, RemarkKind, Samples
 from simgap.checks.signals import spike_flags
-from simgap.files.counters import unwrap_counters
+from simgap.files.motion_rows import unwrap_counters
 from simgap.files.robot_file import JointTable
 from simgap.loading import load
 from simgap.logs import Logs, Signal

@@ -7,7 +7,7 @@ from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, w
 from simgap.checks.records import RemarkKind
 from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
-from simgap.files.pauses import cut_at_pauses
+from simgap.files.columns import cut_at_pauses
 from simgap.loading import load
 from simgap.robot import Robot
 

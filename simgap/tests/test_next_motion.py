@@ -25,8 +25,8 @@ from simgap.next_motion.family import list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
 from simgap.next_motion.rivals import choose_rivals
 from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
-from simgap.patch.found import read_rivals
 from simgap.patch.patch import save_patch
+from simgap.patch.text import read_rivals
 from simgap.report.next_motion import next_document, next_lines, save_next_page
 from simgap.result import Rival
 from simgap.robot import ControlMode, Robot

@@ -8,9 +8,9 @@ import pytest
 from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
+from simgap.common.toml import Record
 from simgap.files import robot_file
-from simgap.files.splits import SplitFile, SplitTable
+from simgap.loading import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
 
 GAIN = 'gain_column = "gain"\nkp_Nm_rad = 15.0\n'

@@ -6,8 +6,7 @@ import pytest
 
 from helpers.real_robots import LOADED, LOGS, ROBOTS, robot_path
 from simgap.files.robot_file import SerialFile, read_robot_file
-from simgap.files.splits import read_split
-from simgap.loading import load
+from simgap.loading import load, read_split
 from simgap.robot import Robot
 
 PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}

@@ -23,7 +23,7 @@ from simgap.effects.effect import Family
 from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.sentences import level, verdict_lines, verdict_word
-from simgap.report.user_units import convert_errors, find_user_unit
+from simgap.report.traces import convert_errors, find_user_unit
 from simgap.result import Rejected
 from simgap.robot import Robot
 from simgap.units import quantity

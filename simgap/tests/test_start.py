@@ -16,11 +16,10 @@ from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
 from simgap.logs import Logs, Motion, Signal
-from simgap.patch.found import read_found
 from simgap.patch.patch import save_patch
+from simgap.patch.text import read_found
 from simgap.report.traces import trace_motions
-from simgap.residuals.conditioned import ConditionedResiduals
-from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
+from simgap.residuals.conditioned import Change, ConditionedResiduals, KnownResiduals, changes_of
 from simgap.residuals.residuals import residuals_by_motion
 from simgap.selection.selection import select_effects
 

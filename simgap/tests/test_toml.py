@@ -10,8 +10,15 @@ import pytest
 from pydantic import ValidationError
 
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
-from simgap.common.toml import describe_faults, key_path, parse_record, parse_toml, read_toml, toml_text
+from simgap.common.toml import (
+    Record,
+    describe_faults,
+    key_path,
+    parse_record,
+    parse_toml,
+    read_toml,
+    toml_text,
+)
 from simgap.units import UNITS, Quantity, find_unit
 
 TABLE = {

@@ -8,8 +8,7 @@ import pytest
 
 from helpers.real_robots import robot_path
 from simgap.common.errors import RobotError
-from simgap.files.splits import read_split
-from simgap.loading import load
+from simgap.loading import load, read_split
 from simgap.robot import Robot
 from validation.so101 import convert
 

@@ -26,8 +26,7 @@ from sim.diagnosis_campaign import (
     within_limits,
 )
 from sim.setting import WARM_C, World
-from simgap.common.record import Record
-from simgap.common.toml import parse_record, read_toml, toml_text
+from simgap.common.toml import Record, parse_record, read_toml, toml_text
 
 ALL: Final = "all"
 """Name in place of a joint: all joints turn at once."""

@@ -21,8 +21,8 @@ from simgap.logs import JointLog as JointLog
 from simgap.logs import Logs as Logs
 from simgap.logs import Motion as Motion
 from simgap.logs import Signal as Signal
-from simgap.patch.found import read_found as read_found
 from simgap.patch.runtime import RuntimeEffects as RuntimeEffects
+from simgap.patch.text import read_found as read_found
 from simgap.report.details import detail_lines as detail_lines
 from simgap.report.document import to_document as to_document
 from simgap.report.sentences import verdict_lines as verdict_lines

@@ -210,11 +210,7 @@ def doubt_names(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
-    """Check whether a model explains less than MIN_CLOSURE of left-out motions; False if noise is unknown.
-
-    Args:
-        place: Name of the joint; all joints count for another place.
-    """
+    """Check whether a model explains less than MIN_CLOSURE at a place; False if noise is unknown."""
     model = context.model
     joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
@@ -301,11 +297,7 @@ def _base_of_joints(context: Context) -> list[Effect]:
 def add_shares(
     context: Context, chosen: FittedModel, held_out: ResidualModel, base: Sequence[Base]
 ) -> list[Base]:
-    """Add to base parameters that differ the share of the error that comes back without them.
-
-    Args:
-        base: Those of `list_base`.
-    """
+    """Add the share of the error that comes back without them to base parameters that differ."""
     columns = context.union.columns(_base_of_joints(context))
     differing = [k for k, one in enumerate(base) if one.differs]
     joints = [held_out.joints.index(base[k].place) for k in differing]

@@ -14,7 +14,7 @@ from simgap.diagnosis import check_names, choose_shown
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
-from simgap.report.user_units import convert_errors
+from simgap.report.traces import convert_errors
 from simgap.residuals.conditioned import JoinedResiduals
 from simgap.residuals.residuals import (
     ResidualModel,
@@ -99,11 +99,7 @@ class SetResiduals(WrappedResiduals):
     """Residuals of one of two sets, with its part of each difference; see `ResidualModel`."""
 
     def __init__(self, raw: ResidualModel, which: int) -> None:
-        """Keep the residuals.
-
-        Args:
-            which: 0 for the first set, 1 for the second.
-        """
+        """Keep the residuals of the first set, 0, or of the second, 1."""
         super().__init__(raw)
         self.which = which
 

@@ -17,9 +17,9 @@ from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation, unbound
 from simgap.files.columns import hint_at
 from simgap.logs import Logs, Motion, Usable
-from simgap.report.user_units import convert_errors
+from simgap.report.traces import convert_errors
+from simgap.residuals.conditioned import Change, KnownResiduals, changes_of
 from simgap.residuals.encoder_residuals import why_refused
-from simgap.residuals.known_effects import Change, KnownResiduals, changes_of
 from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Base, Diagnosis, Rejected
@@ -129,14 +129,7 @@ def _list_kinds(
 
 
 def list_variations(robot: Robot, logs: Logs, known: Sequence[Effect]) -> list[Effect]:
-    """List the effects that may follow a condition, as the robot file names them.
-
-    Args:
-        known: The catalogue; empty: nothing is listed.
-
-    Raises:
-        RobotError: No effect has such a name, or a condition is neutral in all motions.
-    """
+    """List effects that may follow a condition; RobotError if none has the name, or it is always neutral."""
     found: list[Effect] = []
     candidates = [*base_effects(robot, logs), *known]
     for condition, table in (robot.file.conditions if robot.file and known else {}).items():
@@ -245,11 +238,7 @@ def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
 
 
 def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Motion]) -> None:
-    """Refuse motions that cannot be diagnosed.
-
-    Raises:
-        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
-    """
+    """Refuse by RobotError motions that are too few, in both parts, or do not follow their commands."""
     twice = _find_repeated([motion.name for motion in motions])
     if twice is not None:
         raise RobotError(f"motion {twice}: is fitted twice; give each motion once, with its own name")
@@ -280,12 +269,9 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
 
 
 def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
-    """Refuse logs that say something else than happened, and logs without a usable sample.
+    """Refuse by RobotError logs that say something else than happened, or have no usable sample.
 
     Effects would explain a wrong unit, exchanged joints, lost turns, or a position that never changes.
-
-    Raises:
-        RobotError: A remark is of such a kind, or no sample can be used.
     """
     for one in audit.remarks:
         if one.kind in REFUSED:

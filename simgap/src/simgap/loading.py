@@ -1,19 +1,121 @@
-"""Loading of logs: from files to signals in SI units at the joint, by motion."""
+"""Loading of logs: from files to signals in SI units at the joint, by motion, and which are fitted."""
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
-from simgap.files.counters import unwrap_counters
+from simgap.common.toml import Record, parse_record, read_toml
+from simgap.files.columns import hint_at
 from simgap.files.log_file import LogFile, open_log
-from simgap.files.motion_rows import MotionRows
+from simgap.files.motion_rows import MotionRows, unwrap_counters
 from simgap.files.robot_file import RobotFile
-from simgap.files.splits import Member, choose_motions, find_members, read_split
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
+
+
+class SplitTable(Record):
+    """One split: parts that are fitted, and parts that judge."""
+
+    fit: list[str] = Field(default_factory=list)
+    """Parts that are fitted; none: all that is not held out."""
+    held_out: Annotated[list[str], Field(min_length=1)]
+    """Parts that take no part in a fit."""
+
+
+class SplitFile(Record):
+    """Content of a split file."""
+
+    default: str
+    """Split that is taken if none is named."""
+    parts: dict[str, Annotated[list[str], Field(min_length=1)]]
+    """Part -> its motions, or the conditions or files whose motions it has."""
+    splits: dict[str, SplitTable]
+    """Name of a split -> what it fits and what it holds out."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "SplitFile":
+        if self.default not in self.splits:
+            raise ValueError(f"default: there is no split {self.default!r}{_near(self.default, self.splits)}")
+        for name, split in self.splits.items():
+            for part in (*split.fit, *split.held_out):
+                if part not in self.parts:
+                    raise ValueError(f"splits.{name}: there is no part {part!r}{_near(part, self.parts)}")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """Names by which a split may refer to a motion."""
+
+    motion: str
+    others: tuple[str, ...]
+    """Its name in its file, its file, and its conditions, as `mass_kg=0.5`."""
+
+
+def read_split(path: Path) -> SplitFile:
+    """Read a split file; RobotError if it cannot be read, or a key or a value is wrong."""
+    return parse_record(SplitFile, read_toml(path), path)
+
+
+def choose_motions(
+    file: SplitFile | None, members: Sequence[Member], split: str, held_out: Sequence[str]
+) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the names of fitted and of judging motions; RobotError if one is in both, or none is fitted."""
+    everything = frozenset(one.motion for one in members)
+    if held_out:
+        judged = find_members(held_out, members, "held out")
+        fitted = everything - judged
+    elif file is None:
+        if split:
+            raise RobotError(f"split {split!r}: the robot file names no split file; add the key split to it")
+        return everything, frozenset()
+    else:
+        name = split or file.default
+        if name not in file.splits:
+            raise RobotError(
+                f"split {name!r}: the split file has none of this name{_near(name, file.splits)}"
+            )
+        table = file.splits[name]
+        judged = _part_members(file, table.held_out, members)
+        fitted = _part_members(file, table.fit, members) if table.fit else everything - judged
+        both = sorted(fitted & judged)
+        if both:
+            raise RobotError(
+                f"split {name!r}: motion {both[0]!r} is both fitted and held out; leave it in one part"
+            )
+    if not fitted:
+        raise RobotError("split: all motions are held out, so that nothing is fitted; hold out fewer")
+    return fitted, judged
+
+
+def _part_members(file: SplitFile, parts: Sequence[str], members: Sequence[Member]) -> frozenset[str]:
+    return frozenset().union(*(find_members(file.parts[part], members, f"part {part}") for part in parts))
+
+
+def find_members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
+    """Return the motions with these names, conditions or files; RobotError if a name is unknown."""
+    found: set[str] = set()
+    for name in names:
+        chosen = {one.motion for one in members if name and name in (one.motion, *one.others)}
+        if not chosen:
+            there = dict.fromkeys(text for one in members for text in (one.motion, *one.others))
+            raise RobotError(
+                f"{where}: {name!r} is no motion, condition or file of these logs{_near(name, there)}"
+            )
+        found |= chosen
+    return frozenset(found)
+
+
+def _near(name: str, there: Collection[str]) -> str:
+    if "," in name and all(part.strip() in there for part in name.split(",")):
+        return "; name each by itself: --held-out A --held-out B, or ['A', 'B'] in Python and files"
+    return f"; {hint_at(name, [one for one in there if one], 'there are')}"
 
 
 def load(
@@ -69,9 +171,6 @@ def _name_motions(
 
     Files of one name are told apart by their folders. A motion that has the name of its file is named by the
     file alone.
-
-    Raises:
-        RobotError: a file is given twice.
     """
     whole = [path.resolve() for path in paths]
     twice = next((paths[k] for k, path in enumerate(whole) if path in whole[:k]), None)
@@ -91,11 +190,7 @@ def _name_motions(
 
 
 def _add_conditions(file: RobotFile, motions: list[Motion], members: Sequence[Member]) -> list[Motion]:
-    """Return motions with the conditions whose values the robot file gives by motion or log file.
-
-    Raises:
-        RobotError: a name is unknown, or a motion has no value or two.
-    """
+    """Return motions with the conditions given by motion or file; RobotError for a wrong name or value."""
     for name, table in file.conditions.items():
         if not table.values:
             continue
@@ -196,9 +291,6 @@ def _column_by_name(log: LogFile, file: RobotFile, joint: str, key: str, column:
 
     Messages may have their joints in any order. The place means the name that stood there first; if other
     publishers put names there that the robot file does not know, the joint's own.
-
-    Raises:
-        RobotError: the name is another joint of the robot file.
     """
     stood = log.names_at(column)
     if not stood:

@@ -228,8 +228,7 @@ class Diagnosis:
     def report(self, path: str | Path, robot: Robot, motions: Sequence[Motion] = ()) -> None:
         """Write the page, with interactive traces of these motions; see `simgap.report`."""
         from simgap.report.page import save_diagnosis_page
-        from simgap.report.traces import trace_motions
-        from simgap.report.user_units import convert_trace
+        from simgap.report.traces import convert_trace, trace_motions
 
         traces = [convert_trace(robot, one) for one in trace_motions(robot, motions, self)]
         save_diagnosis_page(self, traces, Path(path))

@@ -13,12 +13,15 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.drives import Drive, describe_unknown, read_drive, read_torque_limit
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
 from simgap.mjcf import (
+    Drive,
+    describe_unknown,
     gravity_amplitudes,
     joint_name,
+    read_drive,
     read_model_text,
+    read_torque_limit,
     set_conditions,
     take_out_joints,
     tied_joints,
@@ -157,28 +160,16 @@ class Robot:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Robot":
-        """Read a robot file and compile its model.
-
-        Raises:
-            RobotError: the file, the model, or what the one says of the other is wrong.
-        """
+        """Read a robot file and compile its model; RobotError if one or the other is wrong."""
         return cls.from_file(read_model_file(Path(path)), Path(path))
 
     @classmethod
     def from_file(cls, file: RobotFile, path: Path) -> "Robot":
-        """Compile the model of a robot file that was read, or is to be written, at this path.
-
-        Raises:
-            RobotError: the model, or what the one says of the other is wrong.
-        """
+        """Compile the model of a robot file that is, or will be, at this path; RobotError if it is wrong."""
         return _build_robot(file, path)
 
     def under(self, conditions: Mapping[str, float]) -> "Robot":
-        """Return the robot with the numbers of its model that these conditions set.
-
-        Raises:
-            RobotError: the model cannot have such a number.
-        """
+        """Return the robot with numbers of its model that conditions set; RobotError if it has no such."""
         if self.file is None or not any(one.sets for one in self.file.conditions.values()):
             return self
         return _build_robot(self.file, self.path, conditions)

@@ -108,11 +108,7 @@ Temperatures are in degC; all other quantities are in SI units.
 
 
 def find_unit(name: str, *quantities: Quantity) -> Unit:
-    """Return the unit with this name.
-
-    Raises:
-        ValueError: there is no such unit of these quantities; the text names those that there are.
-    """
+    """Return the unit with this name; ValueError, with those that there are, if it is of other quantities."""
     unit = UNITS.get(name)
     if unit is not None and unit.quantity in quantities:
         return unit

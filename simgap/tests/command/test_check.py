@@ -13,7 +13,7 @@ from helpers.message_logs import BY_TOPIC, rows, write_bag, write_mcap
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
 from helpers.robot_folder import MODEL as LINKS
 from simgap.command.check import check_robot, drawn_motions, print_check, summarize_joints
-from simgap.command.columns import list_logs
+from simgap.command.first_file import list_logs
 from simgap.command.request import CheckRequest
 from simgap.common.files import file_sha256
 

@@ -8,8 +8,15 @@ import pytest
 
 from fsw.kinematics.transforms import Array
 from simgap.common import progress as module
-from simgap.common.earlier_run import EarlierRun, keep_run, read_earlier_run
-from simgap.common.progress import ProgressState, format_duration, part_of, show_progress
+from simgap.common.progress import (
+    EarlierRun,
+    ProgressState,
+    format_duration,
+    keep_run,
+    part_of,
+    read_earlier_run,
+    show_progress,
+)
 from validation.campaigns import Context
 
 

@@ -76,81 +76,72 @@ class _Facts:
     logs: tuple[JointLog, ...]
     zero_is_seen: bool
 
-    @property
+    def is_logged(self) -> bool:
+        """Return True: velocity and load of any log show friction."""
+        return True
+
     def has_command(self) -> bool:
         return any(log.command is not None for log in self.logs)
 
-    @property
     def has_position_loop(self) -> bool:
-        return self.has_command and self.joint.mode is ControlMode.POSITION
+        return self.has_command() and self.joint.mode is ControlMode.POSITION
 
-    @property
     def has_damping_loop(self) -> bool:
-        return self.has_command and self.joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY)
+        return self.has_command() and self.joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY)
 
-    @property
     def has_limit(self) -> bool:
         """Return whether torque constant and gain error differ: they do at a limit of the torque."""
-        return self.has_command and math.isfinite(self.joint.torque_limit_Nm)
+        return self.has_command() and math.isfinite(self.joint.torque_limit_Nm)
 
-    @property
     def is_switched(self) -> bool:
-        """Return whether the motor is without power in a part of the logs."""
-        return any(log.enabled is not None and bool((log.enabled.value < 0.5).any()) for log in self.logs)
+        """Return whether the motor of a loop is without power in a part of the logs."""
+        off = any(log.enabled is not None and bool((log.enabled.value < 0.5).any()) for log in self.logs)
+        return off and self.has_damping_loop()
 
-    @property
     def warms(self) -> bool:
         return bool(self.scales.hottest_degC - self.scales.coldest_degC > WARMING_K)
 
+    def is_hinge(self) -> bool:
+        return not self.joint.is_slide
+
+    def sees_zero(self) -> bool:
+        return self.zero_is_seen
+
 
 _Condition = Callable[[_Facts], bool]
-
-
-def _always(facts: _Facts) -> bool:
-    return True
-
-
-def _command(facts: _Facts) -> bool:
-    return facts.has_command
-
-
-def _position_loop(facts: _Facts) -> bool:
-    return facts.has_position_loop
-
-
 JOINT_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (StribeckFriction, _always),
-    (LoadFriction, _always),
-    (AsymmetricFriction, _always),
-    (TemperatureFriction, lambda facts: facts.warms),
-    (DampingGain, lambda facts: facts.has_damping_loop),
-    (TorqueConstant, lambda facts: facts.has_limit),
-    (TorqueLimit, _command),
-    (BackEmf, _command),
-    (DeadZone, _position_loop),
-    (LeakyIntegral, _position_loop),
-    (VelocityLimit, _position_loop),
-    (AccelerationLimit, _position_loop),
-    (ClampLow, _command),
-    (ClampHigh, _command),
-    (ConstantTorque, _always),
-    (Spring, _always),
-    (PositionTorque, lambda facts: not facts.joint.is_slide),
-    (CommandDelay, _command),
-    (MeasurementDelay, _always),
-    (EncoderScale, _always),
-    (JointZero, lambda facts: facts.zero_is_seen),
+    (StribeckFriction, _Facts.is_logged),
+    (LoadFriction, _Facts.is_logged),
+    (AsymmetricFriction, _Facts.is_logged),
+    (TemperatureFriction, _Facts.warms),
+    (DampingGain, _Facts.has_damping_loop),
+    (TorqueConstant, _Facts.has_limit),
+    (TorqueLimit, _Facts.has_command),
+    (BackEmf, _Facts.has_command),
+    (DeadZone, _Facts.has_position_loop),
+    (LeakyIntegral, _Facts.has_position_loop),
+    (VelocityLimit, _Facts.has_position_loop),
+    (AccelerationLimit, _Facts.has_position_loop),
+    (ClampLow, _Facts.has_command),
+    (ClampHigh, _Facts.has_command),
+    (ConstantTorque, _Facts.is_logged),
+    (Spring, _Facts.is_logged),
+    (PositionTorque, _Facts.is_hinge),
+    (CommandDelay, _Facts.has_command),
+    (MeasurementDelay, _Facts.is_logged),
+    (EncoderScale, _Facts.is_logged),
+    (JointZero, _Facts.sees_zero),
 )
-"""Effects at one joint, and where each makes sense. Velocity and load of any log show friction."""
+"""Effects at one joint, and where each makes sense."""
 BASE_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (ViscousFriction, _always),
-    (CoulombFriction, _always),
-    (Armature, _always),
-    (GainError, _command),
+    (ViscousFriction, _Facts.is_logged),
+    (CoulombFriction, _Facts.is_logged),
+    (Armature, _Facts.is_logged),
+    (GainError, _Facts.has_command),
 )
 """Nuisances of a joint that is not known, and candidates at one that is."""
 SWITCHED_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (DampingGain, lambda facts: facts.has_damping_loop and facts.is_switched),
+    (DampingGain, _Facts.is_switched),
 )
 """Further nuisances. Back-EMF acts under power alone; a log without power tells it from viscous friction."""
 
@@ -166,7 +157,7 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
             scale = {facts.joint.name: facts.scales}
             found.append(PeriodicTorque.of_order(robot, facts.joint.name, scale, facts.joint.gear_ratio))
     scales = {facts.joint.name: facts.scales for facts in all_facts}
-    if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
+    if len(all_facts) == len(robot.joints) and all(facts.has_command() for facts in all_facts):
         sag = SupplySag.of(robot, scales, logs.fit)
         found += [sag] if sag.high > 0.0 else []
     found += _common_delays(robot, found)
@@ -195,7 +186,7 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     for facts in _facts(robot, logs.fit):
         found += [] if facts.joint.is_known else _at(robot, facts, (*BASE_EFFECTS, *SWITCHED_EFFECTS))
         if not facts.joint.torque_constant_is_known:
-            found += _at(robot, facts, ((CurrentScale, _always),))
+            found += _at(robot, facts, ((CurrentScale, _Facts.is_logged),))
     return tuple(replace(effect, is_base=True) for effect in found)
 
 

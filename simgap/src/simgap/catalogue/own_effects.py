@@ -17,13 +17,10 @@ T = TypeVar("T")
 
 
 def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
-    """Load effects from a Python file, which is executed; they join the catalogue.
+    """Load effects from a Python file, which is executed; RobotError if it fails or holds no complete one.
 
     If the file has a function `effects(robot, logs)`, it returns the effects. Else each subclass of
     JointEffect in the file is put at each joint that has a log.
-
-    Raises:
-        RobotError: The file does not exist, fails, or holds no effect that is complete.
     """
     place = str(path)
     module = load_module(Path(path))

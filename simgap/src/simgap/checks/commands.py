@@ -16,13 +16,10 @@ well differ as much is below 1e-6 from 100 independent samples on."""
 
 
 def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
-    """Count motions whose position follows the command of another motion better than their own.
+    """Count motions whose position follows the command of another motion twice as well as their own.
 
     Two distances count: that from the command itself, and that beside the best offset and gain.
     The second is needed because a weak servo hangs below its command.
-
-    Returns:
-        Number of motions with one of these distances to another command below half of that to their own.
     """
     if not pairs:
         return 0
@@ -102,11 +99,7 @@ def _spread(motions: Sequence[Motion], joint: str) -> float:
 
 
 def _pooled_error(motions: Sequence[Motion], joint: str, other: str, lead_s: float = 0.0) -> float:
-    """Return the RMS of positions beside another command, whose offset and gain are fitted in each motion.
-
-    Args:
-        lead_s: Time by which positions are ahead of the command.
-    """
+    """Return the RMS of positions, ahead by a time, beside a command whose offset and gain are fitted."""
     squares: list[float] = []
     for motion in motions:
         command = motion.joints[other].command
@@ -119,12 +112,9 @@ def _pooled_error(motions: Sequence[Motion], joint: str, other: str, lead_s: flo
 
 
 def _follow_errors(position: Signal, command: Signal, lead_s: float) -> tuple[float, float]:
-    """Return the RMS of a position beside a command, and beside its best offset and positive gain.
+    """Return the RMS of a position, ahead by a time, beside a command, and beside its best offset and gain.
 
     Both are infinite if the command covers less than half of the position.
-
-    Args:
-        lead_s: Time by which the position is taken to be ahead of the command.
     """
     time_s = position.time_s + lead_s
     sent = np.interp(time_s, command.time_s, command.value)

@@ -102,11 +102,7 @@ class NominalModel:
 
 
 def _commands(log: JointLog, edges_s: Array) -> Array:
-    """Return the mean of the command in each control period, (n,); the last number holds where there is none.
-
-    Args:
-        edges_s: Edges of the periods, (n + 1,), half a step early as in `simulation.windows`.
-    """
+    """Return the mean of the command between edges, (n,); its last number holds where there is none."""
     if log.command is None:
         return np.zeros(edges_s.size - 1)
     is_number = np.isfinite(log.command.value)

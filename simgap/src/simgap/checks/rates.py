@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, is_short, joint_samples, say_times
 from simgap.common.console import pluralize
-from simgap.files.pauses import GAP, MAX_WINDOWS, SETTLING_S, cut_at_pauses, find_pauses, windows_text
+from simgap.files.columns import GAP, MAX_WINDOWS, SETTLING_S, cut_at_pauses, find_pauses, windows_text
 from simgap.logs import JointLog, Motion
 from simgap.robot import Robot
 

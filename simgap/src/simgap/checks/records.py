@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.files.pauses import SETTLING_S
+from simgap.files.columns import SETTLING_S
 from simgap.logs import JointLog, Motion, Signal
 from simgap.result import Refusal
 from simgap.simulation.windows import SLOPE_SAMPLES

@@ -282,11 +282,7 @@ def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark
 
 
 def _late_start_s(samples: Samples, least_rad: float) -> float:
-    """Return how long a joint stands still at the start although its command moves; 0 if it does not.
-
-    Args:
-        least_rad: Distance by which a joint moves clearly.
-    """
+    """Return how long a joint does not move clearly at the start although its command does; 0 if it does."""
     use = np.isfinite(samples.command)
     time_s, position, command = samples.time_s[use], samples.position[use], samples.command[use]
     if time_s.size < WINDOW:

@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.checks.records import hold, joint_samples, robust_sigma, runs, span
-from simgap.files.pauses import SETTLING_S
+from simgap.files.columns import SETTLING_S
 from simgap.logs import Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.robot import ControlMode, Robot
@@ -85,11 +85,7 @@ def find_rest(robot: Robot, motions: Sequence[Motion]) -> Rest:
 
 
 def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: Flags) -> Free:
-    """Predict free positions, also at fast samples, where they are less exact.
-
-    Args:
-        is_held: Samples that something is known to hold back, (n, n_joints); the fit leaves them out.
-    """
+    """Predict free positions, less exactly at fast samples, from those that nothing holds, (n, n_joints)."""
     free, offset = np.full_like(rest.measured, np.nan), np.zeros_like(rest.measured)
     friction = np.zeros(len(rest.joints))
     for k in range(len(rest.joints)):
@@ -123,12 +119,7 @@ class StaticLaw:
 def fit_static_law(
     robot: Robot, motions: Sequence[Motion], rest: Rest, k: int, is_held: Flags
 ) -> StaticLaw | None:
-    """Fit the law of a joint to its slow samples; None if it has too few, or no position command.
-
-    Args:
-        k: Place of the joint in `rest`.
-        is_held: Samples that something is known to hold back, (n,); the fit leaves them out.
-    """
+    """Fit the law of joint k of `rest` to slow samples that nothing holds, (n,); None if it has too few."""
     joint = robot.joint(rest.joints[k])
     gain = np.array([motion.gain.get(joint.name, 1.0) for motion in motions])[rest.motion]
     known = np.isfinite(rest.command[:, k]) & (gain > 0.0)

@@ -44,7 +44,7 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     Example: simgap check robot.toml logs.parquet --report check.html
     """
     if request.robot.suffix.lower() != ".toml":
-        from simgap.command.columns import columns_json, list_logs, print_columns
+        from simgap.command.first_file import columns_json, list_logs, print_columns
 
         listed = list_logs(request, progress)
         return VerbResult(columns_json(listed), lambda: print_columns(listed))
@@ -108,7 +108,7 @@ def compare(request: CompareRequest, progress: Progress) -> VerbResult:
     Example: simgap compare robot.toml monday.parquet friday.parquet
     """
     from simgap.command.comparison import compare_logs, print_comparison
-    from simgap.report.comparison import comparison_document
+    from simgap.report.document import comparison_document
 
     made = compare_logs(request, progress)
     return VerbResult(comparison_document(made), lambda: print_comparison(made))

@@ -92,12 +92,7 @@ class JointSummary:
 
 
 def check_robot(request: CheckRequest, progress: Progress = no_progress) -> CheckReport:
-    """Check a robot file and its logs.
-
-    Raises:
-        BadRequest: an option is wrong.
-        RobotError: the robot file or a log is wrong; nothing was written.
-    """
+    """Check a robot file and its logs; BadRequest or RobotError if an option, the file or a log is wrong."""
     check_options(request)
     progress(0.0, 1.0, "reading")
     robot = Robot.from_toml(request.robot)

@@ -10,7 +10,7 @@ from simgap.common.progress import Progress, no_progress
 from simgap.compare import compare
 from simgap.diagnosis import check_audit
 from simgap.loading import load
-from simgap.report.comparison import comparison_details, comparison_lines
+from simgap.report.document import comparison_details, comparison_lines
 from simgap.result import Comparison
 from simgap.robot import Robot
 

@@ -30,14 +30,13 @@ from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.logs import Logs, Motion
-from simgap.patch.found import FOUND_FILE, read_found
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.patch.text import FOUND_FILE, read_found
 from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
-from simgap.report.traces import Trace, trace_motions
-from simgap.report.user_units import convert_trace
+from simgap.report.traces import Trace, convert_trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors
@@ -50,11 +49,7 @@ from simgap.serial_arm.tracker import TrackerFit, describe_tracker, fit_tracker
 
 
 def parse_terms(text: str) -> tuple[str, ...]:
-    """Return the terms that a text names, in the order of TERMS.
-
-    Raises:
-        BadRequest: a word is not known, or `all` or `none` stands with others.
-    """
+    """Return the terms that a text names, in the order of TERMS; BadRequest if a word is not known."""
     if text in ("all", "none"):
         return TERMS if text == "all" else ()
     words = [word.strip() for word in text.split(",")]
@@ -210,12 +205,7 @@ class RobotDiagnosis:
 
 
 def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
-    """Diagnose a robot; nothing is written but steps in the cache, which are deleted at the end.
-
-    Raises:
-        BadRequest: an option is wrong.
-        RobotError: the robot file, a log or a file of effects is wrong.
-    """
+    """Diagnose a robot, writing in the cache alone; BadRequest or RobotError if anything given is wrong."""
     check_options(request)
     if request.split and request.held_out:
         raise BadRequest("split, held-out: they exclude each other; give one of the two")

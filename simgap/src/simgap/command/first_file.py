@@ -1,19 +1,28 @@
-"""The verb that writes a first robot file from a model and logs."""
+"""Verbs for a user who has no robot file yet: a list of what is in logs, and a first robot file."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from simgap.command.request import InitRequest
-from simgap.common.console import plain_console
+from rich.table import Table
+
+from simgap.command.request import CheckRequest, InitRequest
+from simgap.common.console import plain_console, pluralize
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
+from simgap.common.report import to_json
+from simgap.files.columns import ColumnInfo
+from simgap.files.log_file import open_whole
+from simgap.files.table_log import TableLog
 from simgap.setup.compose import draft_robot_file
 from simgap.setup.draft import list_questions, robot_file_text
-from simgap.setup.signals import KEYS
+from simgap.setup.times import find_times
+from simgap.setup.units import KEYS
+from simgap.units import UNITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +39,7 @@ class FirstFile:
 
 
 def write_first_file(request: InitRequest, progress: Progress = no_progress) -> FirstFile:
-    """Write a robot file; nothing is written unless it reads the logs.
-
-    Raises:
-        BadRequest: no log is given, or the file is there already.
-        RobotError: model or logs cannot be read, or no column fits a joint.
-    """
+    """Write a robot file, if it reads the logs; else BadRequest or RobotError, and nothing is written."""
     check_options(request)
     if not request.logs:
         raise BadRequest("logs: none is given; name at least one log after the model")
@@ -80,3 +84,81 @@ def print_first_file(made: FirstFile) -> None:
         console.print(f"{number}. {question}")
     console.print(f"{made.path} is written; answer the questions in it, then:")
     console.print(shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]), soft_wrap=True)
+
+
+MODELS: Final = (".xml", ".mjcf", ".urdf")
+
+
+@dataclass(frozen=True, slots=True)
+class LogContent:
+    """Columns of a log, and sentences about what of it could not be read."""
+
+    log: Path
+    columns: tuple[ColumnInfo, ...]
+    losses: tuple[str, ...]
+
+
+def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[LogContent, ...]:
+    """List the columns of logs; BadRequest for a model or a page, RobotError for a log that is damaged."""
+    check_options(request)
+    if request.robot.suffix.lower() in MODELS:
+        raise BadRequest(
+            f"{request.robot}: is a model; give a robot file, which `simgap init {request.robot} LOGS` writes"
+        )
+    if request.report is not None:
+        raise BadRequest("report: is of a check; name a robot file before the logs")
+    paths = (request.robot, *request.logs)
+    found = []
+    for number, path in enumerate(paths):
+        progress(number, len(paths), f"reading {path.name}")
+        found.append(_describe(path))
+    return tuple(found)
+
+
+def _describe(path: Path) -> LogContent:
+    """Describe a log; a table has its rates by the column that is a time by its name, if there is one."""
+    log = open_whole(path)
+    columns, losses = log.describe(), list(log.losses)
+    if isinstance(log, TableLog) and not log.time_column:
+        try:
+            times = find_times(log, columns)
+        except RobotError as error:
+            losses.append(str(error).removeprefix(f"{path}: "))
+        else:
+            columns = log.describe(log.numbers(times.column).value * UNITS[times.unit].factor)
+    return LogContent(path, columns, tuple(losses))
+
+
+def columns_json(logs: Sequence[LogContent]) -> dict[str, Any]:
+    """Convert a list to a JSON document; null where a number is not known."""
+    return {"logs": [to_json(one) for one in logs]}
+
+
+def print_columns(logs: Sequence[LogContent]) -> None:
+    """Print one line for each column."""
+    console = plain_console()
+    for one in logs:
+        console.print(_table(one))
+        for loss in one.losses:
+            console.print(f"{one.log}: {loss}")
+    console.print(
+        "A robot file says which of these columns is which joint; `simgap init` writes a first one."
+    )
+
+
+def _table(content: LogContent) -> Table:
+    title = f"{content.log}: {pluralize(len(content.columns), 'column')}"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    for name in ("column", "kind", "samples", "Hz", "lowest", "highest", "unit"):
+        is_text = name in ("column", "kind", "unit")
+        shown.add_column(
+            name, justify="left" if is_text else "right", overflow="fold" if is_text else "ellipsis"
+        )
+    for one in content.columns:
+        numbers = (_cell(number) for number in (one.rate_Hz, one.lowest, one.highest))
+        shown.add_row(one.name, one.kind, str(one.n_samples), *numbers, one.unit)
+    return shown
+
+
+def _cell(number: float | None) -> str:
+    return "" if number is None else f"{number:.6g}"

@@ -21,7 +21,7 @@ from simgap.loading import load
 from simgap.logs import Motion
 from simgap.next_motion.family import NAME
 from simgap.next_motion.proposal import Proposal, propose_motion
-from simgap.patch.found import FOUND_FILE, read_rivals
+from simgap.patch.text import FOUND_FILE, read_rivals
 from simgap.report.next_motion import next_lines, next_tables, save_next_files
 from simgap.robot import Robot
 from simgap.units import UNITS
@@ -43,12 +43,7 @@ class NextMotion:
 
 
 def propose_next(request: NextRequest, progress: Progress = no_progress) -> NextMotion:
-    """Propose a motion; nothing is written.
-
-    Raises:
-        BadRequest: an option is wrong.
-        RobotError: a file is wrong, or there is nothing to tell apart.
-    """
+    """Propose a motion and write nothing; BadRequest or RobotError if an option or a file is wrong."""
     check_options(request)
     progress(0.0, 0.0, "reading")
     robot = Robot.from_toml(request.robot)

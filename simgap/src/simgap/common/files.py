@@ -16,15 +16,7 @@ from simgap.common.interruption import defer_interrupts
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
-    """Return the path if a file can be written there.
-
-    Args:
-        suffixes: Allowed suffixes, in lower case.
-        what: Name of the option that gave the path, for the error.
-
-    Raises:
-        BadOutput: wrong suffix, no such folder, impossible name, not a regular file, or no permission.
-    """
+    """Return the path if a file of such a suffix can be written there; BadOutput, with its option, if not."""
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise BadOutput(f"{what} {file}: its name must end in {' or '.join(suffixes)}")
@@ -40,11 +32,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
 
 
 def check_new_path(path: Path, what: str) -> None:
-    """Check that a file or folder can be made at this path.
-
-    Raises:
-        BadOutput: no parent folder, impossible name, or a link to a path that does not exist.
-    """
+    """Check that a file or folder can be made at this path; BadOutput if not."""
     if not os.path.isdir(path.parent):  # unlike Path.is_dir, False for any bad name
         raise BadOutput(f"{what} {path}: there is no folder {path.parent}")
     try:
@@ -72,14 +60,7 @@ def _same_file(one: Path, other: Path) -> bool:
 
 
 def read_bytes(path: Path, most: int, what: str) -> bytes:
-    """Read a file of at most this size in bytes.
-
-    Args:
-        what: Expected file, for errors: "a table".
-
-    Raises:
-        RobotError: It cannot be read, is no regular file, or is larger.
-    """
+    """Read a file, such as "a table"; RobotError if it has more than these bytes or cannot be read."""
     try:
         if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
             raise RobotError(f"{path}: is not a regular file; give the path of {what}")
@@ -120,13 +101,10 @@ def cache_folder(program: str, name: str) -> Path:
 
 @contextmanager
 def reserve(path: Path | None, what: str) -> Iterator[None]:
-    """Reserve a file for this run in a block, so that no other run writes it at the same time.
+    """Reserve a file for this run in a block; BadOutput if another run writes it, or it cannot be made.
 
     The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
     written, and is deleted if it stays empty.
-
-    Raises:
-        BadOutput: another run has reserved or is writing the file, or the file cannot be made.
     """
     if path is None:
         yield
@@ -194,11 +172,7 @@ def _delete_placeholder(file: int, path: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path, what: str) -> Iterator[BinaryIO]:
-    """Open a temporary file that replaces `path` when the block succeeds, and is deleted when it fails.
-
-    Raises:
-        BadOutput: the file cannot be opened, written or moved.
-    """
+    """Open a temporary file that replaces `path` if the block succeeds; BadOutput if it cannot be written."""
     target = Path(os.path.realpath(path))  # a link stays a link
     try:
         with atomic_path(target) as part, part.open("xb") as file:
@@ -212,10 +186,7 @@ def atomic_path(target: Path) -> Iterator[Path]:
     """Give a temporary path for a file or folder that the block makes.
 
     It replaces `target` when the block succeeds, and is deleted when the block fails. A folder can replace
-    only an empty folder.
-
-    Raises:
-        OSError: it cannot replace the target, which is then unchanged.
+    only an empty folder. OSError says that it cannot, and that the target is unchanged.
     """
     part = target.with_name(f".write-{os.urandom(8).hex()}.part")
     try:

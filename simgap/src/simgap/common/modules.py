@@ -16,11 +16,7 @@ MODULE_PREFIX: Final = "outside_"
 
 
 def load_module(path: Path) -> ModuleType:
-    """Run a file of the user as a module, once for each of its contents.
-
-    Raises:
-        RobotError: There is no such Python file, or it fails.
-    """
+    """Run a file of the user as a module, once for each of its contents; RobotError if it fails."""
     if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name; reading a pipe blocks
         raise RobotError(f"{path}: no such file; give the path of a Python file")
     try:

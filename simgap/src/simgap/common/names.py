@@ -20,11 +20,7 @@ def list_names(package: str) -> dict[str, str]:
 
 
 def load_name(package: str, name: str) -> Any:
-    """Import a name from its module, and keep it in the package; `__all__` is all of them.
-
-    Raises:
-        AttributeError: The package has no such name.
-    """
+    """Import a name, and keep it in the package; `__all__` is all names; AttributeError if it is unknown."""
     if name == "__all__":
         return tuple(list_names(package))
     if name.startswith("_") or name not in list_names(package):

@@ -82,11 +82,7 @@ def option_fields(request_type: type) -> Iterator[Field]:
 
 
 def check_options(request: Any) -> None:
-    """Check the values of a request against the declarations of its options.
-
-    Raises:
-        BadRequest: a value is not allowed, two options name the same file, or a file cannot be written.
-    """
+    """Check a request by the declarations of its options; BadRequest if one is wrong or two name one file."""
     given = list(_values(request))
     for field, option, value in given:
         _check_value(field, option, value)

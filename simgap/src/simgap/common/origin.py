@@ -14,11 +14,7 @@ DATE_VARIABLE: Final = "SOURCE_DATE_EPOCH"
 
 
 def current_date() -> datetime:
-    """Return the date of the environment variable, or else the present.
-
-    Raises:
-        BadRequest: the variable is no date.
-    """
+    """Return the date of the environment variable, or else the present; BadRequest if it is no date."""
     text = os.environ.get(DATE_VARIABLE)
     try:
         return datetime.now(UTC) if text is None else datetime.fromtimestamp(int(text), UTC)

@@ -8,10 +8,19 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import read_bytes
+
+
+class Record(BaseModel):
+    """Table of a TOML file: no unknown keys, no conversion of types, only finite numbers."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
 
 MAX_BYTES: Final = 1_000_000
 """Largest size of a file of settings, seventy times that of all flight parameters."""
@@ -26,20 +35,12 @@ R = TypeVar("R", bound=BaseModel)
 
 
 def read_text(path: Path) -> str:
-    """Read a text file.
-
-    Raises:
-        RobotError: It cannot be read, is no regular file, is too large, or is not text in UTF-8.
-    """
+    """Read a text file in UTF-8; RobotError if it cannot be read, is no regular file, or is too large."""
     return decode_text(read_bytes(path, MAX_BYTES, "a text file"), str(path))
 
 
 def decode_text(data: bytes, name: str) -> str:
-    """Decode a text in UTF-8, with or without a byte order mark.
-
-    Raises:
-        RobotError: It is something else; the text begins with the name.
-    """
+    """Decode a text in UTF-8, with or without a byte order mark; RobotError, with the name, if it is none."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -86,11 +87,7 @@ def _spread_matrices(value: Any) -> None:
 
 
 def parse_record(kind: type[R], content: dict[str, Any], path: Path) -> R:
-    """Check the content of a file.
-
-    Raises:
-        RobotError: A key is unknown or missing, or a value is wrong; the text gives the path of the key.
-    """
+    """Check the content of a file; RobotError, with the path of the key, if a key or a value is wrong."""
     try:
         return kind.model_validate(content)
     except ValidationError as error:
@@ -149,14 +146,7 @@ def _fields(kind: Any, place: KeyPath) -> list[str]:
 
 
 def read_json(path: Path, adapter: TypeAdapter[T], otherwise: str, advice: str) -> T:
-    """Read a JSON file strictly as a type.
-
-    Args:
-        otherwise: What is said of a file of another type, such as "holds no keys".
-
-    Raises:
-        BadRequest: The file cannot be read, or has another type.
-    """
+    """Read a JSON file strictly as a type; BadRequest if it is another, with `otherwise` and `advice`."""
     try:
         return adapter.validate_json(path.read_bytes(), strict=True)
     except OSError as error:

@@ -32,7 +32,7 @@ class GainError(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Relative change; a loop with less than a twentieth of its gain is a loop that is off."""
-        return (self.with_prior(self.size_of("gain_ratio", -0.95, 4.0, 0.2)),)
+        return (self.size_of("gain_ratio", -0.95, 4.0, 0.2),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale the gains."""
@@ -60,7 +60,7 @@ class DampingGain(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (self.with_prior(self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale)),)
+        return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping gain."""
@@ -101,9 +101,7 @@ class CurrentScale(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Constant beside the given one: a tenth of it to five times as much."""
         given = self.nominal
-        return (
-            self.with_prior(self.size_of("torque_constant_Nm_A", -0.9 * given, 4.0 * given, 0.1 * given)),
-        )
+        return (self.size_of("torque_constant_Nm_A", -0.9 * given, 4.0 * given, 0.1 * given),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale the logged torque, and that of commands if they are currents."""
@@ -123,11 +121,8 @@ class TorqueLimit(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Inverse of the limit, from the nominal one down to a twentieth of the torque in use."""
-        return (
-            self.size_of(
-                "inverse_limit_1_Nm", 0.0, 20.0 / self.scales.torque_Nm, 2.0 / self.scales.torque_Nm
-            ),
-        )
+        torque = self.scales.torque_Nm
+        return (self.size_of("inverse_limit_1_Nm", 0.0, 20.0 / torque, 2.0 / torque),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Lower the limit."""
@@ -227,11 +222,7 @@ class SupplySag(Effect):
 
     @classmethod
     def of(cls, robot: Robot, scales: Mapping[str, JointScales], motions: Sequence[Motion] = ()) -> Self:
-        """Return the effect for a robot.
-
-        Args:
-            motions: Motions that are fitted; a voltage that they log bounds the effect.
-        """
+        """Return the effect for a robot; a voltage that the fitted motions log bounds it."""
         torques = tuple(scales[joint.name].torque_Nm for joint in robot.joints)
         return cls(torque_Nm_all=torques, high=largest_sag(motions))
 

@@ -138,6 +138,7 @@ class AccelerationLimit(JointEffect):
 @dataclass(frozen=True, slots=True)
 class _Clamp(JointEffect):
     family: ClassVar[Family] = Family.ACTUATION
+    is_low: ClassVar[bool]
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -145,21 +146,25 @@ class _Clamp(JointEffect):
         span = max(self.scales.command_high - self.scales.command_low, 1e-6)
         return (self.size_of("cut_rad", 0.0, 0.5 * span, 0.1 * span),)
 
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Cut commands off; at size 0 also those pass that no fitted motion had."""
+        cut = (np.maximum if self.is_low else np.minimum)(command, self._end(size[:, :1]))
+        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
+
+    def describe(self, size: Array) -> str:
+        """Return the end."""
+        return f"commands {'below' if self.is_low else 'above'} {float(self._end(size)[0]):.4g} are cut off"
+
+    def _end(self, size: Array) -> Array:
+        return self.scales.command_low + size if self.is_low else self.scales.command_high - size
+
 
 @dataclass(frozen=True, slots=True)
 class ClampLow(_Clamp):
     """Commands are cut off at a lower end."""
 
     name: ClassVar[str] = "command clamp, low"
-
-    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Cut low commands off; at size 0 also those pass that no fitted motion had."""
-        cut = np.maximum(command, self.scales.command_low + size[:, :1])
-        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
-
-    def describe(self, size: Array) -> str:
-        """Return the end."""
-        return f"commands below {self.scales.command_low + float(size[0]):.4g} are cut off"
+    is_low: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,15 +172,7 @@ class ClampHigh(_Clamp):
     """Commands are cut off at an upper end."""
 
     name: ClassVar[str] = "command clamp, high"
-
-    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Cut high commands off; at size 0 also those pass that no fitted motion had."""
-        cut = np.minimum(command, self.scales.command_high - size[:, :1])
-        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
-
-    def describe(self, size: Array) -> str:
-        """Return the end."""
-        return f"commands above {self.scales.command_high - float(size[0]):.4g} are cut off"
+    is_low: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ Hooks by kind of residual:
 import math
 from abc import ABC
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar, Final, Self
 
@@ -315,14 +315,9 @@ class JointEffect(Effect):
         return cls(place, index, robot.joints[index], scales[place])
 
     def size_of(self, name: str, low: float, high: float, typical: float) -> Size:
-        """Return a size whose name has the unit of the joint."""
-        return Size(self.joint.name_of(name), low, high, typical)
-
-    def with_prior(self, size: Size) -> Size:
-        """Return a size with its prior around the nominal value, if this is a base effect."""
-        if not self.is_base:
-            return size
-        return replace(size, prior_std=max(BASE_PRIOR * size.typical, -size.low))
+        """Return a size whose name has the unit of the joint; of a base effect, with a prior around 0."""
+        prior_std = max(BASE_PRIOR * typical, -low) if self.is_base else math.inf
+        return Size(self.joint.name_of(name), low, high, typical, prior_std)
 
 
 def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:

@@ -41,11 +41,7 @@ class ViscousFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Damping: at most what takes the whole torque at the highest speed, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (
-            self.with_prior(
-                self.size_of("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale)
-            ),
-        )
+        return (self.size_of("damping_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping."""
@@ -68,11 +64,7 @@ class CoulombFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Friction: at most half of the torque, at least none at all."""
         scale = self.scales.torque_Nm
-        return (
-            self.with_prior(
-                self.size_of("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale)
-            ),
-        )
+        return (self.size_of("coulomb_Nm", -self.nominal, 0.5 * scale, 0.05 * scale),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the dry friction."""

@@ -27,9 +27,7 @@ class Armature(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Inertia: at most what takes the whole torque at the highest acceleration, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.acceleration_rad_s2
-        return (
-            self.with_prior(self.size_of("armature_kgm2", -self.scales.armature_kgm2, scale, 0.05 * scale)),
-        )
+        return (self.size_of("armature_kgm2", -self.nominal, scale, 0.05 * scale),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the armature."""

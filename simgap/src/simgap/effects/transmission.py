@@ -23,7 +23,26 @@ DAMPING_RATIO: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Backlash(Effect):
+class _Gear(Effect):
+    """Gear between the rotor of a motor and its joint."""
+
+    family: ClassVar[Family] = Family.TRANSMISSION
+    place: str
+    index: int
+    """Index of the joint in the robot."""
+    encoder_is_at_output: bool
+    typical: float
+    """In the unit of the size, as is the highest."""
+    highest: float
+    is_slide: bool = False
+
+    def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
+        """Add the rotor."""
+        _add_rotor(spec, robot, self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(_Gear):
     """Free angle between rotor and joint, with hard flanks.
 
     MuJoCo realisation: a limited tendon over rotor and joint. Its damping acts on the flanks only, so that
@@ -31,25 +50,11 @@ class Backlash(Effect):
     """
 
     name: ClassVar[str] = "backlash"
-    family: ClassVar[Family] = Family.TRANSMISSION
-    place: str
-    index: int
-    """Index of the joint in the robot."""
-    encoder_is_at_output: bool
-    typical_rad: float
-    high_rad: float
-    is_slide: bool = False
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Whole free angle."""
-        return (
-            Size("backlash_m" if self.is_slide else "backlash_rad", 0.0, self.high_rad, self.typical_rad),
-        )
-
-    def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        """Add the rotor."""
-        _add_rotor(spec, robot, self.place)
+        return (Size("backlash_m" if self.is_slide else "backlash_rad", 0.0, self.highest, self.typical),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Let the motor turn the rotor, and limit the angle between rotor and joint."""
@@ -67,7 +72,7 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class JointCompliance(Effect):
+class JointCompliance(_Gear):
     """Elastic gear between rotor and joint.
 
     MuJoCo realisation: a tendon spring over rotor and joint; backlash at the same joint is its dead band. A
@@ -75,29 +80,18 @@ class JointCompliance(Effect):
     """
 
     name: ClassVar[str] = "joint compliance"
-    family: ClassVar[Family] = Family.TRANSMISSION
-    place: str
-    index: int
-    encoder_is_at_output: bool
-    typical_rad_Nm: float
-    high_rad_Nm: float
-    is_slide: bool = False
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Deflection per torque."""
         name = "compliance_m_N" if self.is_slide else "compliance_rad_Nm"
-        return (Size(name, 0.0, self.high_rad_Nm, self.typical_rad_Nm),)
+        return (Size(name, 0.0, self.highest, self.typical),)
 
     def describe(self, size: Array) -> str:
         """Return the stiffness too, which data sheets give."""
         unit = "N/m" if self.is_slide else "N m/rad"
         stiffness = f" (stiffness {1 / size[0]:.4g} {unit})" if size[0] > 0 else ""
         return f"{self.sizes[0].name} = {size[0]:.4g}{stiffness}"
-
-    def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        """Add the rotor."""
-        _add_rotor(spec, robot, self.place)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Let the motor turn the rotor, and put the spring between rotor and joint."""
@@ -214,14 +208,43 @@ STEEPEST: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class PeriodicError(Effect):
-    """Sine and cosine of one order: the order is the number of periods in a turn of the joint."""
+class _Waves(Effect):
+    """Sines and cosines of some orders: an order is the number of periods in a turn of the joint."""
 
-    name: ClassVar[str] = "periodic joint error"
     family: ClassVar[Family] = Family.GEOMETRY
     place: str
+
+    @property
+    def orders(self) -> Sequence[int]:
+        """Orders, each with a sine and a cosine."""
+        raise NotImplementedError
+
+    def encode(self, size: Array, q_rad: Array) -> Array:
+        """Add the error."""
+        return np.asarray(q_rad + _waves(size, self.orders, q_rad)[0])
+
+    def decode(self, size: Array, shown_rad: Array) -> Array:
+        """Subtract the error at the true angle, by Newton's method; at size 0 the first step is exact."""
+        q_rad = shown_rad.copy()
+        for _ in range(NEWTON_STEPS):
+            error, slope = _waves(size, self.orders, q_rad)
+            # orders together may be steeper than 1 in a wild guess of a fit: the step stays finite
+            q_rad = q_rad - (q_rad + error - shown_rad) / np.maximum(1 + slope, 0.25)
+        return q_rad
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicError(_Waves):
+    """Sine and cosine of one order."""
+
+    name: ClassVar[str] = "periodic joint error"
     order: int
     typical_rad: float
+
+    @property
+    def orders(self) -> Sequence[int]:
+        """Order."""
+        return (self.order,)
 
     @property
     def key(self) -> str:
@@ -242,17 +265,9 @@ class PeriodicError(Effect):
         amplitude_mrad, phase_rad = 1e3 * np.hypot(size[0], size[1]), np.arctan2(size[1], size[0])
         return f"{amplitude_mrad:.3g} mrad with {self.order} periods a turn, phase {phase_rad:.2f} rad"
 
-    def encode(self, size: Array, q_rad: Array) -> Array:
-        """Add the error."""
-        return np.asarray(q_rad + _waves(size, (self.order,), q_rad)[0])
-
-    def decode(self, size: Array, shown_rad: Array) -> Array:
-        """Subtract the error at the true angle."""
-        return _solve(size, (self.order,), shown_rad)
-
 
 @dataclass(frozen=True, slots=True)
-class SmoothPeriodicError(Effect):
+class SmoothPeriodicError(_Waves):
     """Periodic error of all orders up to a highest one, expected to be smooth.
 
     The prior of order k has the width sigma / k. An order that the data do not show stays near 0, so the
@@ -261,11 +276,14 @@ class SmoothPeriodicError(Effect):
     """
 
     name: ClassVar[str] = "periodic joint error of many orders"
-    family: ClassVar[Family] = Family.GEOMETRY
-    place: str
     sigma_rad: float
     highest: int = 48
     """All orders up to about 32 are needed for a UR10, and 48 are better for one of two series."""
+
+    @property
+    def orders(self) -> Sequence[int]:
+        """All up to the highest."""
+        return range(1, self.highest + 1)
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -278,7 +296,7 @@ class SmoothPeriodicError(Effect):
                 self.sigma_rad / order,
                 self.sigma_rad / order,
             )
-            for order in range(1, self.highest + 1)
+            for order in self.orders
             for wave in ("sine", "cosine")
         )
 
@@ -291,14 +309,6 @@ class SmoothPeriodicError(Effect):
             f"most of it {1e3 * amplitude_rad[strongest]:.3g} mrad with {strongest + 1} periods a turn"
         )
 
-    def encode(self, size: Array, q_rad: Array) -> Array:
-        """Add the error."""
-        return np.asarray(q_rad + _waves(size, range(1, self.highest + 1), q_rad)[0])
-
-    def decode(self, size: Array, shown_rad: Array) -> Array:
-        """Subtract the error at the true angle."""
-        return _solve(size, range(1, self.highest + 1), shown_rad)
-
 
 def _waves(size: Array, orders: Sequence[int], q_rad: Array) -> tuple[Array, Array]:
     """Return error and slope, (n_sims, n) each, of sines and cosines in turn, (n_sims, 2 n_orders)."""
@@ -309,13 +319,3 @@ def _waves(size: Array, orders: Sequence[int], q_rad: Array) -> tuple[Array, Arr
         error += sine * s + cosine * c
         slope += order * (sine * c - cosine * s)
     return error, slope
-
-
-def _solve(size: Array, orders: Sequence[int], shown_rad: Array) -> Array:
-    """Return the angle that is shown so, by Newton's method; at size 0 the first step is exact."""
-    q_rad = shown_rad.copy()
-    for _ in range(NEWTON_STEPS):
-        error, slope = _waves(size, orders, q_rad)
-        # orders together may be steeper than 1 in a wild guess of a fit: the step stays finite
-        q_rad = q_rad - (q_rad + error - shown_rad) / np.maximum(1 + slope, 0.25)
-    return q_rad

@@ -28,11 +28,7 @@ ROWS: Final = (
 
 
 def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
-    """Read fields of a bag, which is a file, or a folder of ROS 2; None for all.
-
-    Raises:
-        RobotError: the bag is damaged, was not closed, its clock steps back, or a field is missing.
-    """
+    """Read fields of a bag, a file or a folder of ROS 2, None for all; RobotError if it cannot be read."""
     if path.is_dir() and any(path.glob("*.mcap")):
         return open_mcap(path, names)
     try:

@@ -1,13 +1,15 @@
-"""Columns of a log: their names, their numbers, and what is told of them.
+"""Columns of a log: their names, their numbers, what is told of them, and pauses in which nothing is logged.
 
 All formats share one grammar of names: `NAME`, `NAME.field` for a field, `NAME[2]` for a place in a list, and
 `NAME[elbow]` for a name in a list whose items have names.
 """
 
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import Final, Literal
 
@@ -65,11 +67,7 @@ class ColumnInfo:
 
 
 def split_name(name: str, known: Iterable[str]) -> tuple[str, tuple[str, ...]] | None:
-    """Divide a name into the longest known one that it begins with, and steps: `.field`, `[2]` or `[elbow]`.
-
-    Returns:
-        None if it begins with no known name, or the rest is no steps.
-    """
+    """Divide a name into the longest known one that begins it and steps `.field`, `[2]`, `[elbow]`."""
     fits = [one for one in known if name == one or name.startswith((f"{one}.", f"{one}["))]
     for base in sorted(fits, key=len, reverse=True):
         rest = name[len(base) :]
@@ -117,11 +115,7 @@ def describe_numbers(
 
 
 def say_disorder(time_s: Array, rows: Integers | None = None) -> str:
-    """Say where times (n,) do not increase, and what would be right; empty if they do.
-
-    Args:
-        rows: Their rows in the file, from 1; None: they are all.
-    """
+    """Say where times (n,), of these rows from 1, do not increase, and what would be right; else nothing."""
     step_s = np.diff(time_s)
     back = np.flatnonzero(step_s <= 0.0)
     if not back.size:
@@ -154,3 +148,52 @@ def median_rate_Hz(time_s: Array) -> float | None:
     periods_s = np.diff(time_s)
     periods_s = periods_s[np.isfinite(periods_s) & (periods_s > 0.0)]
     return 1.0 / float(np.median(periods_s)) if periods_s.size else None
+
+
+GAP: Final = 2.5
+"""A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
+SETTLING_S: Final = 0.3
+"""Time in which the position loop of an arm settles, or less. A gap as long, or a step of the clock, is worth
+a remark: a joint settles in it unseen."""
+MAX_WINDOWS: Final = 8
+"""Windows that a sentence lists: more are none."""
+ROUNDING_s: Final = 1e-5
+"""Rounding of times by which a window is not wider."""
+
+
+class LongGap(RobotError):
+    """A motion has a gap that no simulation should cross."""
+
+    def __init__(self, text: str, windows_s: dict[str, list[float]]) -> None:
+        """Keep the windows that cut the log there; none if it has several motions."""
+        super().__init__(text)
+        self.windows_s = windows_s
+
+
+def find_pauses(time_s: Array, period_s: float) -> list[tuple[float, float]]:
+    """Find pauses in increasing times (n,) of a usual period: last time before, first time after [s]."""
+    long = np.flatnonzero(np.diff(time_s) > max(SETTLING_S, GAP * period_s))
+    return [(float(time_s[k]), float(time_s[k + 1])) for k in long]
+
+
+def cut_at_pauses(
+    begin_s: float, pauses: Sequence[tuple[float, float]] | Array, end_s: float
+) -> dict[str, list[float]]:
+    """Return the windows between pauses, as `motion.windows_s` of a robot file: name -> start and end.
+
+    They end at whole hundredths of a second, which are outwards of their rows. Parts that are too short for a
+    joint to settle are left out, unless all are such.
+    """
+    ends_s = [(begin_s, begin_s), *pauses, (end_s, end_s)]
+    parts = [(one[1], two[0]) for one, two in pairwise(ends_s)]
+    parts = [(low, high) for low, high in parts if high - low >= SETTLING_S] or parts
+    return {
+        f"part{k}": [math.floor((low + ROUNDING_s) * 100) / 100, math.ceil((high - ROUNDING_s) * 100) / 100]
+        for k, (low, high) in enumerate(parts, 1)
+    }
+
+
+def windows_text(windows_s: Mapping[str, Sequence[float]]) -> str:
+    """Return windows as the line of a robot file."""
+    shown = (f"{name} = [{low:.10g}, {high:.10g}]" for name, (low, high) in windows_s.items())
+    return f"windows_s = {{ {', '.join(shown)} }}"

@@ -22,17 +22,7 @@ class BadMessage(Exception):
 
 @lru_cache(maxsize=64)  # Rosbags writes and compiles a program for each definition.
 def make_decoder(encoding: str, schema_encoding: str, name: str, definition: bytes) -> Decoder | None:
-    """Return the decoder of messages; None for an encoding that is not known.
-
-    Args:
-        encoding: Encoding of the messages: json, ros1 or cdr.
-        schema_encoding: Encoding of the definition.
-        name: Name of the type.
-        definition: Definition of the type, and of those in it.
-
-    Raises:
-        BadMessage: the definition cannot be read.
-    """
+    """Return the decoder of messages in json, ros1 or cdr, else None; BadMessage for a bad definition."""
     if encoding == "json":
         return _decode_json
     if schema_encoding not in DEFINITIONS.get(encoding, ()):

@@ -36,17 +36,7 @@ SUFFIXES: Final = (*TABLES, *TEXT_SUFFIXES, *MESSAGES)
 
 
 def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table: CsvTable) -> LogFile:
-    """Open a log by its suffix, or a folder by what is in it.
-
-    Args:
-        path: File, or folder of a LeRobot data set or of a ROS 2 bag.
-        numbers: Columns that are read as numbers.
-        texts: Columns that are read as text.
-        csv_table: Form of CSV files.
-
-    Raises:
-        RobotError: the file cannot be read, has no such column, or has no rows.
-    """
+    """Open columns of numbers and texts of a log, a file or a folder; RobotError if it lacks one."""
     return _open(path, numbers, [one for one in texts if one not in numbers], csv_table)
 
 

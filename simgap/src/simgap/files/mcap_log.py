@@ -1,39 +1,39 @@
-"""Logs in MCAP: records in the order of the file, with all checksums compared."""
+"""Logs in MCAP, whose records the package mcap reads in the order of the file, with their checksums."""
 
-import mmap
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from io import BytesIO
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Final
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, McapRecord, Schema, Statistics
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema, Statistics
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from simgap.common.errors import RobotError
 from simgap.files.decoding import BadMessage, Decoder, make_decoder
 from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-HEAD: Final = struct.Struct("<BQ")
-"""Before each record: its kind and its length."""
-OF_FORMAT: Final = range(0x80)
-"""Kinds of records of the format: one that is not known is damage. Above are those of an application."""
-MAX_CHUNK_BYTES: Final = 1 << 30
-"""Largest size of an unpacked chunk: writers make them of some megabytes, a damaged file claims any."""
-CRC_BYTES: Final = 4
-"""The checksum of a summary covers all up to itself, at the end of the footer."""
+MAX_BYTES: Final = 1 << 30
+"""Largest size of a record, and of an unpacked chunk: writers make chunks of some megabytes, a damaged file
+claims any size."""
 
 
 class _Damage(Exception):
     """Damage of a file, in words."""
+
+
+class _WholeReads(BufferedReader):
+    """File in which a read of fewer bytes than were asked for is its end."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        if len(found) < (size or 0):
+            raise EndOfFile
+        return found
 
 
 @dataclass(slots=True)
@@ -49,24 +49,15 @@ class _Scan:
     n_messages: int = 0
     first_ns: int | None = None
     last_ns: int = 0
-    chunks: set[int] = field(default_factory=set)
-    """Offsets of the chunks."""
-    indexed: set[int] = field(default_factory=set)
-    """Offsets of chunks by their indexes."""
-    statistics: Statistics | None = None
-    data_end: int | None = None
-    """Offset behind the record that ends the data."""
+    has_all_data: bool = False
     loss: str = ""
     """Sentence about what is missing at the end; empty if nothing is."""
 
 
 def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
-    """Read fields of an MCAP file; None for all.
+    """Read fields of an MCAP file, None for all; RobotError if it is damaged or lacks one.
 
     A file that ends before its data do is used as far as it goes, and the log tells the loss.
-
-    Raises:
-        RobotError: the file is damaged, a field is missing, or its encoding is unknown.
     """
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     scans = [_scan_file(one, names) for one in files]
@@ -83,89 +74,51 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
 
 
 def _scan_file(path: Path, names: Sequence[str] | None) -> _Scan:
+    """Read all records of a file; say what is missing at its end."""
     scan = _Scan(path, names)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with _WholeReads(FileIO(path)) as file:
         try:
-            scan.loss = _scan(scan, data)
-        except (_Damage, BadMessage) as error:
-            raise RobotError(f"{path}: cannot be read: {error}") from error
+            for record in StreamReader(
+                file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_BYTES
+            ).records:
+                _keep(scan, record)
+        except EndOfFile as error:
+            file.seek(-len(MCAP0_MAGIC), 2)
+            if file.read() == MCAP0_MAGIC:
+                raise RobotError(f"{path}: cannot be read: a record has a wrong length") from error
+            if scan.first_ns is None:
+                raise RobotError(f"{path}: cannot be read: it is cut before its first message") from error
+            used_s = (scan.last_ns - scan.first_ns) * 1e-9
+            scan.loss = "" if scan.has_all_data else f"is cut; the first {used_s:.6g} s are used"
+        except (RobotError, MemoryError):
+            raise
+        except Exception as error:  # the package, lz4 and zstd raise errors of any kind
+            what = " ".join(str(error).split()) or type(error).__name__
+            raise RobotError(f"{path}: cannot be read: {what}") from error
     return scan
 
 
-def _scan(scan: _Scan, data: mmap.mmap) -> str:
-    """Read all records and compare the checksums; return a sentence about what is missing at the end."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise _Damage("it does not begin as an MCAP file does")
-    at = len(MAGIC)
-    while at + HEAD.size <= len(data):
-        kind, length = HEAD.unpack_from(data, at)
-        end = at + HEAD.size + length
-        if end > len(data):
-            break
-        if kind == Opcode.FOOTER:
-            _check_end(scan, data, at, end)
-            return ""
-        _read_record(scan, data, at, kind, end)
-        at = end
-    if data[-len(MAGIC) :] == MAGIC:
-        raise _Damage(f"the record at byte {at} has a wrong length")
-    if scan.data_end is not None:  # only the index is cut
-        return ""
-    if scan.first_ns is None:
-        raise _Damage("it is cut before its first message")
-    used_s = (scan.last_ns - scan.first_ns) * 1e-9
-    return (
-        f"is cut at byte {len(data)}, where the record of byte {at} is not complete; {used_s:.6g} s are used"
-    )
-
-
-def _read_record(scan: _Scan, data: mmap.mmap, at: int, kind: int, end: int) -> None:
-    """Read a record outside of a chunk."""
-    stream = ReadDataStream(BytesIO(data[at + HEAD.size : end]))
+def _open_chunk(chunk: Chunk) -> list[McapRecord]:
+    """Return the records of a chunk, after its checksum was compared."""
+    where = f"the chunk that begins at {chunk.message_start_time * 1e-9:.6f} s is damaged"
+    if chunk.uncompressed_size > MAX_BYTES or chunk.compression not in ("", "lz4", "zstd"):
+        raise _Damage(f"{where} (its head)")
     try:
-        match kind:
-            case Opcode.CHUNK:
-                scan.chunks.add(at)
-                _read_chunk(scan, Chunk.read(stream), at)
-            case Opcode.SCHEMA:
-                _keep(scan, Schema.read(stream))
-            case Opcode.CHANNEL:
-                _keep(scan, Channel.read(stream))
-            case Opcode.MESSAGE:
-                _keep(scan, McapMessage.read(stream, end - at - HEAD.size))
-            case Opcode.CHUNK_INDEX:
-                scan.indexed.add(ChunkIndex.read(stream).chunk_start_offset)
-            case Opcode.STATISTICS:
-                scan.statistics = Statistics.read(stream)
-            case Opcode.DATA_END:
-                crc = DataEnd.read(stream).data_section_crc
-                if crc and zlib.crc32(memoryview(data)[:at]) != crc:
-                    raise _Damage("its data have another checksum than was written")
-                scan.data_end = end
-            case _ if kind in OF_FORMAT and kind not in list(Opcode):
-                raise _Damage(f"the record at byte {at} is of no known kind")
-    except (McapError, ValueError, EOFError, struct.error) as error:
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise _Damage(f"the record at byte {at} is damaged ({what})") from error
-
-
-def _read_chunk(scan: _Scan, chunk: Chunk, at: int) -> None:
-    """Read the records of a chunk, after its checksum was compared."""
-    where = f"the chunk at byte {at}, which begins at {chunk.message_start_time * 1e-9:.6f} s, "
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES or chunk.compression not in ("", "lz4", "zstd"):
-        raise _Damage(where + "has a damaged head")
-    try:
-        records = breakup_chunk(chunk, validate_crc=True)
+        return breakup_chunk(chunk, validate_crc=True)
     except Exception as error:  # lz4 and zstd raise errors of their own
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise _Damage(where + f"is damaged ({what})") from error
-    for record in records:
-        _keep(scan, record)
+        raise _Damage(f"{where} ({' '.join(str(error).split()) or type(error).__name__})") from error
 
 
 def _keep(scan: _Scan, record: McapRecord) -> None:
     """Keep a definition, a channel, or a message of a wanted topic."""
-    if isinstance(record, Schema):
+    if isinstance(record, Chunk):
+        for one in _open_chunk(record):
+            _keep(scan, one)
+    elif isinstance(record, DataEnd):
+        scan.has_all_data = True
+    elif isinstance(record, Statistics) and record.message_count != scan.n_messages:
+        raise _Damage(f"it has {scan.n_messages} messages, its summary says {record.message_count}")
+    elif isinstance(record, Schema):
         scan.schemas[record.id] = record
     elif isinstance(record, Channel):
         scan.channels[record.id] = record
@@ -200,21 +153,3 @@ def _decoder(scan: _Scan, channel: Channel) -> Decoder | None:
     if decode is not None:
         scan.decoders[channel.id] = decode
     return decode
-
-
-def _check_end(scan: _Scan, data: mmap.mmap, at: int, end: int) -> None:
-    """Compare the summary with its checksum and with what was read."""
-    try:
-        footer = Footer.read(ReadDataStream(BytesIO(data[at + HEAD.size : end])))
-    except (McapError, EOFError, struct.error) as error:
-        raise _Damage("its footer is damaged") from error
-    if data[end:] != MAGIC or scan.data_end is None:
-        raise _Damage("its end is damaged")
-    crc = zlib.crc32(memoryview(data)[scan.data_end : end - CRC_BYTES])
-    if footer.summary_crc not in (0, crc):
-        raise _Damage("its summary has another checksum than was written")
-    meant = scan.n_messages if scan.statistics is None else scan.statistics.message_count
-    if meant != scan.n_messages:
-        raise _Damage(f"it has {scan.n_messages} messages, its summary says {meant}")
-    if not scan.indexed <= scan.chunks:
-        raise _Damage(f"the chunk at byte {min(scan.indexed - scan.chunks)} is none")

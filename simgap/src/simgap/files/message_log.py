@@ -58,13 +58,7 @@ class MessageFile:
 
 
 def is_wanted(topic: str, n_bytes: int, names: Sequence[str] | None) -> bool:
-    """Tell whether a message may hold one of the wanted fields.
-
-    Args:
-        topic: Topic of the message.
-        n_bytes: Size of the message.
-        names: Fields; None for a list of all, which leaves out messages as large as pictures.
-    """
+    """Tell whether a message may hold a wanted field; None wants all but messages as large as pictures."""
     if names is None:
         return n_bytes <= MAX_LISTED_BYTES
     return any(name.startswith((f"{topic}.", f"{topic}[")) for name in names)
@@ -118,11 +112,7 @@ class MessageLog:
     motion_column: str = ""
 
     def numbers(self, name: str) -> Column:
-        """Return the numbers of a field, with the times of its messages.
-
-        Raises:
-            RobotError: no message has it, it is no number, or the clock steps back.
-        """
+        """Return numbers of a field with their times; RobotError for none, or if the clock steps back."""
         one = self.fields.get(name) or _parse(self.path, name, self.topics)
         series = self._series(one)
         back = next(
@@ -195,15 +185,7 @@ class MessageLog:
 
 
 def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
-    """Read fields of messages; None for all.
-
-    Args:
-        file: File that is open.
-        names: Fields, as topic and path in its messages: `/joint_states.position[2]`.
-
-    Raises:
-        RobotError: a topic or a field is missing, or a message cannot be decoded.
-    """
+    """Read fields such as `/joint_states.position[2]`, None for all; RobotError if one cannot be read."""
     chosen = {} if names is None else {name: _parse(file.path, name, file.topics) for name in names}
     topics = list(file.topics) if names is None else list(dict.fromkeys(one.topic for one in chosen.values()))
     wholes = {one.whole: one for one in chosen.values()}

@@ -1,7 +1,8 @@
-"""Rows of a log file by motion, as checked signals in SI units at the joint."""
+"""Rows of a log file by motion, as checked signals in SI units at the joint, with counters unwrapped."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -9,9 +10,16 @@ import numpy as np
 from simgap.arrays import Array, Flags
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
-from simgap.files.columns import Column, say_disorder
+from simgap.files.columns import (
+    MAX_WINDOWS,
+    Column,
+    LongGap,
+    cut_at_pauses,
+    find_pauses,
+    say_disorder,
+    windows_text,
+)
 from simgap.files.log_file import LogFile
-from simgap.files.pauses import MAX_WINDOWS, LongGap, cut_at_pauses, find_pauses, windows_text
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
@@ -157,11 +165,7 @@ class MotionRows:
         return LongGap(f"{said} {gaps}: cut it there, in [motion] {windows_text(windows_s)}", windows_s)
 
     def labels(self, column: str) -> list[str]:
-        """Return the text of a column for each motion; empty texts for no column.
-
-        Raises:
-            RobotError: it changes within a motion.
-        """
+        """Return the text of a column by motion, empty for no column; RobotError if it changes within one."""
         if not column:
             return [""] * len(self.names)
         texts = self._log.texts(column)
@@ -172,11 +176,7 @@ class MotionRows:
         ]
 
     def values(self, column: str) -> list[float]:
-        """Return the number of a column for each motion.
-
-        Raises:
-            RobotError: it changes within a motion, or is not finite.
-        """
+        """Return the number of a column by motion; RobotError if it changes within one or is not finite."""
         values = self._log.numbers(column).value
         self._check_length(values, column)
         found = [
@@ -191,11 +191,7 @@ class MotionRows:
         return found
 
     def gains(self, column: str) -> list[float]:
-        """Return the number of a gain column for each motion.
-
-        Raises:
-            RobotError: it changes within a motion, or is not positive.
-        """
+        """Return the gain by motion; RobotError if it changes within one, or is not positive."""
         found = self.values(column)
         for name, gain in zip(self.names, found, strict=True):
             if not 0.0 < gain < np.inf:
@@ -319,3 +315,85 @@ def conversion(one: SignalColumn, quantity: Quantity, table: JointTable) -> tupl
     if one.side == "motor" and quantity is Quantity.TORQUE:
         factor *= table.gear_ratio
     return factor, offset + one.zero_rad
+
+
+ANGLES: Final = ("position", "command", "secondary")
+"""Signals that may be counters; the others are brought to the turn of the position."""
+Signals = Mapping[str, Sequence[Signal]]
+"""Name of a signal -> its samples in each motion."""
+A_TURN: Final = 1.01
+"""Largest range that has one turn: models write 3.1416 for half of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Counter:
+    turn_rad: float
+    values: list[Array]
+    """Of each motion, with turns added where the counter begins anew."""
+    wraps: list[int]
+    """How often it begins anew in each motion."""
+
+
+def unwrap_counters(
+    table: JointTable, signals: Signals, range_rad: tuple[float, float]
+) -> tuple[Signals, list[int | None]]:
+    """Add turns to the counters of one joint.
+
+    A counter whose values span less than a turn in all motions knows no whole turns. A change by more than
+    half a turn between two rows is one that began anew. The whole turn of each motion is that nearest
+
+    - the command, if it knows its turn: a joint follows its command to less than half a turn;
+    - else the middle of the range of the model, if that is at most a turn: no other turn lies in it;
+    - else the first motion, so that all motions agree.
+
+    Command and second encoder, if they are such counters, get the turn nearest the position. Where the range
+    is more than a turn, this is done only if one of them did begin anew: else they may know their turns.
+
+    Args:
+        range_rad: Range of the joint in the model, infinite without limits.
+
+    Returns:
+        The signals, and for each motion how often counters began anew; None where nothing was changed.
+    """
+    found = dict(signals)
+    counters = {key: one for key in ANGLES if (one := _counter(table, key, signals.get(key, ())))}
+    is_sure = any(any(one.wraps) for one in counters.values())
+    count: list[int | None] = [None] * len(signals["position"])
+    for key, one in counters.items():
+        middles = _middles(one.values)
+        is_narrow = range_rad[1] - range_rad[0] <= A_TURN * one.turn_rad
+        if not is_narrow and not is_sure:
+            continue
+        if key != "position":
+            target = _middles([signal.value for signal in found["position"]])
+        elif table.mode == "position" and "command" in found and "command" not in counters:
+            target = _middles([signal.value for signal in found["command"]])
+        else:
+            target = np.full(middles.size, np.mean(range_rad) if is_narrow else middles[0])
+        turns = np.round((target - middles) / one.turn_rad)
+        found[key] = [
+            Signal(signal.time_s, value + turn * one.turn_rad)
+            for signal, value, turn in zip(signals[key], one.values, turns, strict=True)
+        ]
+        for k, wraps in enumerate(one.wraps):
+            if wraps or turns[k]:
+                count[k] = (count[k] or 0) + wraps
+    return found, count
+
+
+def _counter(table: JointTable, key: str, signals: Sequence[Signal]) -> _Counter | None:
+    """Return a signal with turns added, if it is a counter of one turn."""
+    column, quantity = table.columns().get(key, (None, None))
+    if not signals or column is None or column.counts_per_turn is None or quantity is not Quantity.ANGLE:
+        return None
+    turn_rad = abs(conversion(column, quantity, table)[0]) * column.counts_per_turn
+    if np.ptp(np.concatenate([one.value for one in signals])) >= turn_rad:
+        return None
+    values = [np.unwrap(one.value, period=turn_rad) for one in signals]
+    steps = [np.abs(np.diff(after - one.value)) for after, one in zip(values, signals, strict=True)]
+    return _Counter(turn_rad, values, [int(np.sum(step > turn_rad / 2.0)) for step in steps])
+
+
+def _middles(values: Sequence[Array]) -> Array:
+    """Return the middle of the range of each motion, (n_motions,) [rad]."""
+    return np.array([(float(one.min()) + float(one.max())) / 2.0 for one in values])

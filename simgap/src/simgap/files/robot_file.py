@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
-from simgap.common.toml import parse_record, read_toml
+from simgap.common.toml import Record, parse_record, read_toml
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 
 Text = Annotated[str, Field(min_length=1)]
@@ -382,11 +381,7 @@ def read_robot_file(path: Path) -> RobotFile | SerialFile:
 
 
 def read_model_file(path: Path) -> RobotFile:
-    """Read the robot file of a robot with an MJCF model.
-
-    Raises:
-        RobotError: it cannot be read, is wrong, or has no model.
-    """
+    """Read the robot file of a robot with an MJCF model; RobotError if it is wrong, or has no model."""
     found = read_robot_file(path)
     if isinstance(found, SerialFile):
         raise RobotError(

@@ -33,11 +33,7 @@ ZIP_ERRORS: Final = (
 
 
 def open_parquet(path: Path, wanted: Sequence[str] | None) -> TableLog:
-    """Open a Parquet file; one in a LeRobot data set has the names of its information file.
-
-    Raises:
-        RobotError: a column is missing, or it has no rows.
-    """
+    """Open a Parquet file, with names of the LeRobot data set around it; RobotError if it lacks a column."""
     info = next((one / INFO for one in list(path.parents)[:N_PARENTS] if (one / INFO).is_file()), None)
     names = {} if info is None else _item_names(info)
     table = _read_parquet(path, wanted)
@@ -45,11 +41,7 @@ def open_parquet(path: Path, wanted: Sequence[str] | None) -> TableLog:
 
 
 def open_lerobot(folder: Path, wanted: Sequence[str] | None) -> TableLog:
-    """Open a LeRobot data set, of one file (v3) or of one an episode (v2): its episodes are motions.
-
-    Raises:
-        RobotError: the information file or a data file is missing or damaged, or a column is missing.
-    """
+    """Open a LeRobot data set, v2 or v3, whose episodes are motions; RobotError if a part is missing."""
     paths = sorted(folder.glob("data/**/*.parquet"))
     if not paths:
         raise RobotError(f"{folder}: has no Parquet files in data; load them, or name another folder")
@@ -76,14 +68,10 @@ def open_lerobot(folder: Path, wanted: Sequence[str] | None) -> TableLog:
 
 
 def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
-    """Open an npz file; an array of several dimensions is a column of lists.
+    """Open an npz file, arrays of several dimensions as lists; RobotError if it is damaged or lacks one.
 
-    An array with a column for each sample, as columns of one dimension tell, is transposed.
-
-    Each array is read to its end, because only then is its checksum compared.
-
-    Raises:
-        RobotError: it is damaged, an array is missing, or one has no rows.
+    An array with a column for each sample, as columns of one dimension tell, is transposed. Each is read to
+    its end, because only then is its checksum compared.
     """
     if not zipfile.is_zipfile(path):
         raise RobotError(f"{path}: is no NumPy .npz file, or is damaged; name another")

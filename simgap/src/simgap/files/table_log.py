@@ -80,11 +80,7 @@ class TableLog:
         return ()
 
     def describe(self, time_s: Array | None = None) -> tuple[ColumnInfo, ...]:
-        """Describe all columns; the items of lists and the fields of records are columns of their own.
-
-        Args:
-            time_s: Times of the rows, (n,), if the file does not know which column has them.
-        """
+        """Describe all columns, also items of lists and fields of records; rates by times (n,) if given."""
         if self.time_column:
             time_s = self.numbers(self.time_column).value
         found = []
@@ -118,17 +114,7 @@ class TableLog:
 def open_table(
     path: Path, columns: Mapping[str, pa.Array | pa.ChunkedArray], wanted: Sequence[str], **known: Any
 ) -> TableLog:
-    """Make a log of columns.
-
-    Args:
-        path: Path of the file.
-        columns: Columns that were read.
-        wanted: Names that the robot file gives, each to be there.
-        known: Other fields of the log.
-
-    Raises:
-        RobotError: a column is not there or has no rows.
-    """
+    """Make a log of columns and other fields; RobotError if a wanted one is missing, or one has no rows."""
     arrays = {
         name: one.combine_chunks() if isinstance(one, pa.ChunkedArray) else one
         for name, one in columns.items()
@@ -142,11 +128,7 @@ def open_table(
 
 
 def base_columns(path: Path, wanted: Sequence[str] | None, there: Sequence[str]) -> list[str]:
-    """Return the columns of a table that hold the wanted ones; all columns for None.
-
-    Raises:
-        RobotError: one is missing, or several have its name.
-    """
+    """Return the columns that hold the wanted ones, None for all; RobotError for none or several."""
     if wanted is None:
         return list(dict.fromkeys(there))
     found: dict[str, None] = {}

@@ -77,12 +77,6 @@ def open_csv(path: Path, wanted: Sequence[str] | None, texts: Sequence[str], giv
     Lines without numbers before the rows, beside the header, are left out, and so is a last row that is cut;
     the log tells both.
 
-    Args:
-        path: Path of the file.
-        wanted: Columns to read; None for all.
-        texts: Those of them that are read as text.
-        given: Separator and decimal character, if the robot file says them.
-
     Raises:
         RobotError: it is no text, a column is missing, or a row has another number of cells.
     """
@@ -261,12 +255,9 @@ def _has_text_over_numbers(rows: Sequence[Sequence[str]], decimal: str) -> bool:
 
 
 def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
-    """Open a file with one JSON object a line; objects in it are records, lists are lists.
+    """Open a file with one JSON object a line; RobotError if one is none, or a column is of several kinds.
 
-    A last line that is cut is left out, and the log tells it.
-
-    Raises:
-        RobotError: a line is no JSON object, a column is missing, or its values are of several kinds.
+    Objects in it are records, lists are lists. A last line that is cut is left out, and the log tells it.
     """
     lines = read_whole(path).rstrip().split(b"\n")
     rows: list[dict[str, Any]] = []

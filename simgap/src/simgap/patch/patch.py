@@ -16,12 +16,13 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
-from simgap.patch.found import FOUND_FILE, found_text
 from simgap.patch.text import (
     BODY_OF,
+    FOUND_FILE,
     Change,
     change_text,
     effect_table,
+    found_text,
     law_attributes,
     model_law,
     number_text,
@@ -91,14 +92,7 @@ class _Recorder:
 
 
 def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, ...]:
-    """Write the patched model, and the runtime file if effects are left for it.
-
-    Args:
-        folder: Folder, which is made if it is not there.
-
-    Raises:
-        RobotError: An effect changes what MJCF cannot say.
-    """
+    """Write the files of a patch to a folder, made if need be; RobotError if MJCF cannot say an effect."""
     return write_patch(make_patch(robot, *diagnosis.of_model(), diagnosis.rivals), folder)
 
 
@@ -116,14 +110,7 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
 def make_patch(
     robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
 ) -> Patch:
-    """Return the patched model and the runtime file of effects; one with sizes of 0 is left out.
-
-    Args:
-        rivals: Rivals of the findings, which the file of what was found keeps.
-
-    Raises:
-        RobotError: An effect changes what MJCF cannot say.
-    """
+    """Return the patch of effects whose sizes are not 0, with rivals; RobotError if MJCF cannot say one."""
     active = [
         (one, np.asarray(size, float))
         for effect, size in zip(effects, sizes, strict=True)

@@ -116,14 +116,7 @@ class RuntimeEffects:
 
     @classmethod
     def from_toml(cls, model: mujoco.MjModel, path: str | Path) -> Self:
-        """Read a runtime file.
-
-        Args:
-            path: File that a patch has written. Files of effects that it names are run.
-
-        Raises:
-            RobotError: The file is no runtime file, or does not fit the model.
-        """
+        """Read a file of a patch, and run files of effects that it names; RobotError if it does not fit."""
         path = Path(path)
         content = read_toml(path)
         if content.get("format") != FORMAT:
@@ -196,11 +189,7 @@ class RuntimeEffects:
         return shown
 
     def place(self, data: mujoco.MjData, shown_rad: Array) -> None:
-        """Set the joints such that the encoders show these positions.
-
-        Args:
-            shown_rad: Positions as the encoders show them, (n_joints,).
-        """
+        """Set the joints such that the encoders show these positions, (n_joints,)."""
         q_rad = np.array(shown_rad, dtype=float)
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]

@@ -1,13 +1,15 @@
-"""JSON document of a diagnosis."""
+"""JSON document of a diagnosis, and sentences and document of a comparison."""
 
 import math
+from collections.abc import Sequence
 from math import isfinite
 from typing import Any, Final
 
 from simgap.common.report import to_json
-from simgap.report.details import detail_lines
+from simgap.report.details import detail_lines, finding_lines
 from simgap.report.sentences import level, verdict_lines, verdict_word
-from simgap.result import Base, Diagnosis, Finding
+from simgap.result import Base, Comparison, Diagnosis, Finding, Limit
+from simgap.units import quantity
 
 FORMAT: Final = "diagnosis 1"
 """Name and version of the document."""
@@ -88,3 +90,55 @@ def _base(one: Base) -> dict[str, Any]:
         "is_at_bound": one.is_pushed,
         "share": number(one.share),
     }
+
+
+COMPARISON = "comparison 1"
+"""Name and version of the document."""
+
+
+def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
+    """Return where something changed, what, how far the error falls with it, and what is not seen."""
+    where, what, _, following = verdict_lines(made.found)
+    limits = f"Not seen: {_limit_words(made.limits)}."
+    if not made.found.findings:
+        return (
+            "Where: nowhere; one model fits both sets of logs.",
+            "What: nothing changed that these logs show.",
+            f"How far: {_how_far(made)}",
+            limits,
+        )
+    asked = following if "record" in following else limits
+    return where, what, f"How far: {_how_far(made)}", asked
+
+
+def comparison_details(made: Comparison) -> list[str]:
+    """Return a sentence for each change, for each one that is not named, and the limits of all joints."""
+    joints = dict.fromkeys(one.place for one in made.limits)
+    limits = (_limit_words([one for one in made.limits if one.place == joint]) for joint in joints)
+    return [*finding_lines(made.found), *(f"Beside what was found, {one}." for one in limits)]
+
+
+def comparison_document(made: Comparison) -> dict[str, Any]:
+    """Return a comparison as a document that JSON can hold."""
+    found = to_document(made.found)
+    return found | {
+        "format": COMPARISON,
+        "lines": list(comparison_lines(made)),
+        "details": comparison_details(made),
+        "limits": to_json(made.limits),
+    }
+
+
+def _how_far(made: Comparison) -> str:
+    """Return the largest error of a joint with one model for both sets, and with the changes."""
+    one = max(made.found.errors, key=lambda each: each.base)
+    noise = quantity(one.noise_floor, one.unit) if one.noise_floor > 0.0 else "not known without repeats"
+    far = f"with one model for both, the error of {one.joint} is {quantity(one.base, one.unit)}"
+    changed = f"; with the changes {quantity(one.explained, one.unit)}" if made.found.findings else ""
+    return f"{far}{changed} (noise: {noise})."
+
+
+def _limit_words(limits: Sequence[Limit]) -> str:
+    """Return the changes of base parameters that may have happened unseen."""
+    words = [f"{one.name} of {one.place} from {one.low:+.3g} to {one.high:+.3g}" for one in limits]
+    return f"changes may lie within {', '.join(words)} (90 %)" if words else "no base parameter can be told"

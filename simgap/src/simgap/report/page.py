@@ -60,11 +60,7 @@ HINT: Final = "Drag to zoom, double click for all of it; point at the traces to 
 
 
 def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
-    """Return the parts that follow the verdict.
-
-    Args:
-        traces: Traces of held-out motions; of each joint the worst, the middle and the best are shown.
-    """
+    """Return the parts that follow the verdict, with some traces of each joint."""
     return [
         figure_style(),
         *_finding_part(diagnosis),
@@ -132,11 +128,7 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
 
 
 def draw_traces(traces: Mapping[str, Sequence[Trace]]) -> list[str]:
-    """Draw interactive figures of traces as parts in HTML, which `figures.css` styles.
-
-    Args:
-        traces: Traces of each figure, by its title; a reader chooses one of them.
-    """
+    """Draw interactive figures of traces by title, as parts in HTML that `figures.css` styles."""
     return draw_figures([_trace_figure(title, own) for title, own in traces.items()])
 
 
@@ -155,12 +147,7 @@ def _trace_figure(joint: str, traces: Sequence[Trace]) -> str:
 
 
 def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str, dict[str, Any]]]) -> str:
-    """Draw an interactive figure in which a reader chooses a motion.
-
-    Args:
-        shown: Keys of SERIES.
-        motions: Names, and documents of `motion_document`.
-    """
+    """Draw an interactive figure of keys of SERIES, in motions by name as `motion_document` has them."""
     options = "".join(
         f'<option value="{k}">{html.escape(name)}</option>' for k, (name, _) in enumerate(motions)
     )
@@ -182,12 +169,7 @@ def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str,
 
 
 def motion_document(time_s: Array, panels: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return a motion as the script reads it.
-
-    Args:
-        time_s: Times, (n,).
-        panels: Panels of `position_panel` and `error_panel`, whose series have n values each.
-    """
+    """Return a motion with times, (n,), and panels of n values each, as the script reads it."""
     return {"time_s": [round(float(t), 5) for t in time_s], "panels": panels}
 
 
@@ -344,11 +326,7 @@ def page_title(diagnosis: Diagnosis) -> str:
 def save_diagnosis_page(
     diagnosis: Diagnosis, traces: Sequence[Trace], path: Path, origin: Origin | None = None
 ) -> None:
-    """Write the page; the same diagnosis gives the same bytes, but for the date of an origin.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Write the page, the same bytes but for a date; BadOutput if the file cannot be written."""
     parted = (line.partition(": ") for line in verdict_lines(diagnosis))
     verdict = {name: text for name, _, text in parted}
     save_page(page_title(diagnosis), verdict, (), origin, page_parts(diagnosis, traces), path)

@@ -1,7 +1,8 @@
-"""Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
+"""Traces of held-out motions, measured and predicted; and errors in the units in which a user logs."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import degrees
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from simgap.arrays import Array, Integers
 from simgap.logs import Motion, Usable
 from simgap.residuals.residuals import ResidualModel
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
-from simgap.result import Diagnosis
+from simgap.result import Diagnosis, JointError, Remainder
 from simgap.robot import Robot
 
 MAX_POINTS: Final = 2000
@@ -56,13 +57,9 @@ def trace_motions(
     diagnosis: Diagnosis,
     usable: Usable | None = None,
 ) -> tuple[Trace, ...]:
-    """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
+    """Predict motions without and with what was found, by each kind of residual that was used.
 
-    Returns:
-        The traces; none by simulation of a motion in which a joint has no command.
-
-    Raises:
-        RobotError: A motion cannot be predicted.
+    None is simulated in which a joint has no command. RobotError says that a motion cannot be predicted.
     """
     driven = [one for one in motions if all(log.command is not None for log in one.joints.values())]
     found: list[Trace] = []
@@ -137,3 +134,46 @@ def extreme_rows(series: Iterable[Array]) -> Integers:
 
 def _error(one: Trace) -> float:
     return float(np.mean(np.abs(one.explained)))
+
+
+MOTOR_SIDE = "N m of the motor"
+
+
+def find_user_unit(robot: Robot, joint: str, unit: str) -> tuple[str, float]:
+    """Return the unit in which a joint is logged for one of the engine, and what errors are multiplied by."""
+    table = None if robot.file is None else robot.file.joints.get(joint)
+    if table is None:
+        return unit, 1.0
+    if unit == "rad" and table.position.unit == "deg":
+        return "deg", degrees(1.0)
+    if unit in ("N m", "N") and table.torque is not None and table.torque.side == "motor":
+        return MOTOR_SIDE, 1.0 / table.gear_ratio
+    return unit, 1.0
+
+
+def convert_errors(robot: Robot, diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose errors and remainders are in the units of the user."""
+    return replace(
+        diagnosis,
+        errors=tuple(_convert_error(robot, one) for one in diagnosis.errors),
+        remaining=tuple(_convert_remainder(robot, one) for one in diagnosis.remaining),
+    )
+
+
+def convert_trace(robot: Robot, trace: Trace) -> Trace:
+    """Return a trace in the unit of the user."""
+    unit, factor = find_user_unit(robot, trace.joint, trace.unit)
+    measured = None if trace.measured is None else factor * trace.measured
+    explained = factor * trace.explained
+    return replace(trace, unit=unit, measured=measured, nominal=factor * trace.nominal, explained=explained)
+
+
+def _convert_error(robot: Robot, one: JointError) -> JointError:
+    unit, factor = find_user_unit(robot, one.joint, one.unit)
+    numbers = ("nominal", "base", "explained", "noise_floor")
+    return replace(one, unit=unit, **{name: factor * getattr(one, name) for name in numbers})
+
+
+def _convert_remainder(robot: Robot, one: Remainder) -> Remainder:
+    unit, factor = find_user_unit(robot, one.joint, one.unit)
+    return replace(one, unit=unit, mean_abs=factor * one.mean_abs)

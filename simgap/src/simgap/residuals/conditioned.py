@@ -1,12 +1,14 @@
-"""Residuals of motions under several conditions: a model for each, and sizes that follow their numbers."""
+"""Residuals under several conditions, whose numbers sizes follow, and about effects that are known."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from simgap.arrays import Array, Integers
-from simgap.effects.effect import Effect
-from simgap.effects.variation import Variation
+from simgap.effects.effect import Effect, Size
+from simgap.effects.variation import Dependent, Variation
 from simgap.logs import Motion
 from simgap.residuals.residuals import (
     ResidualModel,
@@ -23,11 +25,7 @@ MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
 
 
 def join_conditions(robot: Robot, motions: Sequence[Motion], make: MakePart) -> ResidualModel:
-    """Make the residuals of motions, each by the robot under its conditions.
-
-    Raises:
-        RobotError: a model cannot have a number that a condition sets.
-    """
+    """Make the residuals of motions, each by the robot under its conditions; RobotError if it has no such."""
     tables = {} if robot.file is None else robot.file.conditions
     setting = [name for name, table in tables.items() if table.sets]
     groups: dict[tuple[float, ...], list[Motion]] = {}
@@ -52,11 +50,7 @@ class JoinedResiduals:
     by_motion = True
 
     def __init__(self, parts: Sequence[ResidualModel], motions: Sequence[str]) -> None:
-        """Join models of different motions.
-
-        Args:
-            motions: Names of all motions, in the order that they get.
-        """
+        """Join models of different motions, which get the order of these names."""
         first = parts[0]
         self.parts, self.kind, self.units, self.joints = tuple(parts), first.kind, first.units, first.joints
         self.step_s, self.method, self.noise_std = first.step_s, first.method, first.noise_std
@@ -101,11 +95,7 @@ class ConditionedResiduals(WrappedResiduals):
     """Residuals in which sizes follow numbers of the motions; see `ResidualModel`."""
 
     def __init__(self, raw: ResidualModel, numbers: Mapping[str, Array]) -> None:
-        """Keep the residuals and the numbers.
-
-        Args:
-            numbers: Name of a number -> its value for each motion, (n_motions,).
-        """
+        """Keep the residuals, and numbers by name with a value for each motion, (n_motions,)."""
         super().__init__(raw)
         self.by_motion = True
         self.numbers = dict(numbers)
@@ -140,3 +130,65 @@ class ConditionedResiduals(WrappedResiduals):
         kept = np.repeat(steady, [len(one.sizes) for one in effects])
         own = [one for one, is_steady in zip(effects, steady, strict=True) if is_steady]
         return ConditionedResiduals(refer_to(self.raw, own, sizes[0, kept]), self.numbers)
+
+
+@dataclass(frozen=True)
+class Change(Dependent):
+    """Change of the sizes of another effect from those that are known."""
+
+    known: tuple[float, ...]
+    """Known sizes, from which bounds follow."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect that changes."""
+        return f"change of {self.effect_name}"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Return differences of sizes, which may have either sign."""
+        return tuple(
+            replace(one, low=one.low - at, high=one.high - at, prior_std=math.inf)
+            for one, at in zip(self.effect.sizes, self.known, strict=True)
+        )
+
+    def describe(self, size: Array) -> str:
+        """Return the changes with their signs, and what they start from."""
+        parts = zip(self.effect.sizes, size, self.known, strict=True)
+        return ", ".join(f"{one.name} {value:+.4g} from {at:.4g}" for one, value, at in parts)
+
+
+def changes_of(known: Mapping[Effect, Array]) -> list[Change]:
+    """Return the changes that known effects may have from their sizes, (n_sizes,) each."""
+    return [Change(one.place, one, tuple(size.tolist())) for one, size in known.items()]
+
+
+class KnownResiduals(WrappedResiduals):
+    """Residuals about a model with known effects, from whose sizes all others count; see `ResidualModel`."""
+
+    def __init__(self, raw: ResidualModel, known: Mapping[Effect, Array]) -> None:
+        """Keep the residuals, and known effects with their sizes, (n_sizes,) each."""
+        super().__init__(raw)
+        self.by_motion = True
+        self.known = dict(known)
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n)."""
+        return residuals_by_motion(self.raw, *self._add_known(effects, sizes))
+
+    def _add_known(self, effects: Sequence[Effect], sizes: Array) -> tuple[list[Effect], Array]:
+        """Return all effects and their sizes, (n_candidates, [n_motions,] total sizes), within bounds."""
+        terms = [*self.known.items()]
+        terms += [
+            (one.effect if isinstance(one, Change) else one, own) for one, own in split_sizes(effects, sizes)
+        ]
+        return add_sizes(terms, sizes.shape[:-1])
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> "KnownResiduals":
+        """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
+        inner, total = self._add_known(effects, sizes)
+        return KnownResiduals(refer_to(self.raw, inner, total[0]), self.known)
+
+    def select(self, motions: Sequence[str]) -> "KnownResiduals":
+        """Return the residuals of these motions alone, in their old order."""
+        return KnownResiduals(self.raw.select(motions), self.known)

@@ -67,14 +67,7 @@ class EncoderResiduals:
     noise_std = 0.0
 
     def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
-        """Compare the encoders, and compute the loads.
-
-        Args:
-            motions: Motions; joints with a second encoder that moves have residuals.
-
-        Raises:
-            RobotError: there is no second encoder that can be used, or a motion is too short for a filter.
-        """
+        """Compare the encoders, and compute the loads; RobotError if no second encoder can be used."""
         self._robot, self._keep = robot, keep or {}
         self.joints = tuple(joint.name for joint in robot.joints)
         self.units = tuple(joint.unit for joint in robot.joints)

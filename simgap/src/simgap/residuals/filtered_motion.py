@@ -92,13 +92,7 @@ class FilteredMotion:
 
 
 def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: float) -> Flags:
-    """Find the times at which no refused position sample is near, (n_times,) flags.
-
-    Args:
-        keep: Position samples that are used, (n,) flags; None: all are.
-        time_s: Times, (n_times,) [s].
-        distance_s: Times as near as this to a refused sample are not usable.
-    """
+    """Find the times, (n_times,) [s], farther than this from position samples without `keep`, (n,) flags."""
     if keep is None or keep.all():
         return np.ones(time_s.size, dtype=bool)
     refused_s = log.position.time_s[~keep]
@@ -111,11 +105,7 @@ def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: fl
 
 
 def choose_filter(robot: Robot, motions: Sequence[Motion]) -> LowPass:
-    """Derive the cut-off of a filter from the noise of positions: the lowest that one motion needs.
-
-    Raises:
-        RobotError: a motion has too few samples.
-    """
+    """Derive a cut-off from the noise of positions, the lowest that a motion needs; RobotError if short."""
     period_s = max(_period_s(motion) for motion in motions)
     inertia_kgm2 = robot.model.dof_M0[[joint.dof_index for joint in robot.joints]]
     cut_off_Hz = HIGHEST_PER_RATE / period_s
@@ -148,15 +138,9 @@ def position_noise_rad(position_rad: Array) -> float:
 
 
 def filter_motion(robot: Robot, motion: Motion, low_pass: LowPass) -> FilteredMotion:
-    """Filter the signals of a motion.
+    """Filter the signals of a motion, 0 for joints without a log; RobotError if it is too short.
 
     Signals are interpolated to common times, since the equations of motion need all joints at one instant.
-
-    Args:
-        robot: Robot; joints that are not logged stand at 0.
-
-    Raises:
-        RobotError: it has too few samples.
     """
     period_s = low_pass.period_s
     time_s = motion_time_s(motion, period_s)

@@ -73,14 +73,9 @@ class InverseResiduals:
     noise_std = 0.0
 
     def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
-        """Filter the motions.
+        """Filter the motions; RobotError if no torque is usable, or a motion is too short for a filter.
 
-        Args:
-            motions: Motions; joints with a logged torque have residuals.
-            keep: Nothing is compared within a period of the cut-off from samples that take no part.
-
-        Raises:
-            RobotError: no torque is logged or usable, or a motion is too short for a filter.
+        Nothing is compared within a period of the cut-off from samples that take no part.
         """
         if not any(log.torque is not None for motion in motions for log in motion.joints.values()):
             raise RobotError(f"robot {robot.name}: no log has torques; inverse dynamics needs them")

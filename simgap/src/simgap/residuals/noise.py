@@ -23,11 +23,7 @@ class WhitenedResiduals(WrappedResiduals):
     """
 
     def __init__(self, raw: ResidualModel, correlation: Array) -> None:
-        """Whiten another residual model.
-
-        Args:
-            correlation: Correlation of neighbouring samples of the noise, (n_joints,), as a ratio.
-        """
+        """Whiten by the correlation of neighbouring samples of the noise, (n_joints,), as a ratio."""
         super().__init__(raw)
         self.correlation = correlation
         follows = np.zeros(len(raw.time_s), bool)
@@ -121,12 +117,7 @@ class Blocks:
     by_motion = False
 
     def __init__(self, model: ResidualModel, counts: Integers) -> None:
-        """Divide the motions.
-
-        Args:
-            counts: Number of blocks of each motion and joint, which are equally long, (n_motions, n_joints);
-                0 without residuals.
-        """
+        """Divide motions and joints into so many equal blocks, (n_motions, n_joints); 0 without residuals."""
         block = np.zeros(model.time_s.size, dtype=np.int64)
         names: list[str] = []
         self.parents: tuple[str, ...] = ()
@@ -223,11 +214,7 @@ def _divide(time_s: Array, count: int) -> Integers:
 
 
 def correlation_time_s(time_s: Array, residuals: Array) -> float:
-    """Estimate the time after which residuals are independent, T (1 + 2 sum rho) [s]; 0 if they never vary.
-
-    Args:
-        time_s: Times, (n,), increasing and about evenly spaced [s].
-    """
+    """Estimate the time after which residuals are independent, T (1 + 2 sum rho) [s]; 0 if all are alike."""
     if residuals.size < 2 or float(np.ptp(residuals)) == 0.0:
         return 0.0
     n = residuals.size

@@ -82,11 +82,7 @@ class Referred(Protocol):
 
 
 def refer_to(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> ResidualModel:
-    """Return a residual model with another reference, or the same if its kind has none.
-
-    Args:
-        sizes: Sizes of all effects one after the other, (total sizes,), in their units.
-    """
+    """Return a residual model with sizes, (total sizes,), as reference, or the same if its kind has none."""
     return model.around(effects, sizes[None]) if isinstance(model, Referred) else model
 
 
@@ -175,14 +171,7 @@ SMOOTH_SAMPLES = 5
 def measured_variable(
     robot: Robot, motions: Sequence[Motion], name: str, motion_of: Integers, joint_of: Integers, time_s: Array
 ) -> Array:
-    """Interpolate a variable of the measured motion, (n,); NaN where it is not logged.
-
-    Args:
-        name: As `ResidualModel.explain` has it.
-        motion_of: Index of the motion of each value, (n,).
-        joint_of: Index of the joint, (n,).
-        time_s: Time in the motion, (n,) [s].
-    """
+    """Interpolate a variable of `ResidualModel.explain` at times in motions, (n,); NaN without a log."""
     if name == "time":
         return time_s.copy()
     value = np.full(time_s.size, np.nan)

@@ -286,14 +286,11 @@ class ResidualKind:
 
 
 def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -> list[ResidualKind]:
-    """List the kinds of residual that the logs allow.
+    """List the kinds of residual that the logs allow; RobotError if they allow none.
 
     Logged torques are compared with inverse dynamics, which needs no controller. Where a joint has a command
     and no torque, the commands are simulated instead: else nothing would look at this joint. A second encoder
     is always compared with the first.
-
-    Raises:
-        RobotError: There are neither torques nor commands nor a second encoder.
     """
     named = [(name, log) for motion in motions for name, log in motion.joints.items()]
     commanded = {name for name, log in named if log.command is not None}

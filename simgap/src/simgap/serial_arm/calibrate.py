@@ -41,14 +41,11 @@ MAX_POSITION_ERROR_M: Final = 0.05
 
 
 def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
-    """Estimate the frames of base and target from poses of the uncalibrated arm.
+    """Estimate the frames of base and target from poses of the nominal arm; RobotError if they do not fit it.
 
     R_TM = R_TB R_BF R_FM is bilinear in R_TB and R_FM. Both follow from the leading singular pair of the sum
     of Kronecker products of R_TM and R_BF (M. Shah, J. Mechanisms Robotics 5, 2013). Translations are
     then linear.
-
-    Raises:
-        RobotError: Too few poses, too similar poses, or poses of another arm, unit or frame.
     """
     if series.count < LEAST_POSES:
         raise RobotError(f"{series.count} poses are too few; {LEAST_POSES} or more are wanted")
@@ -186,13 +183,10 @@ class PoseErrors:
 def calibrate_series(
     arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
 ) -> SerialCalibration:
-    """Fit an arm to a series of poses and leave out outliers.
+    """Fit an arm to poses and leave out outliers; RobotError if too many poses do not agree.
 
     A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
     with the next fit are included again.
-
-    Raises:
-        RobotError: Too many poses do not agree.
     """
     used = np.ones(series.count, bool)
     found = fit_poses(arm, setup, series, terms, used)

@@ -101,12 +101,7 @@ def screw_log(X: AnyPose) -> Array:
 
 
 def error_screw(X_RM: AnyPose, X_RT: AnyPose) -> Array:
-    """Compute the error screws, the logarithm of D_error (paper equation 14).
-
-    Returns:
-        Screws from modelled to measured poses in axes of the modelled ones, rotation [rad] above
-        translation [m], shape (6, n).
-    """
+    """Compute error screws, (6, n), the log of D_error (paper equation 14), in axes of the modelled poses."""
     return screw_log(relative_pose(X_RM, X_RT))
 
 
@@ -123,12 +118,9 @@ def linearise(X_RM: AnyPose, jacobian: Array, X_RT: AnyPose, whitener: Array) ->
 
 
 def _inverse_left_jacobian(T: Array) -> Array:
-    """Compute the inverse left Jacobian J of the exponential: log(exp(d) exp(T)) = T + J d.
+    """Compute the inverse left Jacobian J, (6, 6, n), of the exponential: log(exp(d) exp(T)) = T + J d.
 
     The series ends after the fourth power of T. For screws of 0.01, its relative error is 1e-11.
-
-    Returns:
-        Matrices, shape (6, 6, n).
     """
     ad = np.zeros((6, *T.shape))
     ad[:3, :3] = ad[3:, 3:] = skew(T[:3])
@@ -157,11 +149,7 @@ class LinkAxes:
     """alpha rotates about x through this point, a translates along it."""
 
     def screws(self, X_M: Pose) -> Array:
-        """Compute the derivatives of a later frame by the six parameters of the link.
-
-        Returns:
-            Screws of M in its own axes per unit of each parameter, shape (6, n, 6).
-        """
+        """Compute a later frame's derivatives by the six parameters: screws in its own axes, (6, n, 6)."""
         columns = []
         for axis, point in ((self.z, self.p_z_m), (self.y, self.p_y_m), (self.x, self.p_x_m)):
             v = rotate_back(X_M.R, axis)
@@ -202,15 +190,12 @@ def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[
 def load_torque_Nm(
     ends: list[Pose], axes: list[LinkAxes], masses_kg: Array, p_EoCo_E_m: Array, gravity_m_s2: Array
 ) -> Array:
-    """Compute the gravity torque on each joint.
+    """Compute the gravity torque on each joint, positive in its direction, (joints, n) [N m].
 
     Args:
         masses_kg: Masses of the links, shape (joints,).
         p_EoCo_E_m: Centres of mass in the frames at the ends, shape (joints, 3).
         gravity_m_s2: Gravity in the frame of the chain, shape (3,).
-
-    Returns:
-        Torques [N m], positive in the direction of the joint, shape (joints, n).
     """
     weight = masses_kg[:, None] * gravity_m_s2
     mass_centres = [X.p + rotate(X.R, p[:, None]) for X, p in zip(ends, p_EoCo_E_m, strict=True)]

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
-from simgap.common.record import Record
-from simgap.common.toml import parse_record, read_toml, toml_text
+from simgap.common.toml import Record, parse_record, read_toml, toml_text
 from simgap.files.log_file import LogFile, open_log
 from simgap.files.robot_file import CsvTable, Text
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
@@ -51,11 +50,7 @@ class ArmFile(Record):
 
 
 def read_arm(path: Path) -> SerialArm:
-    """Read an arm from its file.
-
-    Raises:
-        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
-    """
+    """Read an arm from its file; RobotError, with the path of the key, if it is wrong."""
     content = parse_record(ArmFile, _in_si_units(read_toml(path)), path)
     return SerialArm(
         content.name, tuple(content.link), content.gravity_B_m_s2, content.uncertainty, content.repeatability
@@ -245,21 +240,12 @@ QUANTITIES: Final = {
 
 
 def read_mapping(path: Path) -> TrackerMapping:
-    """Read a mapping from its file.
-
-    Raises:
-        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
-    """
+    """Read a mapping from its file; RobotError, with the path of the key, if it is wrong."""
     return parse_record(TrackerMapping, read_toml(path), path)
 
 
 def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
-    """Read the poses of a table, in order of time.
-
-    Raises:
-        RobotError: A file, a column or a value is missing or wrong, the mapping is that of another arm, or
-            the tracker readings stood still while the arm moved.
-    """
+    """Read the poses of a table in order of time; RobotError if a file is wrong, or of another arm."""
     meant = read_mapping(mapping)
     columns, joints = len(meant.joints.columns), len(arm.links)
     if columns != joints:
@@ -273,11 +259,7 @@ def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
 
 
 def series_from_table(path: Path, mapping: TrackerMapping) -> PoseSeries:
-    """Read the poses of a table, in order of time.
-
-    Raises:
-        RobotError: A column or a value is missing, or the tracker readings stood still while the arm moved.
-    """
+    """Read the poses of a table in order of time; RobotError if a value is wrong or the tracker still."""
     given = {name: one for name in QUANTITIES if (one := getattr(mapping, name)) is not None}
     numbers = [name for one in given.values() for name in one.columns]
     time = mapping.time

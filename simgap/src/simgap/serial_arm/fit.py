@@ -117,11 +117,7 @@ class Fit:
         return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
 
     def index(self, name: str) -> int:
-        """Return the index of a parameter among the values.
-
-        Raises:
-            ValueError: There is no parameter of this name.
-        """
+        """Return the index of a parameter among the values; ValueError if there is none."""
         return [parameter.name for parameter in self.parameters].index(name)
 
 
@@ -151,11 +147,7 @@ def fit(
 
 
 def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
-    """Compute the sum of squares that the fit minimises.
-
-    Args:
-        prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
-    """
+    """Compute the sum of squares that the fit minimises, with inverse prior sigmas, (p,)."""
     return float(np.sum(at.residual[used] ** 2) + np.sum((x * prior) ** 2))
 
 
@@ -316,12 +308,9 @@ MAX_OUTLIER_SHARE: Final = 0.2
 
 
 def leave_one_out_distance(fitted: Fit) -> Array:
-    """Compute the squared distance of each pose from the prediction of a fit to the other poses.
+    """Compute the squared distance over variance, (n,), of each pose from a fit to the other poses.
 
     For poses that were not fitted, the fit itself predicts.
-
-    Returns:
-        Squared distances over their variances, unitless, shape (n,).
     """
     J, r = fitted.at.jacobian, fitted.at.residual
     hat = np.einsum("nij,jk,nlk->nil", J, fitted.covariance, J, optimize=True)

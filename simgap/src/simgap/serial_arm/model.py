@@ -144,11 +144,7 @@ def coefficient_names(orders: int) -> list[str]:
 
 
 def joint_coefficients(arm: SerialArm, orders: int) -> Array:
-    """Collect the coefficients of all joints.
-
-    Returns:
-        Coefficients [rad/(N m), rad], shape (joints, 2 + 2 orders).
-    """
+    """Collect the coefficients of all joints [rad/(N m), rad], (joints, 2 + 2 orders)."""
     return np.array(
         [
             [one.compliance_rad_per_Nm, one.hysteresis_rad, *one.periodic_rad(orders).ravel()]
@@ -158,11 +154,7 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
 
 
 def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
-    """Compute the factors of all coefficients: torque, direction of the last move, cosines and sines.
-
-    Returns:
-        Factors [N m, unitless], shape (joints, n, 2 + 2 orders).
-    """
+    """Compute the factors of all coefficients: torque, last direction, waves, (joints, n, 2 + 2 orders)."""
     q = series.joint_rad
     ends, axes = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, q)
     masses = np.array([one.mass_kg for one in arm.links])
@@ -261,11 +253,7 @@ class SerialModel:
         return X_M, [base, target, *axes]
 
     def __call__(self, values: Array) -> Linearisation:
-        """Compute whitened error screws and their derivatives.
-
-        Returns:
-            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
-        """
+        """Compute whitened error screws, (n, 6), and their derivatives, (n, 6, p)."""
         X_M, axes = self._chain(values)
         screws = [one.screws(X_M) for one in axes]
         columns = screws if GEOMETRY in self.terms else screws[:2]

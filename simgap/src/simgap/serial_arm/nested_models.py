@@ -140,10 +140,7 @@ def fit_nested_models(
 ) -> tuple[NestedModel, ...]:
     """Fit each set of terms to one part of a series, and compare it with the other part.
 
-    Outliers of the largest model are left out of all fits.
-
-    Raises:
-        RobotError: Too many poses do not agree.
+    Outliers of the largest model are left out of all fits; RobotError if they are too many.
     """
     progress(0, len(steps), "fitting")
     whole = calibrate_series(arm, setup, part, steps[-1])
@@ -207,10 +204,8 @@ def temperature_test(found: SerialCalibration, validation: CrossValidation) -> T
     """Cross-validate a model in which base and link lengths follow the air temperature or placebo curves.
 
     The base shifts and rotates in proportion to the temperature, and all lengths grow together. Any drift in
-    time can look like temperature, so clock, reversed and shifted temperatures serve as placebos.
-
-    Returns:
-        The test; None if the air temperature is unknown.
+    time can look like temperature, so clock, reversed and shifted temperatures serve as placebos. None if the
+    temperature is unknown.
     """
     series = found.model.series
     if series.air_C is None:
@@ -247,11 +242,7 @@ def drift_gain(
 
 
 def _columns(found: SerialCalibration) -> Array:
-    """Compute the Jacobian columns of base (six) and arm growth per kelvin, in units of their expected size.
-
-    Returns:
-        Columns, shape (n, 6, 7).
-    """
+    """Compute Jacobian columns of base (six) and arm growth per kelvin, (n, 6, 7), in expected sizes."""
     arm = found.arm
     model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))
     J = model(np.zeros(len(model.parameters))).jacobian

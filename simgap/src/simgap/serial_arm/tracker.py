@@ -122,11 +122,7 @@ def fit_tracker(
 
 
 def diagnose_tracker(arm: SerialArm, series: PoseSeries) -> Diagnosis:
-    """Find the effects in the joints of a serial arm; the later half of the poses only judges.
-
-    Raises:
-        RobotError: There are too few poses, or they do not determine base and target.
-    """
+    """Find the effects in the joints of an arm; the later half of the poses judges; RobotError if too few."""
     return describe_tracker(fit_tracker(arm, series))
 
 

@@ -16,21 +16,25 @@ from simgap.checks.records import REFUSED, Remark, RemarkKind
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
 from simgap.common.toml import parse_record
-from simgap.files.columns import ColumnInfo
+from simgap.files.columns import ColumnInfo, LongGap
 from simgap.files.log_file import LogFile, open_whole
-from simgap.files.pauses import LongGap
 from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
 from simgap.mjcf import joint_name, joints_of_tendon, read_model_text, tied_joints
 from simgap.robot import Robot
-from simgap.setup.column_names import split_words
+from simgap.setup.column_names import Match, match_columns, split_words
 from simgap.setup.draft import Draft
-from simgap.setup.gains import ask_about_gains, ask_about_torques, estimate_gain, sag_gains, set_unknown_gains
-from simgap.setup.loops import loop_gains
-from simgap.setup.matching import Match, match_columns
-from simgap.setup.signals import settle_speeds, write_columns
+from simgap.setup.gains import (
+    ask_about_gains,
+    ask_about_torques,
+    estimate_gain,
+    loop_gains,
+    sag_gains,
+    set_unknown_gains,
+)
 from simgap.setup.times import Times, find_times
+from simgap.setup.units import settle_speeds, write_columns
 
 JITTER: Final = 0.005
 """Share by which the rate of a log may be off that of its loop: a round number within it is taken."""

@@ -39,11 +39,7 @@ class Times:
 
 
 def find_times(log: LogFile, columns: Sequence[ColumnInfo]) -> Times:
-    """Find the times of a log and the columns that name its motions.
-
-    Raises:
-        RobotError: no column has times, or they begin anew and no column says where.
-    """
+    """Find the times of a log and the columns that name its motions; RobotError if there are none."""
     rates = [one.rate_Hz for one in columns if one.rate_Hz and one.kind == "number"]
     if rates:  # the file knows its times
         return Times("", "s", (), "", float(np.median(rates)), {})
@@ -93,11 +89,7 @@ def _why_no_clock(columns: Sequence[ColumnInfo]) -> str:
 
 
 def _time_unit(name: str, kind: Kind, rate: float) -> tuple[str, str]:
-    """Return the unit of a clock, of its name or that in which its rate is most usual, and why.
-
-    Args:
-        rate: Samples in one of the unit that is looked for.
-    """
+    """Return the unit of a clock, of its name or that in which its rate is most usual, and why."""
     if kind == "time":
         return "s", "dates are read as seconds"
     rates = {unit: rate / UNITS[unit].factor for unit in ("s", "ms", "us", "ns")}
