@@ -23,7 +23,7 @@ from sim.sequence import Outcome
 from sim.setting import Surface, World
 from sim.world import inside_rover
 from simgap.common.errors import BadRequest
-from simgap.common.files import reserve
+from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
@@ -99,10 +99,8 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     job = prepare_placement(request)
     title = f"{job.placement.tool} on arm {job.arm.name}"
     effects = effects_of_run(job.effects)
-    with (
-        reserve(request.files.log, "log"),
-        open_view(request.files, title, job.world, job.arm, effects) as view,
-    ):
+    check_unlocked(request.files.log, "log")
+    with open_view(request.files, title, job.world, job.arm, effects) as view:
         return _carry_out(request, job, progress, view)
 
 

@@ -27,7 +27,7 @@ from sim.scenario.rehearsal import find_impossible
 from sim.scenario.run import NotTaught, ScenarioResult, ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
-from simgap.common.files import reserve
+from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
@@ -59,10 +59,8 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     """
     scenario, arm = _prepare(request)
     title = f"{scenario.title} on arm {arm.name}"
-    with (
-        reserve(request.files.log, "log"),
-        open_view(request.files, title, scenario.world, arm, scenario.effects) as view,
-    ):
+    check_unlocked(request.files.log, "log")
+    with open_view(request.files, title, scenario.world, arm, scenario.effects) as view:
         return _carry_out(request, scenario, arm, progress, view)
 
 

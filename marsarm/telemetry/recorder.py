@@ -54,7 +54,7 @@ from sim.scenario.effects import effect_text
 from sim.sequence import SequenceResult, never, run_commands
 from sim.setting import World
 from simgap.common.errors import BadOutput
-from simgap.common.files import atomic_path, check_output, lock_file
+from simgap.common.files import atomic_path, check_output, check_unlocked, lock_file
 from simgap.common.interruption import defer_interrupts, describe_interruption
 from simgap.common.origin import git_revision
 
@@ -177,6 +177,7 @@ def create_log(
     try:
         target = Path(os.path.realpath(path))  # a link stays a link
         check_output(target, (target.suffix.lower(),), "log")
+        check_unlocked(target, "log")
         with ExitStack() as on_failure:
             with atomic_path(target) as part:
                 file = on_failure.enter_context(FileIO(part, "xb", opener=_open_above_stdio))

@@ -148,10 +148,10 @@ def test_a_pause_is_told_with_the_windows_that_cut_it(robot, tmp_path, name, ear
     assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [10, 10]
 
 
-def test_a_database_that_is_no_bag_says_what_it_lacks(robot, tmp_path):
+def test_a_database_that_is_no_bag_says_what_to_name(robot, tmp_path):
     with closing(sqlite3.connect(tmp_path / "log.db3")) as database:
         database.execute("CREATE TABLE messages(id INTEGER)")
-    with pytest.raises(RobotError, match=r"it has no table 'topics', .* `ros2 bag reindex FOLDER`"):
+    with pytest.raises(RobotError, match=r"cannot be read: .*; name the folder .* `ros2 bag reindex FOLDER`"):
         load(robot, tmp_path / "log.db3")
 
 

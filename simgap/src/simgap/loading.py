@@ -13,6 +13,7 @@ from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml
 from simgap.files.columns import hint_at
 from simgap.files.log_file import LogFile, open_log
+from simgap.files.message_log import MessageLog
 from simgap.files.motion_rows import MotionRows, unwrap_counters
 from simgap.files.robot_file import RobotFile
 from simgap.logs import JointLog, Logs, Motion, Signal
@@ -292,7 +293,7 @@ def _column_by_name(log: LogFile, file: RobotFile, joint: str, key: str, column:
     Messages may have their joints in any order. The place means the name that stood there first; if other
     publishers put names there that the robot file does not know, the joint's own.
     """
-    stood = log.names_at(column)
+    stood = log.names_at(column) if isinstance(log, MessageLog) else ()
     if not stood:
         return column
     names = {name: {name, table.joint or name} for name, table in file.joints.items()}

@@ -318,19 +318,14 @@ def _gains(table: JointTable, drive: Drive, where: str, needs_gains: bool) -> tu
             )
         return drive.torque_Nm_V, drive.back_emf_Nms_rad if table.kd_Nms_rad is None else kd
     kp = drive.kp_Nm_rad if table.kp_Nm_rad is None else table.kp_Nm_rad
-    if table.mode == "position" and kp == 0.0:
-        if needs_gains:
-            raise RobotError(
-                f"{where}.kp_Nm_rad: is 0 or missing, and the model has no gain; give one above 0"
-            )
-        kp = math.nan
-    if table.mode == "velocity" and kd == 0.0:
-        if needs_gains:
-            raise RobotError(
-                f"{where}.kd_Nms_rad: is 0 or missing, and the model has no gain; give one above 0"
-            )
-        kd = math.nan
-    return kp, kd
+    key, gain = {"position": ("kp_Nm_rad", kp), "velocity": ("kd_Nms_rad", kd)}.get(
+        table.mode, ("", math.inf)
+    )
+    if gain != 0.0:
+        return kp, kd
+    if needs_gains:
+        raise RobotError(f"{where}.{key}: is 0 or missing, and the model has no gain; give one above 0")
+    return (math.nan, kd) if table.mode == "position" else (kp, math.nan)
 
 
 def _check_left_out(file: RobotFile, model: mujoco.MjModel, path: Path) -> None:

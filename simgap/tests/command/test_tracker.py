@@ -61,7 +61,7 @@ def test_the_terms_and_the_whole_calibration_are_in_the_document(ended):
     assert found["temperature"]["explains"] == "nothing"
     assert found["fit"]["converged"]
     links = read_arm(folder / "arm.toml").links
-    assert [one["name"] for one in found["links"]] == [one.name for one in links]
+    assert [one["name"] for one in found["joints"]] == [one.name for one in links]
 
 
 def test_a_calibrated_arm_is_judged_again_without_terms(ended):

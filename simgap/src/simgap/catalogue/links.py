@@ -13,7 +13,7 @@ from simgap.arrays import Array
 from simgap.effects.effect import Effect, Fields, JointScales
 from simgap.effects.forces import PlaneContact
 from simgap.effects.inertia import GravityDirection, LinkCentre, LinkInertia, LinkLength, LinkMass, Payload
-from simgap.logs import JointLog, Motion, Signal
+from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot
 
 HEIGHT_ERROR_M: Final = 0.01
@@ -34,18 +34,19 @@ def link_effects(robot: Robot, motions: Sequence[Motion], scales: Mapping[str, J
     vertical axis.
     """
     places = [joint.name for joint in robot.joints if joint.name in scales]
+    nominal_Nm = _torques_Nm(robot.model, robot, scales)
     found = [
         _with_seen_axes(robot, effect, scales) if isinstance(effect, Payload) else effect
         for effect in _candidates(robot, places)
-        if _changes_torques(robot, effect, scales)
+        if _differ(nominal_Nm, _torques_with(robot, effect, scales))
     ]
     return [*found, *_contact(robot, motions)]
 
 
 def _candidates(robot: Robot, places: Sequence[str]) -> Iterator[Effect]:
     model = robot.model
-    body_of = {joint.name: _body(model, joint.dof_index) for joint in robot.joints}
-    moved_kg = float(sum(model.body_mass[body] for body in range(model.nbody) if _is_moved(model, body)))
+    body_of = {joint.name: int(model.dof_bodyid[joint.dof_index]) for joint in robot.joints}
+    moved_kg = float(sum(model.body_mass[model.body_weldid != 0]))
     holder = _holder(robot, body_of)
     if holder in places:
         yield Payload(
@@ -66,14 +67,6 @@ def _candidates(robot: Robot, places: Sequence[str]) -> Iterator[Effect]:
                 yield LinkLength(place, other, length_m)
     if model.opt.gravity.any():
         yield GravityDirection("base")
-
-
-def _body(model: mujoco.MjModel, dof: int) -> int:
-    return int(model.dof_bodyid[dof])
-
-
-def _is_moved(model: mujoco.MjModel, body: int) -> bool:
-    return bool(model.body_weldid[body] != 0)
 
 
 def _holder(robot: Robot, body_of: Mapping[str, int]) -> str:
@@ -102,11 +95,6 @@ def _with_seen_axes(robot: Robot, payload: Payload, scales: Mapping[str, JointSc
         axis for axis in "xyz" if _differ(at_site, _torques_with(robot, replace(payload, axes=axis), scales))
     ]
     return replace(payload, axes="".join(seen))
-
-
-def _changes_torques(robot: Robot, effect: Effect, scales: Mapping[str, JointScales]) -> bool:
-    """Check whether the effect at its typical size changes a torque in the range of the logs."""
-    return _differ(_torques_Nm(robot.model, robot, scales), _torques_with(robot, effect, scales))
 
 
 def _torques_with(robot: Robot, effect: Effect, scales: Mapping[str, JointScales]) -> Array:
@@ -172,7 +160,8 @@ def _contact(robot: Robot, motions: Sequence[Motion]) -> list[Effect]:
 
 def _lowest_m(robot: Robot, motion: Motion, is_commanded: bool) -> float:
     """Return the lowest height of the tool site in a motion, as commanded or as measured."""
-    signals = {name: _signal(log, is_commanded) for name, log in motion.joints.items()}
+    logs = motion.joints.items()
+    signals = {name: log.command if is_commanded and log.command else log.position for name, log in logs}
     begin_s = max(signal.time_s[0] for signal in signals.values())
     end_s = min(signal.time_s[-1] for signal in signals.values())
     data = mujoco.MjData(robot.model)
@@ -185,7 +174,3 @@ def _lowest_m(robot: Robot, motion: Motion, is_commanded: bool) -> float:
         mujoco.mj_kinematics(robot.model, data)
         lowest_m = min(lowest_m, float(data.site(robot.tool_site).xpos[2]))
     return lowest_m
-
-
-def _signal(log: JointLog, is_commanded: bool) -> Signal:
-    return log.command if is_commanded and log.command is not None else log.position

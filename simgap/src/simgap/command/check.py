@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.table import Table
 
 from simgap.arrays import Array
 from simgap.checks.audit import audit
 from simgap.checks.nominal import NominalModel, NominalMotion
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
-from simgap.common.console import plain_console, pluralize
+from simgap.common.console import plain_console, pluralize, text_table
 from simgap.common.errors import RobotError
 from simgap.common.files import digest_files, json_sha256
 from simgap.common.options import check_options, command_text
@@ -23,7 +22,7 @@ from simgap.common.progress import Progress, no_progress
 from simgap.common.report import file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
-from simgap.logs import Logs, Motion
+from simgap.logs import Logs
 from simgap.report.page import (
     draw_figures,
     error_panel,
@@ -100,7 +99,9 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     progress(READ, 1.0, "auditing")
     found = audit(robot, logs)
     model = NominalModel(robot)
-    durations_s = [_duration_s(motion) for motion in logs.motions]
+    durations_s = [
+        max(float(np.ptp(log.position.time_s)) for log in motion.joints.values()) for motion in logs.motions
+    ]
     ends = np.cumsum([0.0, *durations_s]) / max(sum(durations_s), 1e-9)
     nominal = []
     for motion, done in zip(logs.motions, ends[:-1], strict=True):
@@ -153,10 +154,6 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
     return ""
 
 
-def _duration_s(motion: Motion) -> float:
-    return max(float(np.ptp(log.position.time_s)) for log in motion.joints.values())
-
-
 def check_json(report: CheckReport) -> dict[str, Any]:
     """Convert a check to a JSON document in SI units; null where a number is not known."""
     return {
@@ -180,7 +177,9 @@ def check_json(report: CheckReport) -> dict[str, Any]:
 def print_check(report: CheckReport) -> None:
     """Print one line for each joint, and the remarks with the worst first."""
     console = plain_console()
-    console.print(_joint_table(report))
+    held_out = f", {len(report.logs.held_out)} held out" if report.logs.held_out else ""
+    title = f"{report.robot.name}: {pluralize(len(report.logs.motions), 'motion')}{held_out}"
+    console.print(text_table(title, JOINT_HEAD, map(joint_cells, summarize_joints(report))))
     for loss in report.logs.losses:
         console.print(loss)
     for line in remark_lines(report.audit)[:MAX_REMARKS]:
@@ -224,19 +223,6 @@ def _motion_words(remark: Remark) -> str:
     more = len(remark.motions) - len(names)
     words = ", ".join(names) + (f" and {more} more" if more else "")
     return f" [{words}]" if words else ""
-
-
-def _joint_table(report: CheckReport) -> Table:
-    motions = report.logs.motions
-    held_out = f", {len(report.logs.held_out)} held out" if report.logs.held_out else ""
-    title = f"{report.robot.name}: {pluralize(len(motions), 'motion')}{held_out}"
-    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
-    for name in JOINT_HEAD:
-        is_name = name == "joint"  # the name alone may take two lines
-        shown.add_column(name, justify="left" if is_name else "right", no_wrap=not is_name, overflow="fold")
-    for one in summarize_joints(report):
-        shown.add_row(*joint_cells(one))
-    return shown
 
 
 def joint_cells(one: JointSummary) -> tuple[str, ...]:

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.table import Table
 
 from simgap.catalogue.own_effects import load_effects
 from simgap.checks.audit import audit
 from simgap.command.request import FIT_SHARE, DiagnoseRequest
-from simgap.common.console import plain_console
+from simgap.common.console import plain_console, text_table
 from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.files import (
     atomic_write,
@@ -25,11 +24,10 @@ from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
-from simgap.common.report import file_lines
+from simgap.common.report import file_lines, to_json
 from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
-from simgap.logs import Logs, Motion
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
 from simgap.patch.text import FOUND_FILE, read_found
 from simgap.report.details import detail_lines
@@ -39,12 +37,12 @@ from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, convert_trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
-from simgap.serial_arm.calibrate import contributions_m, held_out_ratio, joint_errors
+from simgap.serial_arm.calibrate import JointTerms, contributions_m, held_out_ratio, joint_errors
 from simgap.serial_arm.effects import patch_arm
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_series
 from simgap.serial_arm.fit import assess_identifiability
-from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, TERMS, SerialArm
-from simgap.serial_arm.nested_models import NestedModel, TemperatureTest
+from simgap.serial_arm.model import GEOMETRY, TERMS, SerialArm
+from simgap.serial_arm.nested_models import NestedModel
 from simgap.serial_arm.tracker import TrackerFit, describe_tracker, fit_tracker
 
 
@@ -63,7 +61,7 @@ def parse_terms(text: str) -> tuple[str, ...]:
 
 def calibration_json(fitted: TrackerFit) -> dict[str, Any]:
     """Convert a calibration to a JSON document in metres and radians."""
-    last, fit = fitted.models[-1], fitted.found.fit
+    last, fit, test = fitted.models[-1], fitted.found.fit, fitted.temperature
     seen = assess_identifiability(fit.parameters, fit.at, fit.used)
     return {
         "fitted_poses": fitted.found.model.series.count,
@@ -80,26 +78,13 @@ def calibration_json(fitted: TrackerFit) -> dict[str, Any]:
             "iterations": fit.iterations,
             "sigma0": fit.sigma0,
             "outlier_rows": list(fitted.found.outliers),
-            "unidentifiable": [
-                {"names": list(group.names), "identified": group.identified}
-                for group in seen.unidentifiable_groups()
-            ],
+            "unidentifiable": to_json(seen.unidentifiable_groups()),
         },
         "contributions_m": contributions_m(fitted.found),
-        "joints": [
-            {
-                "name": one.name,
-                "compliance_rad_per_Nm": one.compliance_rad_per_Nm,
-                "compliance_sigma": one.compliance_sigma,
-                "hysteresis_rad": one.hysteresis_rad,
-                "hysteresis_sigma": one.hysteresis_sigma,
-                "periodic_rms_rad": one.rms_rad,
-                "periodic_peak_rad": one.peak_rad,
-            }
-            for one in joint_errors(fitted.found)
-        ],
-        "links": _links_json(fitted) if GEOMETRY in last.terms else [],
-        "temperature": _temperature_json(fitted.temperature),
+        "joints": to_json(joint_errors(fitted.found)),
+        "temperature": None
+        if test is None
+        else to_json(test) | {"explains": "something" if test.explains else "nothing"},
     }
 
 
@@ -118,67 +103,29 @@ def _model_json(model: NestedModel) -> dict[str, Any]:
     }
 
 
-def _links_json(fitted: TrackerFit) -> list[dict[str, Any]]:
-    """List the difference of each link parameter from the file, with its sigma."""
-    fit = fitted.found.fit
-    found = {
-        one.name: {"difference": float(value), "sigma": float(sigma)}
-        for one, value, sigma in zip(fit.parameters, fit.values, fit.sigma, strict=True)
-    }
-    return [
-        {"name": one.name, **{number: found[f"{one.name}.{number}"] for number in GEOMETRY_NAMES}}
-        for one in fitted.found.model.arm.links
-    ]
-
-
-def _temperature_json(test: TemperatureTest | None) -> dict[str, Any] | None:
-    if test is None:
-        return None
-    return {
-        "explains": "something" if test.explains else "nothing",
-        "range_K": test.range_K,
-        "cross_validated_rms_without_m": test.without_m,
-        "cross_validated_rms_with_m": test.with_m,
-        "gain_m": test.gain_m,
-        "gain_sigma_m": test.gain_sigma_m,
-        "best_placebo": test.placebo,
-        "best_placebo_gain_m": test.placebo_gain_m,
-    }
-
-
 def print_calibration(fitted: TrackerFit, console: Console) -> None:
     """Print the gain of each term, the errors of the joints, and the noise."""
-    console.print(_model_table(fitted))
+    rows = []
+    for k, one in enumerate(fitted.models):
+        gain = [one.gain_m, one.gain_sigma_m] if k else [None, None]
+        lengths_m = [one.fitted.rms_m, one.held_out.rms_m, *gain, one.fresh.rms_m, one.fresh.position_m.max()]
+        cells = ("" if length is None else f"{length * 1e3:.3f}" for length in lengths_m)
+        rows.append((f"+ {one.terms[-1]}" if k else "base, target", *cells))
+    poses = f"{fitted.found.model.series.count} poses fitted, {fitted.fresh.count} held out"
+    head = ("with", "fitted", "validated", "less by", "+-", "held out", "largest")
+    console.print(text_table(f"Position error, rms [mm]; {poses}", head, rows))
     if set(fitted.models[-1].terms) - {GEOMETRY}:
-        console.print(_joint_table(fitted))
+        head = ("joint", "compliance", "+-", "hysteresis", "+-", "periodic", "largest")
+        rows = [_joint_cells(one) for one in joint_errors(fitted.found)]
+        console.print(text_table("Joint errors: urad/Nm, urad, mrad, mrad", head, rows))
     fit = fitted.found.fit
     console.print(f"{len(fit.parameters)} parameters; noise is {fit.sigma0:.2f} of what the file says")
 
 
-def _model_table(fitted: TrackerFit) -> Table:
-    poses = f"{fitted.found.model.series.count} poses fitted, {fitted.fresh.count} held out"
-    table = Table(title=f"Position error, rms [mm]; {poses}", title_justify="left", box=None)
-    table.add_column("with")
-    for name in ("fitted", "validated", "less by", "+-", "held out", "largest"):
-        table.add_column(name, justify="right")
-    for k, one in enumerate(fitted.models):
-        name = f"+ {one.terms[-1]}" if k else "base, target"
-        gain = [one.gain_m, one.gain_sigma_m] if k else [None, None]
-        lengths_m = [one.fitted.rms_m, one.held_out.rms_m, *gain, one.fresh.rms_m, one.fresh.position_m.max()]
-        table.add_row(name, *("" if length is None else f"{length * 1e3:.3f}" for length in lengths_m))
-    return table
-
-
-def _joint_table(fitted: TrackerFit) -> Table:
-    table = Table(title="Joint errors: urad/Nm, urad, mrad, mrad", title_justify="left", box=None)
-    table.add_column("joint")
-    for name in ("compliance", "+-", "hysteresis", "+-", "periodic", "largest"):
-        table.add_column(name, justify="right")
-    for one in joint_errors(fitted.found):
-        micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.hysteresis_rad, one.hysteresis_sigma)
-        cells = [f"{value * 1e6:.1f}" for value in micro]
-        table.add_row(one.name, *cells, f"{one.rms_rad * 1e3:.2f}", f"{one.peak_rad * 1e3:.2f}")
-    return table
+def _joint_cells(one: JointTerms) -> tuple[str, ...]:
+    micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.hysteresis_rad, one.hysteresis_sigma)
+    milli = (one.periodic_rms_rad, one.periodic_peak_rad)
+    return one.name, *(f"{1e6 * value:.1f}" for value in micro), *(f"{1e3 * value:.2f}" for value in milli)
 
 
 GOES_ON: Final = "the same command goes on after its last complete step"
@@ -269,7 +216,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     patch = None if request.patch is None else make_patch(robot, *result.of_model(), result.rivals)
     traces: tuple[Trace, ...] = ()
     if request.report is not None:
-        made = trace_motions(robot, _shown(logs), result, found.usable)
+        made = trace_motions(robot, logs.judged or logs.fit, result, found.usable)
         traces = tuple(convert_trace(robot, one) for one in made)
     return RobotDiagnosis(request, result, traces, patch, digests)
 
@@ -360,10 +307,6 @@ def _write_arm(made: RobotDiagnosis, arm: SerialArm, path: Path, what: str) -> N
     ]
     with atomic_write(path, "patch") as file:
         file.write(arm_to_toml(arm, about).encode())
-
-
-def _shown(logs: Logs) -> tuple[Motion, ...]:
-    return logs.judged or logs.fit
 
 
 def _check_folder(folder: Path | None) -> None:

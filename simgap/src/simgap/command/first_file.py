@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rich.table import Table
-
 from simgap.command.request import CheckRequest, InitRequest
-from simgap.common.console import plain_console, pluralize
+from simgap.common.console import plain_console, pluralize, text_table
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
@@ -87,6 +85,7 @@ def print_first_file(made: FirstFile) -> None:
 
 
 MODELS: Final = (".xml", ".mjcf", ".urdf")
+COLUMN_HEAD: Final = ("column", "kind", "samples", "Hz", "lowest", "highest", "unit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +137,8 @@ def print_columns(logs: Sequence[LogContent]) -> None:
     """Print one line for each column."""
     console = plain_console()
     for one in logs:
-        console.print(_table(one))
+        title = f"{one.log}: {pluralize(len(one.columns), 'column')}"
+        console.print(text_table(title, COLUMN_HEAD, map(_cells, one.columns), ("kind", "unit")))
         for loss in one.losses:
             console.print(f"{one.log}: {loss}")
     console.print(
@@ -146,19 +146,6 @@ def print_columns(logs: Sequence[LogContent]) -> None:
     )
 
 
-def _table(content: LogContent) -> Table:
-    title = f"{content.log}: {pluralize(len(content.columns), 'column')}"
-    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
-    for name in ("column", "kind", "samples", "Hz", "lowest", "highest", "unit"):
-        is_text = name in ("column", "kind", "unit")
-        shown.add_column(
-            name, justify="left" if is_text else "right", overflow="fold" if is_text else "ellipsis"
-        )
-    for one in content.columns:
-        numbers = (_cell(number) for number in (one.rate_Hz, one.lowest, one.highest))
-        shown.add_row(one.name, one.kind, str(one.n_samples), *numbers, one.unit)
-    return shown
-
-
-def _cell(number: float | None) -> str:
-    return "" if number is None else f"{number:.6g}"
+def _cells(one: ColumnInfo) -> tuple[str, ...]:
+    numbers = ("" if number is None else f"{number:.6g}" for number in (one.rate_Hz, one.lowest, one.highest))
+    return one.name, one.kind, str(one.n_samples), *numbers, one.unit

@@ -99,30 +99,13 @@ def cache_folder(program: str, name: str) -> Path:
     return base / program / name
 
 
-@contextmanager
-def reserve(path: Path | None, what: str) -> Iterator[None]:
-    """Reserve a file for this run in a block; BadOutput if another run writes it, or it cannot be made.
-
-    The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
-    written, and is deleted if it stays empty.
-    """
+def check_unlocked(path: Path | None, what: str) -> None:
+    """Refuse by BadOutput a file that another run is writing: its lock ends with that run."""
     if path is None:
-        yield
         return
-    try:
-        file, is_new, locked = _open_reserved(path)
-    except OSError as error:
-        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
-    try:
-        if not locked:
+    with suppress(OSError), path.open("rb") as file:
+        if not lock_file(file.fileno()):
             raise BadOutput(f"{what} {path}: another run is writing it; wait for it, or give another file")
-        try:
-            yield
-        finally:
-            if is_new:
-                _delete_placeholder(file, path)
-    finally:
-        os.close(file)
 
 
 def lock_file(file: int) -> bool:
@@ -137,37 +120,6 @@ def lock_file(file: int) -> bool:
     except OSError:
         return True
     return True
-
-
-def _open_reserved(path: Path) -> tuple[int, bool, bool]:
-    """Open the file or make an empty one; return descriptor, whether it is new, and whether it is locked.
-
-    Another run may delete its empty file between the steps; then all of them are repeated.
-    """
-    while True:
-        try:
-            file, is_new = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
-        except FileExistsError:
-            try:
-                file, is_new = os.open(path, os.O_RDONLY), False
-            except FileNotFoundError:
-                if path.is_symlink():
-                    raise
-                continue
-        if not lock_file(file):
-            return file, is_new, False
-        with suppress(FileNotFoundError):
-            if os.path.samestat(path.stat(), os.fstat(file)):
-                return file, is_new, True
-        os.close(file)
-
-
-def _delete_placeholder(file: int, path: Path) -> None:
-    """Delete the empty file that `reserve` made, unless it was replaced."""
-    with suppress(OSError):
-        there = path.stat()
-        if os.path.samestat(there, os.fstat(file)) and there.st_size == 0:
-            path.unlink()
 
 
 @contextmanager

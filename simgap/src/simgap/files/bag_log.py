@@ -1,8 +1,6 @@
 """Logs in bags: of ROS 1, and of ROS 2 in SQLite, by the package rosbags."""
 
-import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -36,27 +34,10 @@ def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
     except (RobotError, MemoryError):
         raise
     except Exception as error:  # damage ends in any error of the readers, and in errors of SQLite
-        what = _missing_tables(path) or " ".join(str(error).split())
-        what = what or f"it is damaged ({type(error).__name__})"
-        raise RobotError(f"{path}: cannot be read: {what}") from error
-
-
-def _missing_tables(path: Path) -> str:
-    """Say which tables a database lacks that make it a bag; empty if it lacks none, or is no database."""
-    if path.suffix.lower() != ".db3":
-        return ""
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            there = {name for (name,) in database.execute("SELECT name FROM sqlite_master")}
-    except sqlite3.Error:
-        return ""
-    missing = [repr(name) for name in ("topics", "messages") if name not in there]
-    return (
-        f"it has no table {' and no table '.join(missing)}, so that it is no whole bag of ROS 2; name "
-        "another file of the bag, or its folder after `ros2 bag reindex FOLDER`"
-        if missing
-        else ""
-    )
+        what = " ".join(str(error).split()) or f"it is damaged ({type(error).__name__})"
+        is_part = path.suffix.lower() == ".db3"
+        hint = "; name the folder of its bag, after `ros2 bag reindex FOLDER`" if is_part else ""
+        raise RobotError(f"{path}: cannot be read: {what}{hint}") from error
 
 
 def _read(path: Path, names: Sequence[str] | None) -> MessageFile:

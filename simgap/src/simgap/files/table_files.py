@@ -88,17 +88,15 @@ def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
     if wanted is None:  # a number alone is no column
         arrays = {name: array for name, array in arrays.items() if array.ndim and array.size}
     n_rows = max((one.size for one in arrays.values() if one.ndim == 1), default=0)
-    turned = {name: one.T for name, one in arrays.items() if one.ndim == 2 and _has_row_a_joint(one, n_rows)}
+    turned = {
+        name: one.T for name, one in arrays.items() if one.ndim == 2 and one.shape[1] == n_rows > one.shape[0]
+    }
     losses = [
         f"{name!r} has {one.shape[1]} rows of {n_rows} values: it is transposed, to have a row a sample"
         for name, one in turned.items()
     ]
     columns = {name: _to_arrow(path, name, one) for name, one in (arrays | turned).items()}
     return open_table(path, columns, wanted or (), losses=losses)
-
-
-def _has_row_a_joint(array: NDArray[Any], n_rows: int) -> bool:
-    return bool(array.shape[1] == n_rows > array.shape[0])
 
 
 def _to_arrow(path: Path, name: str, array: NDArray[Any]) -> pa.Array:

@@ -74,11 +74,6 @@ class TableLog:
             raise RobotError(f"{self.path}: column {name!r} {there}; give it texts or numbers") from error
         return np.asarray(text, dtype=np.str_)
 
-    def names_at(self, name: str) -> Sequence[str]:
-        """Return nothing: the lists of a table have one order."""
-        del name
-        return ()
-
     def describe(self, time_s: Array | None = None) -> tuple[ColumnInfo, ...]:
         """Describe all columns, also items of lists and fields of records; rates by times (n,) if given."""
         if self.time_column:

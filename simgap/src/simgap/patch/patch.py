@@ -5,6 +5,7 @@ The same hooks that the engine calls change the model here, so that both simulat
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -273,7 +274,7 @@ def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
     model = robot.model
     bodies: set[int] = set()
     for name, values in after.model.items():
-        old = before.model.get(name, np.array(_field(model, name)))
+        old = before.model.get(name, np.array(attrgetter(name)(model)))
         if name in DERIVED or np.array_equal(old, values):
             continue
         if name == "opt.gravity":
@@ -291,7 +292,7 @@ def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
             raise RobotError(f"{reason}: the patch cannot write the field {name!r}; leave this effect out")
     for body in sorted(bodies):
         numbers = (
-            (attribute, after.model.get(name, _field(model, name))[body])
+            (attribute, after.model.get(name, attrgetter(name)(model))[body])
             for name, attribute in INERTIAL.items()
         )
         said = tuple((attribute, number_text(*np.ravel(value))) for attribute, value in numbers)
@@ -333,11 +334,6 @@ def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Ma
     runtime = "simgap.patch.runtime"
     head = f"Effects of {robot.name} that {MODEL_FILE} cannot express; {runtime} applies them."
     return toml_text(tables, [head])
-
-
-def _field(model: mujoco.MjModel, name: str) -> Any:
-    """Return a field of the model or of its options."""
-    return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)
 
 
 def _name(model: mujoco.MjModel, kind: str, number: int) -> str:

@@ -33,8 +33,8 @@ class RuntimeJoint:
     """A joint of the patched model."""
 
     name: str
-    in_model: str
-    """Joint of the model."""
+    joint: str
+    """Its name in the model."""
     actuator: str
     mode: ControlMode
     rotor: str = ""
@@ -88,8 +88,8 @@ class RuntimeEffects:
         self.n_steps = round(control_period_s / model.opt.timestep)
         """Time steps of a control period."""
         self._joints = tuple(joints)
-        self._qpos, self._dof = _places(model, [joint.in_model for joint in joints])
-        turned = [joint.rotor or joint.in_model for joint in joints]
+        self._qpos, self._dof = _places(model, [joint.joint for joint in joints])
+        turned = [joint.rotor or joint.joint for joint in joints]
         self._motor_qpos, self._motor_dof = _places(model, turned)
         sees_motor = np.array([bool(joint.rotor) and not joint.sees_output for joint in joints])
         self._shown = np.where(sees_motor, self._motor_qpos, self._qpos)
@@ -122,17 +122,7 @@ class RuntimeEffects:
         if content.get("format") != FORMAT:
             raise RobotError(f"{path}: format: is not {FORMAT!r}; name a runtime file that a patch wrote")
         try:
-            joints = [
-                RuntimeJoint(
-                    one["name"],
-                    one["joint"],
-                    one["actuator"],
-                    ControlMode(one["mode"]),
-                    one.get("rotor", ""),
-                    one.get("sees_output", False),
-                )
-                for one in content["joints"]
-            ]
+            joints = [RuntimeJoint(**{**one, "mode": ControlMode(one["mode"])}) for one in content["joints"]]
             effects = [read_effect(one, path) for one in content.get("effects", [])]
             return cls(model, effects, joints, float(content["control_period_s"]))
         except (KeyError, TypeError, ValueError) as error:

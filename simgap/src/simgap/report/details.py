@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
+from simgap.common.console import pluralize
 from simgap.report.sentences import (
     MAX_MEMBERS,
     base_words,
     certainty_words,
-    count,
     finding_words,
     join_words,
     level,
@@ -31,7 +31,7 @@ GAINS: Final = {
 def detail_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
     refused = [
-        f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
+        f"{one.motion}: {pluralize(one.n_samples, 'sample')} took no part: {one.reason}."
         for one in diagnosis.refused
     ]
     return [

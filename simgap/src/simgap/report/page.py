@@ -61,6 +61,8 @@ HINT: Final = "Drag to zoom, double click for all of it; point at the traces to 
 
 def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     """Return the parts that follow the verdict, with some traces of each joint."""
+    refused = [(one.motion, str(one.n_samples), one.reason) for one in diagnosis.refused]
+    remarks = [heading("Remarks on the logs"), *map(paragraph, diagnosis.remarks)]
     return [
         figure_style(),
         *_finding_part(diagnosis),
@@ -68,8 +70,8 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         *_trace_part(diagnosis, traces),
         *_base_part(diagnosis),
         *_remaining_part(diagnosis),
-        *_refused_part(diagnosis),
-        *_remark_part(diagnosis),
+        *_table_part("What took no part", ("motion", "samples", "reason"), refused),
+        *(remarks if diagnosis.remarks else []),
     ]
 
 
@@ -250,8 +252,6 @@ def _finding_row(one: Finding) -> tuple[str, ...]:
 
 
 def _base_part(diagnosis: Diagnosis) -> list[str]:
-    if not diagnosis.base:
-        return []
     rows = [
         (
             one.place,
@@ -262,11 +262,13 @@ def _base_part(diagnosis: Diagnosis) -> list[str]:
         )
         for one in diagnosis.base
     ]
-    return [
-        heading("Base parameters"),
-        paragraph("Numbers that the model does not know for certain. They are fitted, and are no findings."),
-        table(("place", "parameter", "model", "fitted", "90 %"), rows),
-    ]
+    about = "Numbers that the model does not know for certain. They are fitted, and are no findings."
+    return _table_part("Base parameters", ("place", "parameter", "model", "fitted", "90 %"), rows, about)
+
+
+def _table_part(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], about: str = "") -> list[str]:
+    """Return a table with its heading; nothing without rows."""
+    return [heading(title), *([paragraph(about)] if about else []), table(head, rows)] if rows else []
 
 
 def _remaining_part(diagnosis: Diagnosis) -> list[str]:
@@ -282,24 +284,9 @@ def _remaining_part(diagnosis: Diagnosis) -> list[str]:
         )
         for one in diagnosis.remaining
     ]
-    return [
-        heading("What remains"),
-        paragraph("No effect of the catalogue explains this part; it is apart from what was named."),
-        table(("joint", "regime", "mean error", "depends on", "share of it"), rows),
-    ]
-
-
-def _refused_part(diagnosis: Diagnosis) -> list[str]:
-    if not diagnosis.refused:
-        return []
-    rows = [(one.motion, str(one.n_samples), one.reason) for one in diagnosis.refused]
-    return [heading("What took no part"), table(("motion", "samples", "reason"), rows)]
-
-
-def _remark_part(diagnosis: Diagnosis) -> list[str]:
-    if not diagnosis.remarks:
-        return []
-    return [heading("Remarks on the logs"), *map(paragraph, diagnosis.remarks)]
+    about = "No effect of the catalogue explains this part; it is apart from what was named."
+    head = ("joint", "regime", "mean error", "depends on", "share of it")
+    return _table_part("What remains", head, rows, about)
 
 
 def _json(document: Any) -> str:

@@ -6,6 +6,7 @@ from enum import StrEnum
 from math import isfinite
 from typing import Final
 
+from simgap.common.console import pluralize
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
 from simgap.units import quantity
@@ -86,11 +87,6 @@ def regime_words(regime: str) -> str:
 def percent(share: float) -> str:
     """Return a share as text."""
     return f"{100 * share:.0f} %"
-
-
-def count(number: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
@@ -183,7 +179,7 @@ def _what(diagnosis: Diagnosis) -> str:
     ]
     rest = len(ranked) - len(shown)
     first = "mainly " if rest > 0 else ""
-    return first + "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
+    return first + "; ".join(texts) + (f"; and {pluralize(rest, 'more finding')}." if rest > 0 else ".")
 
 
 def list_differing(diagnosis: Diagnosis) -> list[Base]:
@@ -232,7 +228,7 @@ def _how_far(diagnosis: Diagnosis) -> str:
     """
     if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
-    motions = count(len(diagnosis.judged_motions), "motion")
+    motions = pluralize(len(diagnosis.judged_motions), "motion")
     is_mixed = has_floor(diagnosis) and len({each.unit for each in diagnosis.errors}) > 1
     one = max(diagnosis.errors, key=lambda each: each.base / each.noise_floor if is_mixed else each.nominal)
     known = one.noise_floor > 0.0

@@ -98,7 +98,8 @@ def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace,
     chosen: dict[tuple[str, str], tuple[Trace, ...]] = {}
     every = list(traces)
     for place in dict.fromkeys((one.joint, one.kind) for one in every):
-        own = sorted((one for one in every if (one.joint, one.kind) == place), key=_error, reverse=True)
+        own = [one for one in every if (one.joint, one.kind) == place]
+        own.sort(key=lambda one: float(np.mean(np.abs(one.explained))), reverse=True)
         chosen[place] = tuple(own[k] for k in sorted({0, len(own) // 2, len(own) - 1}))
     return chosen
 
@@ -130,10 +131,6 @@ def extreme_rows(series: Iterable[Array]) -> Integers:
         rows += [first + [int(find(part)) for part in parts] for find in (np.argmin, np.argmax)]
         rows.append(np.array([0, values.size - 1]))
     return np.unique(np.concatenate(rows))
-
-
-def _error(one: Trace) -> float:
-    return float(np.mean(np.abs(one.explained)))
 
 
 MOTOR_SIDE = "N m of the motor"

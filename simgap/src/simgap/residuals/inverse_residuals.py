@@ -15,6 +15,7 @@ joint until it has moved by `MEMORY_rad`: until then its dry friction remembers 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Final
 
 import mujoco.batch
@@ -283,10 +284,8 @@ class _Candidates:
         names = [name for name in mujoco.batch.MODEL_FIELDS if self._batch.expanded(name) is not None]
         changed = np.zeros(n, dtype=bool)
         for name in names:
-            nominal = getattr(robot.model, name) if "." not in name else _option(robot.model, name)
-            changed |= np.any(
-                self._batch.expanded(name).reshape(n, -1) != np.asarray(nominal).reshape(1, -1), axis=1
-            )
+            nominal = np.asarray(attrgetter(name)(robot.model)).reshape(1, -1)
+            changed |= np.any(self._batch.expanded(name).reshape(n, -1) != nominal, axis=1)
         self._changed = changed
         if changed.any():
             self._batch.set_const()
@@ -300,7 +299,3 @@ class _Candidates:
         if self._changed[c] and c not in self._models:
             self._models = {c: self._batch.get_model(c)}
         return self._models[c] if self._changed[c] else None
-
-
-def _option(model: mujoco.MjModel, name: str) -> Array:
-    return np.asarray(getattr(model.opt, name.removeprefix("opt.")), dtype=float)

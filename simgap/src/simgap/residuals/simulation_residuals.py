@@ -271,14 +271,17 @@ MOST_STEPS: Final = 50_000
 Longer logs are simulated in windows: an interval depends on the number of motions, less on their length."""
 
 
+MakeResiduals = Callable[[Sequence[Motion], bool], ResidualModel]
+"""Takes motions, and whether they judge: then each is simulated whole, from its measured start."""
+
+
 @dataclass(frozen=True, slots=True)
 class ResidualKind:
     """One kind of residual."""
 
     name: str
     """`ResidualModel.kind` of what it makes."""
-    make: Callable[[Sequence[Motion], bool], ResidualModel]
-    """Takes motions, and whether they judge: then each is simulated whole, from its measured start."""
+    make: MakeResiduals
     shows: Callable[[Effect], bool]
     """True if the residual can show an effect."""
     has_base: bool
@@ -295,42 +298,26 @@ def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -
     named = [(name, log) for motion in motions for name, log in motion.joints.items()]
     commanded = {name for name, log in named if log.command is not None}
     measured = {name for name, log in named if log.torque is not None}
+
+    def measure(kind: type[InverseResiduals | EncoderResiduals]) -> MakeResiduals:
+        return lambda part, _: join_conditions(robot, part, lambda one, own, _: kind(one, own, usable))
+
+    def simulate(part: Sequence[Motion], is_judge: bool) -> ResidualModel:
+        def make(one: Robot, own: Sequence[Motion], share: float) -> ResidualModel:
+            most_steps = math.inf if is_judge else share * MOST_STEPS
+            return SimulationResiduals(one, own, keep=usable, most_steps=most_steps, fit_starts=not is_judge)
+
+        return join_conditions(robot, part, make)
+
     found = []
     if measured and (commanded <= measured or commanded < {joint.name for joint in robot.joints}):
-        found.append(
-            ResidualKind(
-                InverseResiduals.kind,
-                lambda part, _: join_conditions(
-                    robot, part, lambda one, own, _: InverseResiduals(one, own, usable)
-                ),
-                shows_torque,
-                True,
-            )
-        )
+        found.append(ResidualKind(InverseResiduals.kind, measure(InverseResiduals), shows_torque, True))
     elif commanded:
         _check_gains(robot, commanded - measured)
-
-        def simulate(part: Sequence[Motion], is_judge: bool) -> ResidualModel:
-            def make(one: Robot, own: Sequence[Motion], share: float) -> ResidualModel:
-                most_steps = math.inf if is_judge else share * MOST_STEPS
-                return SimulationResiduals(
-                    one, own, keep=usable, most_steps=most_steps, fit_starts=not is_judge
-                )
-
-            return join_conditions(robot, part, make)
-
         found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
     if any(log.secondary is not None for _, log in named):
-        found.append(
-            ResidualKind(
-                EncoderResiduals.kind,
-                lambda part, _: join_conditions(
-                    robot, part, lambda one, own, _: EncoderResiduals(one, own, usable)
-                ),
-                encoder_residuals.shows,
-                False,
-            )
-        )
+        shows = encoder_residuals.shows
+        found.append(ResidualKind(EncoderResiduals.kind, measure(EncoderResiduals), shows, False))
     if not found:
         raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")
     return found

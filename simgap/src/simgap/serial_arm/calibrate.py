@@ -53,7 +53,9 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
     X_BF = ends[-1]
     _check_rotations(X_BF)
     R_TB, R_FM = _solve_rotations(series.X_TM.R, X_BF.R)
-    rotation_error_rad = _angle(compose(np.swapaxes(series.X_TM.R, 0, 1), _product(R_TB, X_BF.R, R_FM)))
+    R_TM = np.einsum("ij,jkn,kl->iln", R_TB, X_BF.R, R_FM)
+    turned = np.trace(compose(np.swapaxes(series.X_TM.R, 0, 1), R_TM))
+    rotation_error_rad = np.arccos(np.clip((turned - 1) / 2, -1.0, 1.0))
     if np.median(rotation_error_rad) > MAX_ROTATION_ERROR_RAD:
         raise RobotError(
             f"the target does not turn as the arm's flange does: half of the poses are off by "
@@ -72,7 +74,8 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
 
 
 def _check_rotations(X_BF: Pose) -> None:
-    turns = _log(compose(np.swapaxes(X_BF.R, 0, 1), X_BF.R[:, :, :1]))
+    from_first = compose(np.swapaxes(X_BF.R, 0, 1), X_BF.R[:, :, :1])
+    turns = Rotation.from_matrix(np.moveaxis(from_first, -1, 0)).as_rotvec().T
     spread = np.linalg.svd(turns - turns.mean(axis=1, keepdims=True), compute_uv=False)
     if spread[1] / np.sqrt(turns.shape[1]) < LEAST_TURN_RAD / 2:
         raise RobotError(
@@ -115,18 +118,6 @@ def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
     if not 0.2 < measured / modelled < 5.0:
         return f"it moves {measured / modelled:.3g} times as far: see that positions have their unit"
     return "see that this is the arm of the file, and that positions and joints have their order and signs"
-
-
-def _product(R_TB: Array, R_BF: Array, R_FM: Array) -> Array:
-    return np.asarray(np.einsum("ij,jkn,kl->iln", R_TB, R_BF, R_FM))
-
-
-def _angle(R: Array) -> Array:
-    return np.asarray(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0)))
-
-
-def _log(R: Array) -> Array:
-    return np.asarray(Rotation.from_matrix(np.moveaxis(R, -1, 0)).as_rotvec().T)
 
 
 COMPONENTS: Final = 6
@@ -245,9 +236,9 @@ class JointTerms:
     compliance_sigma: float
     hysteresis_rad: float
     hysteresis_sigma: float
-    rms_rad: float
+    periodic_rms_rad: float
     """Root mean square periodic error at the measured poses."""
-    peak_rad: float
+    periodic_peak_rad: float
     """Largest periodic error at the measured poses."""
 
 
@@ -279,7 +270,7 @@ def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:
     sigma = {parameter.name: float(s) for parameter, s in zip(fit.parameters, fit.sigma, strict=True)}
     errors = []
     for one, features in zip(arm.links, found.model.features, strict=True):
-        waves = periodic_error_rad(features[:, len(NON_PERIODIC) :], one.periodic_rad(found.model.orders))
+        waves = features[:, len(NON_PERIODIC) :] @ one.periodic_rad(found.model.orders).ravel()
         errors.append(
             JointTerms(
                 one.name,
@@ -292,13 +283,3 @@ def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:
             )
         )
     return tuple(errors)
-
-
-def periodic_error_rad(features: Array, amplitudes: Array) -> Array:
-    """Compute the periodic error of a joint, (n,) [rad].
-
-    Args:
-        features: Cosines and sines, unitless, shape (n, k), k twice the number of orders.
-        amplitudes: Amplitudes of cosines and sines [rad], shape (2, orders).
-    """
-    return np.asarray(features @ amplitudes.ravel())

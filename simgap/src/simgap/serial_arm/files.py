@@ -1,6 +1,5 @@
 """Files of a serial arm: its TOML file, read and written, and tables of measured poses with their mapping."""
 
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import fields
@@ -24,8 +23,6 @@ from simgap.units import COUNTS, SHARES, Quantity, Unit, find_unit
 
 MOST_LINKS: Final = 20
 """Most links of an arm: the fit of more would take minutes."""
-OTHER_UNITS: Final = {"_deg": ("_rad", math.pi / 180), "_mm": ("_m", 1e-3)}
-"""Suffixes that a file may have in place of those of SI units, with their value in them."""
 
 
 class ArmFile(Record):
@@ -51,35 +48,10 @@ class ArmFile(Record):
 
 def read_arm(path: Path) -> SerialArm:
     """Read an arm from its file; RobotError, with the path of the key, if it is wrong."""
-    content = parse_record(ArmFile, _in_si_units(read_toml(path)), path)
+    content = parse_record(ArmFile, read_toml(path), path)
     return SerialArm(
         content.name, tuple(content.link), content.gravity_B_m_s2, content.uncertainty, content.repeatability
     )
-
-
-def _in_si_units(value: Any) -> Any:
-    """Convert the keys that end in `_deg` or `_mm`, with their values, in all tables."""
-    if isinstance(value, list):
-        return [_in_si_units(one) for one in value]
-    if not isinstance(value, dict):
-        return value
-    found: dict[str, Any] = {}
-    for key, one in value.items():
-        suffix = next((suffix for suffix in OTHER_UNITS if key.endswith(suffix)), "")
-        si, factor = OTHER_UNITS.get(suffix, ("", 1.0))
-        name = key.removesuffix(suffix) + si
-        # A key that stands twice keeps its second name, which is then refused as unknown.
-        found[key if name in value and suffix else name] = (
-            _scaled(one, factor) if suffix else _in_si_units(one)
-        )
-    return found
-
-
-def _scaled(value: Any, factor: float) -> Any:
-    if isinstance(value, list):
-        return [_scaled(one, factor) for one in value]
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) * factor if is_number else value
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:

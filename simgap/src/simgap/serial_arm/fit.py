@@ -128,7 +128,8 @@ def fit(
     used: Flags | None = None,
 ) -> Fit:
     """Fit parameters by damped Gauss-Newton iteration."""
-    scale, prior = _scale(parameters), _prior_weights(parameters)
+    scale = np.array([parameter.scale for parameter in parameters])
+    prior = 1.0 / np.array([parameter.prior_sigma for parameter in parameters])
     x = np.zeros(scale.size) if start is None else start
     at = model(x)
     keep = np.ones(at.residual.shape[0], bool) if used is None else used
@@ -181,15 +182,6 @@ def _normal_equations(
 def _flat(jacobian: Array) -> Array:
     """Stack the rows of all poses."""
     return jacobian.reshape(-1, jacobian.shape[-1])
-
-
-def _scale(parameters: Sequence[FitParameter]) -> Array:
-    return np.array([parameter.scale for parameter in parameters])
-
-
-def _prior_weights(parameters: Sequence[FitParameter]) -> Array:
-    """Compute the inverse prior sigmas."""
-    return 1.0 / np.array([parameter.prior_sigma for parameter in parameters])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,16 +268,12 @@ def assess_identifiability(
     jacobian = at.jacobian if used is None else at.jacobian[used]
     scale = np.array([parameter.scale for parameter in parameters])
     J = jacobian.reshape(-1, scale.size) * scale
-    _, s, Vt = np.linalg.svd(J, full_matrices=True) if J.shape[0] < scale.size else _svd_of_tall(J)
+    # R of the QR decomposition has the same singular values and directions, and far fewer rows
+    few = J if J.shape[0] < scale.size else np.linalg.qr(J, mode="r")
+    _, s, Vt = np.linalg.svd(few, full_matrices=True)
     values = np.zeros(scale.size)
     values[: s.size] = s
     return Identifiability(tuple(parameters), values, Vt.T)
-
-
-def _svd_of_tall(J: Array) -> tuple[Array, Array, Array]:
-    # R of the QR decomposition has the same singular values and directions, and far fewer rows
-    U, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"))
-    return U, s, Vt
 
 
 def _connected(members: Integers, linked: Flags) -> list[Integers]:

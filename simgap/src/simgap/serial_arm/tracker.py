@@ -158,7 +158,7 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
         effects=tuple(effects),
         sizes=tuple(tuple(chosen.values[flag_parameters(found.fit, [one])].tolist()) for one in effects),
         rejected=(
-            *(_rejected(test) for test in tests if test.problem),
+            *(Rejected(one.effect.place, one.effect.name, one.problem) for one in tests if one.problem),
             *_rejected_temperature(fitted.temperature),
         ),
     )
@@ -267,10 +267,6 @@ def _refused(found: SerialCalibration) -> tuple[Refusal, ...]:
         return ()
     reason = f"rows {', '.join(map(str, rows))} contradict the other poses"
     return (Refusal(found.model.series.name, reason, len(rows)),)
-
-
-def _rejected(test: EffectTest) -> Rejected:
-    return Rejected(test.effect.place, test.effect.name, test.problem)
 
 
 def _rejected_temperature(test: TemperatureTest | None) -> tuple[Rejected, ...]:
