@@ -25,12 +25,7 @@ from fsw.state import State, joint_channels
 def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
-    """Compute one control cycle; the result depends on the arguments only.
-
-    Args:
-        config: Configuration at boot; `state.changed_config` replaces it if there is one.
-        state: State after the cycle before.
-    """
+    """Compute one control cycle, from arguments alone; `state.changed_config` replaces that at boot."""
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
@@ -75,11 +70,7 @@ def step(
 
 
 def _filter_structure(config: Config, state: State, reading_C: float) -> tuple[float, int]:
-    """Filter the temperature of the structure in each load period; take the mean of the first readings.
-
-    Returns:
-        The temperature, and the number of usable readings until now.
-    """
+    """Filter the temperature of the structure in each load period, from the mean of first readings on."""
     period_s, readings = CYCLE_S * config.params.motion.load_period_cycles, state.structure_readings + 1
     share = min(max(period_s / config.params.heat.filter_s, 1 / readings), 1.0)
     return state.structure_C + share * (reading_C - state.structure_C), readings
@@ -124,11 +115,7 @@ def _decide(
 
 
 def _receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
-    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
-
-    Returns:
-        The context with what the command changed, or with the event that gives the reason for a refusal.
-    """
+    """Handle a command from the ground; return the context with what it changed, or why it is refused."""
     received = read_arguments(command, known_names(config.params))
     if isinstance(received, Wrong):
         return refuse(context, command, received.text)

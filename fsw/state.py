@@ -70,11 +70,7 @@ class State:
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
-    """Build the state before the first cycle: brakes on, power off.
-
-    Args:
-        reference: Result of an earlier hardstop initialisation; None if there was none.
-    """
+    """Build the state before the first cycle, brakes on, power off; the reference is of an earlier homing."""
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
     return State(
@@ -112,7 +108,6 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
     """Return the joint channels of a cycle.
 
     Args:
-        state: State that the cycle left.
         backlash_state: Rows of `JointEstimate.backlash_state`: angle, side, uncertainty; shape (3, 5).
     """
     joints = state.joints

@@ -67,11 +67,7 @@ class NoPlan(ValueError):
 
 
 def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoads:
-    """Compute the gravity torque on each joint at its hardstop.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-    """
+    """Compute the gravity torque on each joint at its hardstop, for gravity in the rover frame, (3,)."""
     poses = np.array([homing_start_poses(params, joint)[-1] for joint in Joint]).T
     for joint, joint_params in zip(Joint, params.joints.in_order(), strict=True):
         poses[joint, joint] = joint_params.hardstop_rad
@@ -80,12 +76,9 @@ def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoa
 
 
 def calibration_poses(params: Params) -> list[Array]:
-    """List the poses between the motions of the hardstop initialisation.
+    """List the poses, output angles of shape (5,) [rad], between the motions of the hardstop initialisation.
 
     Each motion moves one joint.
-
-    Returns:
-        Output angles [rad], each of shape (5,).
     """
     stops = configure(params).hardstop_rad
     poses = [np.array(params.hardstop.start_rad)]
@@ -101,11 +94,7 @@ def calibration_poses(params: Params) -> list[Array]:
 
 
 def sweep_poses(params: Params, spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
-    """Sample all motions of the hardstop initialisation.
-
-    Returns:
-        Output angles [rad], shape (5, n).
-    """
+    """Sample all motions of the hardstop initialisation: output angles [rad], shape (5, n)."""
     legs = pairwise(calibration_poses(params))
     return np.concatenate([sample_leg(start, end, spacing_rad) for start, end in legs], axis=1)
 
@@ -176,11 +165,7 @@ TARGETS: Final = 300
 
 
 def check_arm(arm: ArmModel) -> None:
-    """Check an arm in its plant on level Mars. Those of the project are checked in lint.
-
-    Raises:
-        BadArm: MuJoCo does not accept it, or it cannot be homed, stowed, or brought to its workspace.
-    """
+    """Check an arm in its plant on level Mars, beyond what lint checks; BadArm if it cannot be used."""
     check_plant(arm)
     problems = _find_problems(arm)
     if problems:

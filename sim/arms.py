@@ -34,11 +34,7 @@ class BuiltArm:
     """Drawing that the arm is built from."""
 
     def with_effects(self, effects: "Iterable[Effect]") -> "BuiltArm":
-        """Return the arm with those of these effects that it has before a run begins.
-
-        Raises:
-            EffectMisfit: one of them is at a tool or a contact switch that the arm does not have.
-        """
+        """Return the arm with effects that it has before a run; EffectMisfit if it has no such place."""
         from sim.effects.effect import check_effects
 
         effects = tuple(effects)
@@ -75,12 +71,9 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
 
 
 def own_name(name: str) -> str:
-    """Return the name of an arm in its parameters: the same for all names and folders that lead to it.
+    """Return the name of an arm in its parameters, the same for all that lead to it; UnknownArm if none does.
 
     It is the name of the drawing, unless that is the default one, and kind and seed: `m2020/as-built:7`.
-
-    Raises:
-        UnknownArm: there is no such arm.
     """
     return _parse_name(name).own_name
 
@@ -139,18 +132,10 @@ def nominal_params() -> Params:
 
 
 def params_over_nominal(path: Path) -> Params:
-    """Read a TOML file with any part of the parameters; the others are those of the default arm.
-
-    Raises:
-        BadParams: the file cannot be read, or names or values in it are wrong.
-    """
+    """Read a TOML file with any part of the parameters, over the default arm; BadParams if it is wrong."""
     return params_over(nominal_params(), path)
 
 
 def params_over(params: Params, path: Path) -> Params:
-    """Read a TOML file with any part of the parameters; the others come from `params`.
-
-    Raises:
-        BadParams: the file cannot be read, or names or values in it are wrong.
-    """
+    """Read a TOML file with any part of the parameters, over `params`; BadParams if it is wrong."""
     return params_from_table(merge_tables(params_table(params), read_params_toml(path)), str(path))

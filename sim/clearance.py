@@ -69,11 +69,7 @@ class ClearanceModel:
         self._self = np.array([(a, b) for a in own for b in own if _are_separate(model, a, b)])
 
     def clearance(self, poses_rad: Array) -> Clearance:
-        """Compute the least clearances over poses, with the arm deflected by gravity.
-
-        Args:
-            poses_rad: Output angles, shape (5, n).
-        """
+        """Compute the least clearances over poses, (5, n), with the arm deflected by gravity."""
         strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
         outside = within = Gap()
         for pose, (output, springs) in enumerate(zip(poses_rad.T, strain, strict=True)):
@@ -126,11 +122,7 @@ def _link_number(model: mujoco.MjModel, geom: int) -> int:
 
 
 def tool_forces(plant: Plant) -> Array:
-    """Compute the contact force on each tool, friction included.
-
-    Returns:
-        Forces [N] in RMECH axes, shape (n, 3), in the order of the tools.
-    """
+    """Compute the contact force on each tool, friction included, (n, 3) [N] in RMECH axes."""
     model, data = plant.model, plant.data
     total = np.zeros((len(plant.tools), 3))
     if data.ncon == 0:

@@ -282,11 +282,7 @@ def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> 
 
 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
-    """Run a session with a rest before the first command and after each.
-
-    Raises:
-        SessionFailed: a command was refused or ended in a fault.
-    """
+    """Run a session with a rest before and after each command; SessionFailed if one is not completed."""
     yield from _rest_cycles(loop)
     for command in session.commands:
         cycles = run_sequence(loop, (command,))

@@ -26,12 +26,7 @@ def p_R_from_N(p_N_m: Array) -> Array:
 
 
 def gravity_in_rover(roll_rad: float, pitch_rad: float, gravity_m_s2: float) -> Array:
-    """Compute gravity in RNAV axes, shape (3,), for a rover that is pitched and then rolled.
-
-    Args:
-        roll_rad: Roll, positive with the right side down.
-        pitch_rad: Pitch, positive with the nose up.
-    """
+    """Compute gravity in RNAV axes, (3,), for a rover pitched nose up, then rolled right side down."""
     pull: Array = gravity_m_s2 * gravity_direction(roll_rad, pitch_rad)
     return pull
 
@@ -78,12 +73,7 @@ def random_surface(rng: np.random.Generator, workspace: Workspace = PRIMARY) -> 
 def random_targets(
     rng: np.random.Generator, count: int, workspace: Workspace = PRIMARY
 ) -> tuple[Array, Array]:
-    """Draw points uniform in the cylinder, and approach angles uniform over the wedge.
-
-    Returns:
-        Points [m] in RNAV, shape (3, count).
-        Angles [rad], shape (2, count): below horizontal, and to the right.
-    """
+    """Draw points (3, n) [m] in RNAV, uniform in the cylinder, and approach angles (2, n) over the wedge."""
     radius, heading, height, down, side = rng.random((count, 5)).T
     radius, heading = workspace.radius_m * np.sqrt(radius), _interpolate(heading, -np.pi, np.pi)
     height = _interpolate(height, workspace.top_z_m, workspace.bottom_z_m)
@@ -94,14 +84,7 @@ def random_targets(
 
 
 def approach_from(angles_rad: Array) -> Array:
-    """Compute unit approach vectors from angles below horizontal and to the right.
-
-    Args:
-        angles_rad: Angles, shape (2, n).
-
-    Returns:
-        Unit vectors in RNAV, shape (3, n).
-    """
+    """Compute unit approach vectors in RNAV, (3, n), of angles below horizontal and to the right, (2, n)."""
     down, side = angles_rad
     return np.array([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
 

@@ -207,11 +207,7 @@ def initialise_joints(
 
 
 def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
-    """Home every joint and return the reference in the memory of flight software.
-
-    Raises:
-        RuntimeError: a homing failed.
-    """
+    """Home every joint; return the reference in memory. RuntimeError if a homing fails."""
     *_, last = initialise_joints(arm, seed=seed)
     if last.outcome is not Outcome.DONE:
         raise RuntimeError(f"{arm.name} was not initialised: {last.evrs[-1][1].message}")

@@ -91,10 +91,7 @@ class ClosedLoop:
     def cycle(self, commands: tuple[Command, ...] = ()) -> CycleRecord:
         """Run one control cycle: read the sensors, call flight software, and step the plant.
 
-        Cycles in which flight software is not called are run first.
-
-        Raises:
-            RuntimeError: flight software has ended with an exception.
+        Cycles in which flight software is not called are run first. RuntimeError says that it has ended.
         """
         if self.failure is not None:
             raise RuntimeError("flight software has ended; start another run") from self.failure
@@ -140,15 +137,7 @@ def hardware_rng(seed: int) -> np.random.Generator:
 def step_flight_software(
     config: Config, state: State, last: Outputs, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs, Exception | None]:
-    """Run one cycle of flight software.
-
-    Args:
-        state: State before the cycle.
-        last: Outputs of the cycle before.
-
-    Returns:
-        State and outputs after the cycle, and the exception that ended flight software, or None.
-    """
+    """Run one cycle of flight software; return state, outputs, and the exception that ended it, or None."""
     try:
         state, outputs = step(config, state, sensors, commands)
     except Exception as error:

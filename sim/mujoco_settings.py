@@ -36,10 +36,8 @@ def match_reference_damping(model: mujoco.MjModel) -> float:
     """Remove added damping from springs and servos, so that it equals that of the reference step.
 
     `discrete` evaluates a spring at the end of a step h, which adds its stiffness times h to its damping.
-    PROVENANCE.md has the derivation.
-
-    Returns:
-        Time [s] that, times the stiffness of a gear, is its added damping; to be removed on a flank.
+    PROVENANCE.md has the derivation. The time [s] that is returned, times the stiffness of a gear, is its
+    added damping, to be removed on a flank.
     """
     excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
     model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
@@ -85,15 +83,10 @@ def read_servos(model: mujoco.MjModel, actuators: NDArray[np.intp]) -> Servos:
 
 
 def change_gains(model: mujoco.MjModel, servos: Servos, change: Array) -> None:
-    """Change the gains in proportion to the bus voltage.
+    """Change the gains of motor controllers relative to the built ones, (5,), with the bus voltage.
 
     A controller sets the duty cycle of its bridge. The limit of its integral is a current. So the limit of
     the integrated error rises as the gains fall, until the duty cycle is 1: then the bus sets the limit.
-
-    Args:
-        model: Model to change.
-        servos: Its motor controllers as built.
-        change: Change of their gains relative to the built ones, shape (5,).
     """
     share = np.maximum(1.0 + change, LEAST_GAIN_SHARE)
     model.actuator_gainprm[servos.actuators, GAINS] = servos.gains * share[:, None]

@@ -56,11 +56,7 @@ def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
 
 
 def check_params(params: Params, name: str) -> None:
-    """Check that flight software accepts these parameters.
-
-    Raises:
-        BadParams: a value is wrong; the message names all that are.
-    """
+    """Check that flight software accepts these parameters; BadParams names all wrong values."""
     _refuse(name, check_limits(params))
     _refuse(name, check_arm(params))
 
@@ -83,11 +79,7 @@ def merge_tables(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def params_from_table(table: dict[str, Any], name: str) -> Params:
-    """Make parameters of a table, as a TOML file has it.
-
-    Raises:
-        BadParams: names or values are wrong; the message names all of them.
-    """
+    """Make parameters of a table, as a TOML file has it; BadParams names all that is wrong."""
     _refuse(name, _find_dates(table))
     listed = _list_named(table)
     try:

@@ -222,11 +222,7 @@ def joints_at(joints: JointEstimate, output_rad: Array) -> JointEstimate:
 
 
 def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -> tuple[World, Preview]:
-    """Draw placements of random point, normal and tilt until flight software plans one.
-
-    Args:
-        max_tilt_rad: Largest tilt of the rover, in any direction.
-    """
+    """Draw placements of random point, normal and tilt, at most this, until flight software plans one."""
     rng = np.random.default_rng([seed, 3])
     while True:
         point, normal = random_surface(rng, arm.model.workspace)

@@ -259,9 +259,7 @@ class Plant:
         """Advance the physics by one control cycle; the set-points, of its middle, move on at their rates.
 
         If they stood still, torques would follow a saw-tooth, and a cold motor would stop in every cycle.
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
+        PlantDiverged says that MuJoCo counted a warning.
         """
         self.damp_gears()
         data, setpoint_rad, end_s = self.data, self._views.setpoint_rad, self.data.time + 1.0 / CYCLE_HZ
@@ -376,11 +374,7 @@ class Plant:
 
 
 def as_slice(addresses: NDArray[np.intp]) -> slice:
-    """Convert evenly spaced addresses to a slice, which reads them without a copy.
-
-    Raises:
-        ValueError: the addresses are not evenly spaced.
-    """
+    """Convert evenly spaced addresses to a slice, which copies nothing; ValueError if they are not."""
     places = slice(addresses[0], addresses[-1] + 1, addresses[1] - addresses[0])
     if not np.array_equal(np.arange(addresses[-1] + 1)[places], addresses):
         raise ValueError(f"addresses {addresses.tolist()} in MuJoCo's arrays do not lie evenly")

@@ -51,11 +51,7 @@ def free_air_loop(setup: Setup) -> ClosedLoop:
 
 
 def run_and_rest(loop: ClosedLoop, command: Command) -> str | None:
-    """Run a command and let the arm rest.
-
-    Returns:
-        The messages of the warnings that prevented completion, or None.
-    """
+    """Run a command and let the arm rest; return the warnings that prevented completion, or None."""
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
     if CommandCompleted(type(command).__name__) not in evrs:
         warnings = [evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO]
@@ -112,12 +108,11 @@ def visit_poses(
     backlash: BacklashMode,
     seed: int,
 ) -> Iterator[RestState]:
-    """Move the arm to each pose, from the ready pose on.
+    """Move the arm to each pose, output angles of shape (5,) [rad], from the ready pose on.
 
     Args:
         reference: Reference in the memory of flight software.
         world: World of the run; only its gravity acts.
-        poses: Output angles [rad], each of shape (5,).
         backlash: Compensation of the backlash in every move.
 
     Raises:
@@ -151,11 +146,7 @@ def _rest_state(loop: ClosedLoop, pose_rad: Array) -> RestState:
 
 
 def random_poses(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
-    """Draw poses within the limits, over the workspace on any branch, near the last pose, or back.
-
-    Returns:
-        Output angles [rad], each of shape (5,).
-    """
+    """Draw poses, (5,) [rad], within the limits: in the workspace on any branch, near the last, or back."""
     poses = [np.array(config.params.poses.ready_rad)]
     while len(poses) <= count:
         match rng.integers(10):
@@ -185,11 +176,7 @@ def pose_in_workspace(
     branches: Collection[str],
     workspace: Workspace = PRIMARY,
 ) -> Array:
-    """Draw a target of the workspace until one of these branches is valid, and return its pose.
-
-    Returns:
-        Output angles [rad], shape (5,), away from the soft limits.
-    """
+    """Draw targets of the workspace until one of these branches is valid; return its pose, (5,) [rad]."""
     wanted = np.array([name in branches for name in BRANCHES])
     while True:
         p_N_m, angles = random_targets(rng, 1, workspace)

@@ -44,11 +44,7 @@ def no_move_disturbance() -> MoveDisturbance:
 
 
 def frame_body(frame: Frame, tool: str | None) -> str:
-    """Return the body of the plant that represents a frame.
-
-    Raises:
-        ValueError: the frame is TOOL and there is no tool.
-    """
+    """Return the body of the plant that represents a frame; ValueError for TOOL without a tool."""
     if frame is not Frame.TOOL:
         return LINK_BODIES[frame]
     if tool is None:

@@ -114,12 +114,7 @@ class TargetReadings:
 
 
 def rover_pose(roll_rad: float, sway: Array) -> Pose:
-    """Compute X_GN, the pose of RNAV in the ground frame.
-
-    Args:
-        roll_rad: Roll, positive with the right side down.
-        sway: Small displacement as a screw [rad, m], shape (6,).
-    """
+    """Compute X_GN, of RNAV in the ground frame, from a roll, right side down, and a screw (6,) [rad, m]."""
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     tilted = Pose(np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]]), np.zeros(3))
     return tilted @ screw_exp(sway)

@@ -37,12 +37,9 @@ SEED: Final = 6
 
 
 def boulder(half_m: Array, face_m: Array, normal: Array) -> tuple[Array, Array]:
-    """Return vertices, shape (n, 3), and faces, shape (m, 3), of a boulder around the origin.
+    """Return vertices (n, 3) and faces (m, 3) of a boulder around the origin, an ellipsoid of half axes (3,).
 
-    Args:
-        half_m: Half axes of the ellipsoid, shape (3,).
-        face_m: Point of the face, shape (3,).
-        normal: Unit vector out of the face, shape (3,); the origin is behind the face.
+    A face cuts it at a point (3,), with the unit vector out of it, (3,); the origin is behind the face.
     """
     polar = np.linspace(0.0, np.pi, RINGS + 1)
     turn = np.arange(SECTORS) * 2 * np.pi / SECTORS
@@ -101,10 +98,7 @@ def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False)
     """Make the MuJoCo specification of this world with the drawing of an arm, None for the default one.
 
     Without `for_pictures`, geoms without contact, materials and textures are left out: they cost time.
-    The state is the same, so a run can be drawn with the other model.
-
-    Raises:
-        WrongMujoco: the version is not the required one.
+    The state is the same, so a run can be drawn with the other model. WrongMujoco tells another version.
     """
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
@@ -121,11 +115,7 @@ def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False)
 
 
 def check_plant(arm: ArmModel) -> None:
-    """Check that MuJoCo accepts the plant and the looks of an arm. Those of the project are checked in lint.
-
-    Raises:
-        BadArm: it does not.
-    """
+    """Check that MuJoCo accepts plant and looks of an arm, as lint does for the project's; BadArm if not."""
     problem = _find_plant_problem(arm)
     if problem is not None:
         raise BadArm(f"arm {arm.name}: MuJoCo does not accept its plant: {problem}")

@@ -108,15 +108,9 @@ def compute_clearances(
     touching: str | None = None,
     surface: TargetSurface | None = None,
 ) -> Array:
-    """Compute the distance of each part of the arm to each obstacle.
+    """Compute the distance [m] of each part of the arm to each obstacle, (parts, obstacles, n).
 
-    Args:
-        within_m: Distances beyond this are infinite in the result.
-        touching: Tool whose distances are infinite in the result.
-        surface: Surface of a target; without one, distances to it are infinite.
-
-    Returns:
-        Distances in metres, shape (parts, obstacles, n).
+    Those beyond `within_m`, of a tool that is touching, and to a surface that is not there are infinite.
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
     clearance = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
@@ -137,11 +131,7 @@ def compute_clearances(
 
 
 def place_shapes(geometry: CollisionGeometry, frames: Frames) -> Pose:
-    """Place the shapes of the arm in RMECH.
-
-    Returns:
-        Poses of the m shapes in RMECH, batch (m, n).
-    """
+    """Place the shapes of the arm in RMECH: poses of the m shapes, batch (m, n)."""
     arm, X_RC = geometry.arm, _collect_carriers(frames)
     R_RC = X_RC.R[:, :, arm.carrier]
     p_RS = np.einsum("ijmn,jm->imn", R_RC, arm.X_CS.p) + X_RC.p[:, arm.carrier]
@@ -187,11 +177,10 @@ def _compute_distances_beside(geometry: CollisionGeometry, X_RS: Pose, surface: 
 def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: TargetSurface) -> TargetSurface:
     """Limit the radius of a surface by the parts of the arm that start below it, where no rock can be.
 
+    Its half ball ends half-way to the nearest of these parts.
+
     Args:
         frames: Frames of the links in RMECH along a path, batch (n); the first is its start.
-
-    Returns:
-        The surface; its half ball ends half-way to the nearest of these parts.
     """
     X_RS = place_shapes(geometry, Frames(*(X[:, :1] for X in (frames.X_RL, frames.X_LD, frames.X_RF))))
     height = _compute_heights(geometry, X_RS, surface)[:, 0]
@@ -201,11 +190,7 @@ def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: TargetSu
 
 
 def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:
-    """Find pairs of shapes that may be closer than a bound, by bounding spheres.
-
-    Returns:
-        Indices of the shape of the arm, of the shape of the rover, and of the pose; shape (k,) each.
-    """
+    """Find pairs of shapes that may be nearer, by bounding spheres: indices of arm, rover, pose, (k,)."""
     arm, rover = geometry.arm, geometry.rover
     found = []
     for k in range(rover.part.size):
@@ -235,7 +220,7 @@ def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, shape: Indices, 
 
 
 def box_distance(X_AB: Pose, half_A_m: Array, half_B_m: Array) -> Array:
-    """Compute the distance of box A to box B.
+    """Compute the distance [m] of box A to box B, shape (n,); 0 where the boxes overlap.
 
     One of the two nearest points lies on an edge of its box. A corner is the end of an edge.
 
@@ -243,25 +228,19 @@ def box_distance(X_AB: Pose, half_A_m: Array, half_B_m: Array) -> Array:
         X_AB: Pose of box B in the axes of box A, batch (n).
         half_A_m: Half sizes of box A, shape (3, n).
         half_B_m: Half sizes of box B, shape (3, n).
-
-    Returns:
-        Distances in metres, shape (n,); 0 where the boxes overlap.
     """
     X_BA = inverse(X_AB)
     return np.minimum(edges_distance(X_AB, half_B_m, half_A_m), edges_distance(X_BA, half_A_m, half_B_m))
 
 
 def edges_distance(X_BE: Pose, half_E_m: Array, half_B_m: Array, edges: int = 12) -> Array:
-    """Compute the least distance of the edges of box E to box B.
+    """Compute the least distance [m] of the edges of box E to box B, shape (n,).
 
     Args:
         X_BE: Pose of box E in the axes of box B, batch (n).
         half_E_m: Half sizes of box E, shape (3, n).
         half_B_m: Half sizes of box B, shape (3, n).
         edges: Number of edges to use; 1 for a box that has a length along x only.
-
-    Returns:
-        Distances in metres, shape (n,).
     """
     p_EoF_E = _FROM[:, :edges, None] * half_E_m[:, None]
     along_E = 2 * _ALONG[:, :edges, None] * half_E_m[:, None]
@@ -272,7 +251,7 @@ def edges_distance(X_BE: Pose, half_E_m: Array, half_B_m: Array, edges: int = 12
 
 
 def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
-    """Compute the distance of segments to boxes about the origin.
+    """Compute the distance [m] of segments to boxes about the origin, shape (...).
 
     The squared distance of the point p + t * along is convex in t. Its slope is linear between breakpoints:
     the values of t at which the segment crosses the plane of a face. Its root lies between two adjacent ones.
@@ -281,9 +260,6 @@ def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
         p_m: Start of each segment in the axes of its box, shape (3, ...).
         along_m: End less start of each segment, same shape.
         half_m: Half sizes of each box, same shape.
-
-    Returns:
-        Distances in metres, shape (...).
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         crossings = np.concatenate([(half_m - p_m) / along_m, (-half_m - p_m) / along_m])
@@ -301,15 +277,7 @@ def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
 
 
 def point_distance(p_m: Array, half_m: Array) -> Array:
-    """Compute the distance of points to boxes about the origin.
-
-    Args:
-        p_m: Points in the axes of their boxes, shape (3, ...).
-        half_m: Half sizes of the boxes, same shape.
-
-    Returns:
-        Distances in metres, shape (...); 0 inside.
-    """
+    """Compute the distance [m] of points (3, ...) to boxes of half sizes (3, ...) at the origin; 0 inside."""
     offset = _outside(p_m, half_m)
     distance: Array = np.sqrt(dot(offset, offset))
     return distance

@@ -37,13 +37,10 @@ class Wrong:
 
 
 def read_arguments(command: C, names: Names) -> C | Wrong:
-    """Read a command of any arguments as one of plain values of the types in its annotations.
+    """Read a command of any arguments, or any object, as one of plain values of the types in its annotations.
 
     A number may be an int, a float or a scalar of numpy, and a vector any sequence of them. A name may have
     any case.
-
-    Args:
-        command: Command; it may be any object.
     """
     kind: type = type(command)
     if not any(kind is one for one in COMMAND_TYPES):  # a class itself may have no hash

@@ -43,11 +43,7 @@ class GearBounds:
 
 
 def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> GearBounds:
-    """Compute the bounds of the gear angles under loads.
-
-    Returns:
-        The bounds in rad, shape (5, ...) each.
-    """
+    """Compute the bounds of the gear angles [rad] under loads, shape (5, ...) each."""
     friction, half = _rows(config.output_friction_Nm, load_Nm), _rows(half_backlash_rad, load_Nm)
     stiffness = _rows(config.arm.gear_stiffness_Nm_rad, load_Nm)
     least, most = load_Nm - friction, load_Nm + friction
@@ -58,13 +54,10 @@ def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> Gear
 
 
 def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None) -> Array:
-    """Compute the lowest, likely and highest loads.
+    """Compute the lowest, likely and highest loads [N m], shape (5, 3).
 
     Args:
         more_Nm: Further uncertainty of the loads, shape (5,).
-
-    Returns:
-        Loads in N m, shape (5, 3).
     """
     error = load_error(config, gravity_R_m_s2)
     if more_Nm is not None:
@@ -74,24 +67,17 @@ def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: 
 
 
 def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
-    """Compute the error bound of modelled loads, in proportion to gravity, which causes most of it.
-
-    Returns:
-        Error bounds in N m, shape (5,).
-    """
+    """Compute the error bound of modelled loads, (5,) [N m], in proportion to gravity, its main cause."""
     error: Array = config.load_error_Nm * (sqrt(float(gravity_R_m_s2 @ gravity_R_m_s2)) / MARS_GRAVITY_M_S2)
     return error
 
 
 def gear_after_motor_turn(gear_rad: Array, motion_rad: Array, bounds: GearBounds) -> Array:
-    """Compute the gear angles after a turn of the motors.
+    """Compute the gear angles after a turn of the motors, shape (5, 3) [rad].
 
     Args:
         motion_rad: Turn of the motors on the output side, shape (5,).
         bounds: Bounds of the gear angles, shape (5, 3).
-
-    Returns:
-        Gear angles in rad, shape (5, 3).
     """
     turned = gear_rad - motion_rad[:, None]
     after: Array = np.minimum(np.maximum(turned, bounds.lowest_rad), bounds.highest_rad)
@@ -99,14 +85,11 @@ def gear_after_motor_turn(gear_rad: Array, motion_rad: Array, bounds: GearBounds
 
 
 def gear_after_output_turn(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
-    """Compute the gear angles after a motion of the outputs, for the compensation of set-points.
+    """Compute the gear angles (5, ...) [rad] after a motion of the outputs, to compensate set-points.
 
     Args:
         moved_rad: Motion of the outputs, shape (5, ...).
         bounds: Bounds of the gear angles, shape (5, ...).
-
-    Returns:
-        Gear angles in rad, shape (5, ...).
     """
     dragged = np.where(moved_rad > 0, bounds.lowest_rad, bounds.highest_rad)
     held = np.clip(gear_rad, bounds.lowest_rad, bounds.highest_rad)
@@ -138,11 +121,7 @@ def _locate_again(half_backlash: bytes, gear: bytes) -> Array:
 
 
 def clip_to_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
-    """Compute the part of gear angles that is backlash: half its width on a flank.
-
-    Returns:
-        Position inside the backlash in rad, shape (5, ...).
-    """
+    """Compute the part (5, ...) [rad] of gear angles that is backlash: half its width on a flank."""
     half = _rows(half_backlash_rad, gear_rad)
     position: Array = np.minimum(np.maximum(gear_rad, -half), half)
     return position

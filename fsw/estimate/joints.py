@@ -97,9 +97,6 @@ def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimat
 
     Args:
         reference: Encoder zeros and resolver biases.
-
-    Returns:
-        The estimate.
     """
     zeros = np.zeros_like(config.half_backlash_rad)
     anywhere = np.outer(np.ones_like(zeros), [-ANYWHERE_RAD, 0.0, ANYWHERE_RAD])
@@ -151,9 +148,6 @@ def apply_calibration(
     """Set the encoder zero of a joint so that its output met the hardstop at the nominal angle.
 
     The gear must just have dragged the joint off its hardstop, to positive angles.
-
-    Returns:
-        The estimate after the calibration.
     """
     this = np.arange(load_Nm.size) == joint
     shift = config.params.joints.in_order()[joint].hardstop_rad - found.stop_rad
@@ -186,11 +180,7 @@ def apply_load(
     """Update the gear angles under newly modelled loads.
 
     Args:
-        joints: Estimate under the previous loads.
         more_Nm: Further uncertainty of the loads, shape (5,).
-
-    Returns:
-        The estimate under the new loads.
     """
     loads = bound_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
     bounds = bound_gear(config, joints.reference.half_backlash_rad, loads)

@@ -107,16 +107,10 @@ class HardstopFit:
 
 
 def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readings) -> ContactLine | None:
-    """Fit the line of a run towards the hardstop.
+    """Fit the line of a run towards the hardstop, by its readings; None if they contain none.
 
     A load that pushes the output onto the stop is first taken off the gear, which then crosses its backlash.
     The line begins where the gear takes up torque again.
-
-    Args:
-        towards: Readings of the run.
-
-    Returns:
-        The line, or None if the readings contain none.
     """
     params = config.params.joints.in_order()[joint]
     angle, push = towards.motor_rad, -towards.torque_Nm
@@ -154,15 +148,7 @@ def _fit_line(angle: Array, rise: Array, low: float, high: float) -> tuple[float
 def measure_backlash(
     config: Config, joint: int, load_Nm: float, press: ContactLine, away: Readings
 ) -> float | None:
-    """Measure the width of the backlash on the way back from the hardstop.
-
-    Args:
-        press: Line of the run towards the hardstop.
-        away: Readings of the way back.
-
-    Returns:
-        The width in rad, or None if the readings do not show it.
-    """
+    """Measure the width [rad] of the backlash on the way back from the hardstop; None if it does not show."""
     params = config.params.joints.in_order()[joint]
     friction, nominal = params.output_friction_Nm, 2 * float(config.half_backlash_rad[joint])
     taken_up = friction - load_Nm
@@ -192,14 +178,9 @@ def measure_backlash(
 def locate_hardstop(
     config: Config, joint: int, load_Nm: float, press: ContactLine, width_rad: float | None
 ) -> HardstopFit:
-    """Compute the output angle at the hardstop from the line and the backlash.
+    """Compute the output angle at the hardstop from the line of a run towards it, and the backlash.
 
-    Args:
-        press: Line of the run towards the hardstop.
-        width_rad: Measured width of the backlash, or None.
-
-    Returns:
-        The result of the calibration; it has the nominal width if the measured one is implausible.
+    The width is nominal if the measured one is implausible, or None.
     """
     nominal = 2 * float(config.half_backlash_rad[joint])
     measured = nominal if width_rad is None else width_rad

@@ -97,8 +97,7 @@ from fsw.state import Hold, Sequence, SequenceStep
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
     """Handle a command whose arguments have their types and limits, or a step of a sequence.
 
-    Returns:
-        The context with what the command changed, or with the event that gives the reason for a refusal.
+    The context has what the command changed, or the event that gives the reason for a refusal.
     """
     match command:
         case CalibrateAll():

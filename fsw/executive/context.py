@@ -257,11 +257,7 @@ def set_tilt(config: Config, context: CommandContext, command: SetTilt) -> Comma
 
 
 def tilt_joints(config: Config, joints: JointEstimate, command: SetTilt) -> tuple[JointEstimate, float] | str:
-    """Return the estimate with gravity from an attitude, or the reason that the attitude is refused.
-
-    Returns:
-        The estimate, and the angle [rad] between this gravity and that of the IMU.
-    """
+    """Return the estimate with gravity from an attitude, its angle [rad] to that of the IMU; or a refusal."""
     down_R, bound = gravity_direction(command.roll_rad, command.pitch_rad), config.params.monitors.tilt_rad
     difference_rad = angle_between(joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2), down_R)
     if difference_rad > bound:

@@ -79,11 +79,7 @@ def find_teach_point(config: Config, name: str) -> TeachPoint | Refusal:
 
 
 def locate_spot(config: Config, joints: JointEstimate, touching: str, command: ToolChange) -> Line:
-    """Estimate the contact point of a tool, as a tool change assumes it.
-
-    Returns:
-        A line of no length at the contact point, along the axis of the tool.
-    """
+    """Estimate the contact point of a tool for a tool change: a line along its axis, of no length."""
     deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     return start_line(config, joints, touching, Compensation(command.backlash, deflection))
 
@@ -115,14 +111,7 @@ def _locate_target(
 def locate_surface(
     config: Config, joints: JointEstimate, tool: str, command: SequenceStep, known: TargetSurface | None
 ) -> TargetSurface | None:
-    """Return the surface that a command is to keep away from.
-
-    Args:
-        known: Surface of the last target.
-
-    Returns:
-        That of the target of the command; without a target, the known one.
-    """
+    """Return the surface that a command is to keep away from: of its target, or else that of the last one."""
     match command:
         case PlaceTool():
             p, approach = _locate_target(config, joints, tool, command)

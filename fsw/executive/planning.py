@@ -63,12 +63,8 @@ def plan_command(
 ) -> Plan | Refusal:
     """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
-    Args:
-        surface: Surface of `locate_surface`; None if there is none.
-
-    Returns:
-        The plan, or the reason for a refusal. If the surface is in the way and a retraction would help, a
-        stow begins with it; the refusal of another move names it.
+    If the surface, of `locate_surface`, is in the way and a retraction would help, a stow begins with it; the
+    refusal of another move names it.
     """
     plan = _plan_checked(config, joints, tool, command, surface)
     if isinstance(plan, Plan) or surface is None or not isinstance(command, Stow | MoveTool):
@@ -151,11 +147,7 @@ def _plan_motion(
 def plan_sequence(
     config: Config, joints: JointEstimate, tool: str, command: CompoundCommand, surface: TargetSurface | None
 ) -> PlannedSequence | Refusal:
-    """Plan a compound command; each step is planned from the end of the step before it.
-
-    Args:
-        joints: Estimate of the joints, from which the first step starts.
-    """
+    """Plan a compound command; each step is planned from the end of the step before it."""
     steps = expand_command(config, joints, tool, command)
     if isinstance(steps, Refusal):
         return steps

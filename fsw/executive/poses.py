@@ -26,12 +26,9 @@ MAX_GRAVITY_SHARE: Final = 0.6
 
 
 def homing_start_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
-    """Return the poses in which the homing of a joint begins, one for each time that it is homed.
+    """Return the poses, (5,) [rad] each, in which the homing of a joint begins, one for each homing of it.
 
     In the first pose the joints homed before it are at their parking angles; all others are at their start.
-
-    Returns:
-        Output angles in radians, shape (5,) each.
     """
     parked = [HARDSTOP_ORDER.index(other) < HARDSTOP_ORDER.index(joint) for other in Joint]
     first = np.where(parked, params.hardstop.park_rad, params.hardstop.start_rad)
@@ -103,15 +100,9 @@ DIRECTION_TOLERANCE_RAD = 1e-9
 
 
 def find_gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
-    """Find the outputs at which gravity is along `gravity_T`, by turning wrist and turret only.
+    """Find outputs, (5,) [rad], with gravity along `gravity_T` of the tool, by turning wrist and turret only.
 
-    The wrist has two solutions; the nearer one within the soft limits is taken.
-
-    Args:
-        command: Command with the tool and the direction of gravity in its frame.
-
-    Returns:
-        Output angles in radians, shape (5,), or the reason for a refusal.
+    The wrist has two solutions; the nearer one within the soft limits is taken. Else it is a refusal.
     """
     compensation = Compensation(command.backlash, command.deflection)
     gravity = compensation.gravity(joints)

@@ -40,14 +40,7 @@ def describe_arm(
     move: Move | None,
     preload: PreloadState | None,
 ) -> ArmStatus:
-    """Describe the arm to protection in plain values.
-
-    Args:
-        backlash_state: That of the estimate, shape (3, 5).
-
-    Returns:
-        The values that protection needs; arrays are those of the arguments, not copies.
-    """
+    """Describe the arm to protection in plain values; arrays are those of the arguments, not copies."""
     reference = joints.reference
     # positional arguments, because they are faster and this runs in every cycle
     return ArmStatus(

@@ -61,9 +61,6 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
         theta_rad: Constant turn of each link, shape (6,).
         X_LF: Frame at the end of each link in the link frame, batch (6,).
         X_FT: Tool frame in frame Arm6.
-
-    Returns:
-        Lengths of the orthogonal arm.
     """
     p = X_LF.p
     (bx, by, bz), (px, py, pz) = X_FT.R[:, 0], X_FT.p
@@ -229,15 +226,7 @@ def build_arm(params: Params) -> Arm:
 
 
 def heat_arm(arm: Arm, warming_K: float) -> Arm:
-    """Build the arm at another temperature: equation 6 of the paper, with finite transforms.
-
-    Args:
-        arm: Arm at the calibration temperature.
-        warming_K: Temperature above that of the calibration.
-
-    Returns:
-        The warmer arm.
-    """
+    """Build the arm warmer than at its calibration: equation 6 of the paper, with finite transforms."""
     X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
     tools = stack_poses(list(arm.X_FT.values())) @ screw_exp(arm.expansion_T * warming_K)
     X_FT = {name: tools[k] for k, name in enumerate(arm.X_FT)}
@@ -248,11 +237,7 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
 
 
 def transform6_to_pose(t: Transform6) -> Pose:
-    """Compute the pose of a general link transform, equation 1 of the paper.
-
-    Returns:
-        The pose.
-    """
+    """Compute the pose of a general link transform, equation 1 of the paper."""
     ct, st = cos(t.theta_rad), sin(t.theta_rad)
     cb, sb = cos(t.beta_rad), sin(t.beta_rad)
     ca, sa = cos(t.alpha_rad), sin(t.alpha_rad)
@@ -296,16 +281,13 @@ def _side_by_side(X: Pose) -> Array:
 
 
 def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
-    """Add whole turns to angles so that they lie inside the soft limits.
+    """Add whole turns to angles so that they lie inside the soft limits, shape (5, ...) [rad].
 
     If no turn fits, the result is the turn nearest to the limits.
 
     Args:
         q: Output angles in rad, shape (5, ...).
         near_rad: Angles to stay near if two turns fit, shape (5,); None for the middle of the limits.
-
-    Returns:
-        The angles in rad, shape (5, ...).
     """
     low, high = _limits(arm, q)
     middle = 0.5 * (low + high)
@@ -319,13 +301,10 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
 
 
 def limit_excess(arm: Arm, q: Array) -> Array:
-    """Compute the excess of joint angles over the soft limits.
+    """Compute the excess of joint angles over the soft limits, (5, ...) [rad]; negative inside.
 
     Args:
         q: Output angles in rad, shape (5, ...).
-
-    Returns:
-        Excess in rad, negative inside the limits, shape (5, ...).
     """
     low, high = _limits(arm, q)
     return np.maximum(low - q, q - high)

@@ -36,11 +36,7 @@ class Frames:
 
 
 def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
-    """Compute all frames of the arm: equation 2 of the paper, with a transform for the spring of each link.
-
-    Returns:
-        The frames.
-    """
+    """Compute all frames of the arm: equation 2 of the paper, with a transform for each link's spring."""
     if output_rad.ndim == 1:
         return collect_frames(place_pose(arm, output_rad, strain))
     batch = output_rad.shape[1:]
@@ -83,11 +79,7 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
 
 
 def place_pose(arm: Arm, output_rad: Array, strain: Array | None) -> list[LinkPose]:
-    """Place the links of a single pose.
-
-    Returns:
-        The poses of the links.
-    """
+    """Place the links of a single pose."""
     return place_links(
         arm.links, output_rad.tolist(), NO_STRAIN if strain is None else strain.ravel().tolist()
     )
@@ -116,11 +108,7 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 
 def tool_pose(arm: Arm, frames: Frames, tool: str) -> Pose:
-    """Compute the pose of a tool in the rover frame.
-
-    Returns:
-        X_RT, batch (...).
-    """
+    """Compute X_RT, the pose of a tool in the rover frame, batch (...)."""
     X_FT, R_RF = arm.X_FT[tool], frames.X_RF.R[:, :, 5]
     R_RT = np.einsum("ik...,kj->ij...", R_RF, X_FT.R)
     return Pose(R_RT, np.einsum("ik...,k->i...", R_RF, X_FT.p) + frames.X_RF.p[:, 5])
@@ -143,11 +131,7 @@ def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
 
 
 def frame_poses(frames: Frames, X_RT: Pose) -> Pose:
-    """Collect the frames Arm1 to Arm6 and the tool.
-
-    Returns:
-        Poses in the rover frame, batch (7, ...), in the order of Frame.
-    """
+    """Collect the frames Arm1 to Arm6 and tool in the rover frame, batch (7, ...), in the order of Frame."""
     R = np.concatenate([frames.X_RF.R, X_RT.R[:, :, None]], axis=2)
     return Pose(R, np.concatenate([frames.X_RF.p, X_RT.p[:, None]], axis=1))
 

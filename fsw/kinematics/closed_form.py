@@ -55,14 +55,7 @@ def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
 
 
 def branch_index(signs: Array) -> Integers:
-    """Compute the index of a branch from the signs of its fold distances.
-
-    Args:
-        signs: Fold distances, or unitless numbers of the same sign, shape (3, ...).
-
-    Returns:
-        Indices into BRANCHES, shape (...).
-    """
+    """Compute indices into BRANCHES, (...), from fold distances or numbers of the same sign, (3, ...)."""
     index: Integers = (signs >= 0).astype(np.int64).T @ np.array([4, 2, 1])
     return index.T
 
@@ -96,15 +89,12 @@ class Roots:
 def closed_form(
     arm: Arm, tool: str, p_RoTo_R_m: Array, approach_R: Array, least_bend_rad: float = 0.0
 ) -> Roots:
-    """Compute all roots of the orthogonal rigid arm.
+    """Compute all eight roots of the orthogonal rigid arm for each target.
 
     The roots are exact for an orthogonal arm with any tool. For a calibrated arm they are starting points.
 
     Args:
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.
-
-    Returns:
-        The eight roots of each target.
     """
     s = arm.orthogonal[tool]
     p, a = to_shoulder_frame(s, p_RoTo_R_m, approach_R)
@@ -154,14 +144,9 @@ def _order_by_branch(s: OrthogonalArm, roots: Roots) -> Roots:
 def closed_form_branch(
     s: OrthogonalArm, p_RoTo_R_m: Array, approach_R: Array, near_rad: Array
 ) -> tuple[Array, Array]:
-    """Compute the root of each target on the branch of a given pose.
+    """Compute the root of each target, (5, n) [rad], on the branch of a pose, (5, n).
 
-    Args:
-        near_rad: Output angles that name the branch, shape (5, n).
-
-    Returns:
-        Output angles in rad, shape (5, n), and the distance in m by which the target is out of reach, shape
-        (n,).
+    The second array is the distance [m] by which the target is out of reach, (n,).
     """
     p, a = to_shoulder_frame(s, p_RoTo_R_m, approach_R)
     near = near_rad + s.theta_rad[:, None]
@@ -179,35 +164,23 @@ def closed_form_branch(
 
 
 def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
-    """Transform points and directions into frame Arm1, in which the azimuth turns about z.
-
-    Returns:
-        Points in m and directions in frame Arm1, shape (3, ...) each.
-    """
+    """Transform points [m] and directions into frame Arm1, about whose z the azimuth turns, (3, ...) each."""
     batch = (1,) * (p_R_m.ndim - 1)
     R, p = s.X_R1.R.reshape(3, 3, *batch), s.X_R1.p.reshape(3, *batch)
     return rotate_back(R, p_R_m - p), rotate_back(R, v_R)
 
 
 def to_arm_plane(q1: Array, *vectors: Array) -> tuple[InPlane, ...]:
-    """Resolve vectors in the plane of the arm.
-
-    Returns:
-        Components forward, along the pitch axis and down of each vector, unit of the vector.
-    """
+    """Resolve vectors in the plane of the arm: forward, along the pitch axis and down."""
     c, s = np.cos(q1), np.sin(q1)
     return tuple((v[0] * c + v[1] * s, v[0] * s - v[1] * c, v[2]) for v in vectors)
 
 
 def turret_axis(s: OrthogonalArm, a: InPlane, sine: Array) -> tuple[Array, Array, Array]:
-    """Compute the turret axis in the plane of the arm.
+    """Compute the turret axis in the plane of the arm: forward, down, and the cosine by which none exists.
 
     The axis is z5 = (bz a_flat + sine n x a) / flat^2. n is the pitch axis, a_flat the part of the approach
-    in the plane, and bz the cosine of boresight and turret axis.
-
-    Returns:
-        Forward and downward components of a unit vector, and the cosine by which no axis exists, shape (...)
-        each.
+    in the plane, and bz the cosine of boresight and turret axis. Each is of shape (...).
     """
     a_e, _, a_z = a
     flat2 = np.maximum(a_e * a_e + a_z * a_z, 1e-300)  # 1 - a_n^2 would lose half the digits near 0
@@ -235,11 +208,7 @@ class Reach:
 
 
 def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> Reach:
-    """Locate the wrist joint and compute the bend of the elbow without its sign.
-
-    Returns:
-        Position of the wrist joint and bend of the elbow.
-    """
+    """Locate the wrist joint and compute the bend of the elbow without its sign."""
     b_n = b[1]
     # wrist centre = foot - offset (z5 x b) - along z5, in the plane
     x = foot[0] - s.offset_m * b_n * t_z - s.along_m * t_e - s.out_m - s.wrist_m * t_z
@@ -266,11 +235,7 @@ def _circle_shortfall(s: OrthogonalArm, foot: InPlane, b: InPlane) -> Array:
 def joint_angles(
     s: OrthogonalArm, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach
 ) -> Array:
-    """Compute the output angles from the geometry in the plane of the arm.
-
-    Returns:
-        Output angles in rad, shape (5, ...).
-    """
+    """Compute the output angles, (5, ...) [rad], from the geometry in the plane of the arm."""
     lean = np.arctan2(s.fore_m * np.sin(reach.bend_rad), s.upper_m + s.fore_m * np.cos(reach.bend_rad))
     q = np.empty((5, *lean.shape))
     q[0] = q1

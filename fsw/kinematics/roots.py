@@ -176,15 +176,12 @@ def _column(v: Array, batch: tuple[int, ...]) -> Array:
 
 
 def damped_inverse(J: Array) -> Array:
-    """Invert matrices by damped least squares, so that a singular matrix gives a finite step.
+    """Invert matrices by damped least squares, so that a singular matrix gives a finite step, (m, m, ...).
 
     The normal matrix is positive definite, so Gauss-Jordan elimination needs no pivoting.
 
     Args:
         J: Matrices of any unit, shape (m, m, ...).
-
-    Returns:
-        The inverses, shape (m, m, ...).
     """
     inverse: Array = np.einsum("ki...,kj...->ij...", J, J)
     for k in range(len(J)):
@@ -199,14 +196,11 @@ def damped_inverse(J: Array) -> Array:
 
 
 def damped_solution(J: Array, residual: Array) -> Array:
-    """Solve linear least squares with damping, so that a singular matrix gives a finite solution.
+    """Solve linear least squares with damping, (k, n), so that a singular matrix gives a finite solution.
 
     Args:
         J: Matrices of any unit, shape (m, k, n).
         residual: Right sides of any unit, shape (m, n).
-
-    Returns:
-        The solutions, shape (k, n).
     """
     normal = np.einsum("ki...,kj...->...ij", J, J) + DAMPING * np.eye(J.shape[1])
     solution: Array = np.linalg.solve(normal, np.einsum("ki...,k...->...i", J, residual)[..., None])
@@ -282,11 +276,7 @@ def solve_fixed_point(
 
 
 def root_tolerance(gravity_R_m_s2: Array) -> float:
-    """Return the tolerance of a root.
-
-    Returns:
-        Bound of position error [m], axis error [rad] and change of strain.
-    """
+    """Return bounds of a root's position error [m], axis error [rad] and change of strain."""
     return DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
 
 
@@ -352,14 +342,7 @@ The largest was 0.014 m, over 640,000 targets of twenty calibrated arms without 
 
 
 def find_straight(roots: Roots) -> Flags:
-    """Find the roots of the orthogonal arm with a nearly straight elbow, in reach or nearly so.
-
-    Args:
-        roots: Roots of the orthogonal arm, batch (n,).
-
-    Returns:
-        Boolean flags, shape (8, n).
-    """
+    """Find the roots (8, n) of the orthogonal arm with a nearly straight elbow, in reach or nearly so."""
     straight: Flags = (roots.from_fold[1] < BEND) & (roots.missing_m < MOST_MISSING_M)
     return straight
 

@@ -71,9 +71,6 @@ def settle(
     Args:
         backlash_rad: Position of each output inside its backlash, shape (5, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-
-    Returns:
-        The equilibrium, batch (...).
     """
     return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
 
@@ -85,9 +82,6 @@ def settle_output(
 
     Args:
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-
-    Returns:
-        The equilibrium, batch (...).
     """
     return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
 
@@ -179,15 +173,7 @@ def _load_batch(
 
 
 def push_torque(arm: Arm, frames: Frames, push: ToolForce) -> Array:
-    """Compute the torques that a contact force puts on the joints of a single pose.
-
-    Args:
-        frames: Frames of the pose.
-        push: Force, shape (3,), on a tool.
-
-    Returns:
-        Torques in N m, shape (5,).
-    """
+    """Compute the torques (5,) [N m] of a contact force (3,) on a tool on the joints of a single pose."""
     J = joint_jacobian(frames, tool_pose(arm, frames, push.tool).p)
     torque: Array = push.force_R_N @ J[3:]
     return torque
@@ -272,11 +258,7 @@ class PoseEvaluation:
 def evaluate_pose(
     arm: Arm, tool: str, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array
 ) -> PoseEvaluation:
-    """Evaluate load and deflection once at given angles.
-
-    Returns:
-        Tool pose, new strain and joint torques.
-    """
+    """Evaluate load and deflection once at given angles: tool pose, new strain and joint torques."""
     n = output_rad.shape[1]
     if not gravity_R_m_s2.any():
         frames = forward(arm, output_rad, strain)
@@ -313,11 +295,7 @@ def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
 
 
 def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
-    """Compute the derivative of task_error by the joint angles, with the springs held.
-
-    Returns:
-        The derivative, m/rad and rad/rad, shape (5, 5, ...).
-    """
+    """Compute the derivative (5, 5, ...) of task_error by the joint angles, with the springs held."""
     J = joint_jacobian(frames, X_RT.p)
     a = np.broadcast_to(approach_R, X_RT.p.shape)
     # (w x y) . a = w . (y x a)
@@ -326,10 +304,6 @@ def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
 
 
 def approach_jacobian(frames: Frames, X_RT: Pose) -> Array:
-    """Compute the derivative of position and approach of a tool by the joint angles, with the springs held.
-
-    Returns:
-        The derivative, m/rad and then 1/rad, shape (6, 5, ...).
-    """
+    """Compute the derivative (6, 5, ...) of position and approach of a tool by the angles, springs held."""
     J = joint_jacobian(frames, X_RT.p)
     return np.concatenate([J[3:], cross(J[:3], X_RT.R[:, :1])])

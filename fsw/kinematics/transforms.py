@@ -84,16 +84,9 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def multiply_per_link(M: Array, v: Array) -> Array:
-    """Multiply a constant matrix of each link with values of that link.
+    """Multiply a constant matrix of each link, (i, j, 6), with values of that link, (..., j, 6, n).
 
     The matrices are the same for the whole batch, so one matrix product per link suffices.
-
-    Args:
-        M: Matrices of any unit, shape (i, j, 6).
-        v: Values of any unit, shape (..., j, 6, n).
-
-    Returns:
-        The products, shape (..., i, 6, n).
     """
     product = np.empty((*v.shape[:-3], M.shape[0], *v.shape[-2:]))
     by_link = np.ascontiguousarray(M.transpose(2, 0, 1))
@@ -162,14 +155,7 @@ def adjoint(X: Pose) -> Array:
 
 
 def screw_exp(screw: Array) -> Pose:
-    """Compute the pose that a constant screw reaches in one unit of time.
-
-    Args:
-        screw: Rotation vectors in rad, then translations in m, shape (6, ...).
-
-    Returns:
-        The poses (exponential map of SE(3)).
-    """
+    """Compute poses that constant screws, (6, ...) [rad, m], reach in one unit of time: exp of SE(3)."""
     w = screw[:3]
     angle2 = dot(w, w)
     a, b, c = _exp_coefficients(angle2)

@@ -100,7 +100,6 @@ class ForceFit:
             model_N: Force of the model.
             step_N: Length of a knot in newtons of the model.
             push_Nm: Loads by the force as measured by the currents, shape (5,).
-            direction: Directions of the motors, shape (5,).
             counts: Joints whose currents show the load, shape (5,).
         """
         knots = self.knots
@@ -136,12 +135,9 @@ def update_force_fit(
     load: LoadEstimate,
     sensors: Sensors,
 ) -> ForceFit:
-    """Add the currents of this cycle to the fit if the force rises fast enough.
+    """Add the currents of this cycle to the fit if the force rises fast enough, by the rate of the overdrive.
 
     The measured load is the motor torque less friction, and less the load without the force.
-
-    Args:
-        rate_N_s: Rate of the overdrive.
     """
     params = config.params.preload
     if rate_N_s <= MIN_RATE_SHARE * params.rate_N_s:
@@ -162,13 +158,7 @@ def estimate_force_ratio(
 
     The unknowns are the force along the tool axis, two forces across it and the torque about it. Each has a
     Gaussian prior; the measurements are the differences of the measured loads. A joint counts that turned one
-    way at both ends.
-
-    Args:
-        preload: Preload at the end of the leg.
-
-    Returns:
-        The ratio; None without measurements or if the ratio is implausible.
+    way at both ends. None without measurements, or if the ratio is implausible.
     """
     if len(fit.knots) < MIN_KNOTS:
         return None
@@ -239,12 +229,7 @@ def plan_correction(
 
 
 def report_miss(target_N: float, preload: PreloadState, refused: Refusal | None) -> tuple[Evr, ...]:
-    """Report a press that ends far from its target, or with an unknown force.
-
-    Args:
-        preload: Preload at the end, with the standard deviation of its force ratio.
-        refused: Reason for which it is not corrected, if there is one.
-    """
+    """Report a press whose preload at the end is far from its target or unknown; why no leg corrects it."""
     error_N, max_N = preload.force_ratio_std * preload.model_N, MAX_ERROR_SHARE * target_N
     if error_N > max_N:
         reason = f"motor currents show the force to {error_N:.0f} N only"

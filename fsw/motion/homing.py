@@ -135,11 +135,7 @@ class HomingInputs:
 
 
 def begin_homing(joint: Joint, joints: JointEstimate, accept_moved: bool) -> Homing:
-    """Begin the homing of a joint.
-
-    Args:
-        accept_moved: True if the hardstop may be elsewhere than before.
-    """
+    """Begin the homing of a joint, whose hardstop may be elsewhere than before if that is accepted."""
     known, motor_rad = (
         bool(joints.reference.known[joint]) and not accept_moved,
         float(joints.motor_rad[joint]),
@@ -170,11 +166,7 @@ def advance_homing(
     load_Nm: Array,
     sensors: Sensors,
 ) -> HomingUpdate:
-    """Advance homing by one cycle.
-
-    Args:
-        setpoint: Set-point of all joints in the cycle before.
-    """
+    """Advance homing by one cycle, from the set-point of all joints in the cycle before."""
     j = homing.joint
     inputs = HomingInputs(
         config=config,

@@ -336,12 +336,7 @@ def command_actuators(
 ) -> ActuatorCommand:
     """Command the actuators: power during a move, brakes off until its brake phase.
 
-    Args:
-        move: Move under way; without one, all brakes are on and all power is off.
-        joints: Estimate of the joints, of which the encoder zero is used.
-
-    Returns:
-        The command; it is `last` itself while nothing moves.
+    Without a move, all brakes are on and all power is off; the command is `last` itself while nothing moves.
     """
     if move is None:
         if not (last.power_on.any() or last.vibrate):

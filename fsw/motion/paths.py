@@ -118,12 +118,7 @@ Path = JointPath | LinePath | HoldPath | StopPath
 
 
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
-    """Compute the fastest jerk-limited move within the bounds of joints and tools.
-
-    Args:
-        start_rad: Motor angles at the start, shape (5,).
-        end_rad: Motor angles at the end, shape (5,).
-    """
+    """Compute the fastest jerk-limited move within bounds of joints and tools, by motor angles, (5,) each."""
     speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
     trajectory = _plan_trajectory(
         start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3
@@ -226,14 +221,9 @@ def check_paths(
     touching: str | None = None,
     surface: TargetSurface | None = None,
 ) -> str | None:
-    """Check that the deflected arm stays clear of rover, ground and surface along paths.
+    """Check that the deflected arm stays clear of rover, ground and surface along paths, but a touching tool.
 
     Too close is closer than the padding, or closer than at the start if the start is within the padding.
-
-    Args:
-        joints: Estimate of the joints, of which gravity and backlash are used.
-        padding_m: Distance to be kept.
-        touching: Tool that is to touch; no distance is required of it.
     """
     motor = sample_paths(config, paths, COARSE_STEP_M)
     coarse = compute_deflected_frames(config, joints, motor)
@@ -264,13 +254,8 @@ def check_touch(
 ) -> str | None:
     """Check that a tool touches alone, wherever on a guarded line the surface is.
 
-    Args:
-        joints: Estimate of the joints, of which gravity and backlash are used.
-        paths: Paths of the motors on the line, one after the other.
-        normal_R: Unit normal of the surface, (3,).
-
-    Returns:
-        The reason for a refusal, or None if all other parts stay above the surface.
+    All other parts stay above a surface of this unit normal, (3,), along paths of the motors, one after the
+    other; else there is a reason for a refusal.
     """
     geometry, padding_m = config.collision_geometry, config.params.collision.padding_m
     frames = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
@@ -288,14 +273,7 @@ def check_touch(
 
 
 def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Array:
-    """Sample motor angles along paths so finely that no point of the arm moves farther than a step.
-
-    Args:
-        step_m: Farthest that a point of the rigid arm may move between two samples.
-
-    Returns:
-        Motor angles in radians on the output side, shape (5, n).
-    """
+    """Sample motor angles, (5, n) [rad], so finely that no point of the rigid arm moves farther than this."""
     return np.concatenate([_sample_path(config, path, step_m) for path in paths], axis=1)
 
 
@@ -314,9 +292,6 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
     """Compute the frames of the arm under gravity, with each output on the side that its load decides.
 
     An output that friction may hold anywhere between the flanks of its gear is assumed in the middle.
-
-    Args:
-        joints: Estimate of the joints, of which gravity and backlash are used.
     """
     # one pass is within 0.4 mm of the equilibrium on Mars, 3 mm on Earth; the padding covers that
     _, strain, torque_Nm = load_arm(config.arm, motor_rad, None, joints.gravity_R_m_s2)

@@ -41,11 +41,7 @@ class Compensation:
         return NO_GRAVITY if self.deflection == "off" else joints.gravity_R_m_s2
 
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
-        """Compute the part of the gear angles by which set-points are shifted.
-
-        Returns:
-            Backlash and wind-up in radians, each 0 if not compensated; same shape.
-        """
+        """Return the part of gear angles by which set-points shift: backlash and wind-up [rad], each or 0."""
         wind_up = gear_rad - clip_to_backlash(joints.reference.half_backlash_rad, gear_rad)
         backlash = self.backlash_allowance(joints, gear_rad)
         allowed: Array = backlash if self.deflection == "off" else backlash + wind_up
@@ -62,9 +58,6 @@ class Compensation:
         """Convert a target to one for absolute inverse kinematics.
 
         Only relative compensation changes it: by the present deflection of the reference tool.
-
-        Args:
-            reference: Tool whose present deflection counts.
         """
         if self.deflection != "relative":
             return p_RoTo_R_m, approach_R
@@ -74,16 +67,11 @@ class Compensation:
 
 
 def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Array:
-    """Choose the direction in which each output ends its move, so that its side of the backlash is known.
+    """Choose the direction, 1 or -1, in which each output (5,) ends its move, so that its side is known.
 
-    If the load does not decide, the output moves in the positive direction and so ends on the negative side.
-    If the load may then push it to the positive side, it moves in the negative direction and ends there.
-
-    Args:
-        load_Nm: Loads at the end of the move, shape (5,).
-
-    Returns:
-        1, -1, or 0 if the load decides the side; shape (5,).
+    It is 0 if the load at the end decides the side. If the load does not decide, the output moves in the
+    positive direction and so ends on the negative side of the backlash. If the load may then push it to the
+    positive side, it moves in the negative direction and ends there.
     """
     error = load_error(config, gravity_R_m_s2)
     decided = np.abs(load_Nm) > config.output_friction_Nm + error
@@ -144,15 +132,9 @@ def estimate_at(joints: JointEstimate, positions: JointPositions) -> JointEstima
 def plan_poses(
     config: Config, joints: JointEstimate, poses: list[Array], compensation: Compensation
 ) -> Plan | Refusal:
-    """Plan joint moves through output poses.
+    """Plan joint moves through output poses, (5,) each; a refusal if one is beyond the soft limits.
 
     Only the last move ends on a known side of the backlash.
-
-    Args:
-        poses: Output angles in radians, shape (5,) each.
-
-    Returns:
-        The plan, or the reason for a refusal, such as a pose beyond the soft limits.
     """
     paths: list[Path] = []
     positions = likely_positions(joints)
@@ -173,11 +155,7 @@ def plan_poses(
 def plan_joint(
     config: Config, joints: JointEstimate, joint: Joint, angle_rad: float, compensation: Compensation
 ) -> Plan | Refusal:
-    """Plan a move of one output to an angle while the other joints stay on their brakes.
-
-    Args:
-        angle_rad: Output angle at the end.
-    """
+    """Plan a move of one output to an angle while the other joints stay on their brakes."""
     pose = joints.output_rad.copy()
     pose[joint] = angle_rad
     arm = config.arm
@@ -239,11 +217,7 @@ def _reverse_at_limits(config: Config, output_rad: Array, run_up_rad: Array, dir
 
 
 def worst_limit_excess(config: Config, output_rad: Array) -> Array:
-    """Compute the largest excess of a joint over its soft limit.
-
-    Returns:
-        Excess in radians, shape (...); negative inside all limits.
-    """
+    """Compute the largest excess of a joint over its soft limit, (...) [rad]; negative inside all limits."""
     excess: Array = limit_excess(config.arm, output_rad).max(axis=0)
     return excess
 

@@ -82,10 +82,8 @@ def plan_tool(
 ) -> Plan | Refusal:
     """Plan a move to a target: straight, or a joint move to the fastest valid branch with a clear path.
 
-    A branch is valid if the target and the end of the straight travel after it are within limits.
-
-    Args:
-        reference: Tool whose present deflection relative compensation uses; None for that of the command.
+    A branch is valid if the target and the end of the straight travel after it are within limits. Relative
+    compensation uses the present deflection of the reference tool; None is that of the command.
     """
     if command.straight:
         plan = _plan_straight(config, joints, command, reference)
@@ -109,13 +107,7 @@ def plan_tool(
 def find_branches(
     config: Config, joints: JointEstimate, command: MoveTool, reference: str | None = None
 ) -> list[Branch] | Refusal:
-    """Find the valid branches of a joint move to a target, the fastest first.
-
-    A branch is valid if the target and the end of the straight travel after it are within limits.
-
-    Args:
-        reference: Tool whose present deflection relative compensation uses; None for that of the command.
-    """
+    """Find the valid branches of a joint move to a target, as `plan_tool` has them, the fastest first."""
     compensation = Compensation(command.backlash, command.deflection)
     targets, approaches = _target(config, joints, command, reference, np.array([0.0, command.line_m]))
     result = inverse_kinematics(

@@ -68,14 +68,7 @@ class PreloadState:
         return self.force_ratio * self.model_N
 
     def reaction_at(self, force_N: Array | float) -> ToolForce:
-        """Return the reaction to a force.
-
-        Args:
-            force_N: Force of the tool on the surface, scalar or shape (...).
-
-        Returns:
-            Force on the tool in RMECH, batch (...).
-        """
+        """Return the reaction in RMECH on a tool that has this force on the surface, batch (...)."""
         column = self.axis_R.reshape(3, *(1,) * np.ndim(force_N))
         return ToolForce(self.tool, -column * force_N)
 
@@ -159,11 +152,8 @@ def plan_preload(
     """Plan the overdrive from one force to another at a constant pose of the tool.
 
     Each knot compensates the deflection of the arm in position and direction, so the tool does not need
-    friction to stay in place.
-
-    Returns:
-        The plan and its change of force, or the reason for a refusal. While the stiffness of the arm is not
-        known, both end short of the commanded force.
+    friction to stay in place. While the stiffness of the arm is not known, plan and change of force end short
+    of the commanded force.
     """
     params = config.params.preload
     end_N = _first_force_N(preload, force_N) / preload.force_ratio
@@ -205,14 +195,7 @@ def _first_force_N(preload: PreloadState, force_N: float) -> float:
 
 
 def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange) -> Array:
-    """Compute current limits that stall the motors before the force much exceeds the commanded one.
-
-    Args:
-        joints: Estimate of the joints, of which the measured friction is used.
-
-    Returns:
-        Current limits in amperes, shape (5,).
-    """
+    """Compute current limits, (5,), that stall the motors before the force much exceeds the commanded one."""
     max_force_N = max(change.start.force_N, change.target_N) * (
         1 + config.params.preload.current_margin_share
     )

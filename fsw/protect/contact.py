@@ -55,13 +55,10 @@ def check_unexpected_contact(
 def check_contact_kept(
     bounds: ProtectionBounds, count: int, press: PressStatus, closed: Flags
 ) -> tuple[int, tuple[Evr, ...]]:
-    """Check that a tool that presses has a switch closed.
+    """Check that a tool that presses has a switch closed; count the cycles in a row without one.
 
     One closed switch is enough, so that the other may be dead. With less force than the smallest step of a
     press a switch may well be open.
-
-    Args:
-        count: Cycles in a row in which no switch was closed.
     """
     is_firm = press.force_N > bounds.press_step_N
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
@@ -73,11 +70,7 @@ def check_contact_kept(
 def check_press_force(
     bounds: ProtectionBounds, count: int, arm: ArmStatus, press: PressStatus
 ) -> tuple[int, tuple[Evr, ...]]:
-    """Check that a tool presses with the force that is believed.
-
-    Args:
-        count: Cycles in a row in which the force was beyond its bound.
-    """
+    """Check that a tool presses with the force that is believed; count the cycles in a row that it is not."""
     monitors = bounds.monitors
     error_N, lever_m = estimate_force_error(bounds, arm, press)
     known_N = monitors.preload_error_N + bounds.press_error_share * press.force_N
@@ -90,7 +83,7 @@ def check_press_force(
 
 
 def estimate_force_error(bounds: ProtectionBounds, arm: ArmStatus, press: PressStatus) -> tuple[float, float]:
-    """Estimate the true less the believed force of a press from the wind-up of the gears.
+    """Estimate true less believed force [N] of a press by the wind-up of gears, and the lever [m] of these.
 
     An output that is farther along than estimated carries more than estimated. The force is the least-squares
     fit to the torques that the joints carry too much. Resolver errors at the touch, when the gears carried
@@ -98,9 +91,6 @@ def estimate_force_error(bounds: ProtectionBounds, arm: ArmStatus, press: PressS
 
     A joint does not count if a force off by half its bound could take its output to the other side of the
     backlash: an early or late crossing is no force.
-
-    Returns:
-        Error of the force in newtons, and the lever in metres of the joints that count.
     """
     stiffness, monitors = bounds.arm.gear_stiffness_Nm_rad, bounds.monitors
     margin = 0.5 * monitors.preload_error_N * np.abs(press.torque_per_N) / stiffness
@@ -132,11 +122,7 @@ def monitor_approach(
 ) -> tuple[ApproachState | None, tuple[Evr, ...]]:
     """Check that nothing presses on a guarded tool that has not closed a switch yet.
 
-    Args:
-        last: State of the cycle before; None if no tool approached.
-
-    Returns:
-        The state for the next cycle, None unless a tool approaches, and the fault.
+    The state is None unless a tool approaches.
     """
     tool = None if arm.move is None else arm.move.approaching
     if tool is None:

@@ -270,16 +270,7 @@ def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
 def check_frozen(
     bounds: ProtectionBounds, unchanged: tuple[int, ...], before: tuple[float, ...], now: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[Evr, ...]]:
-    """Check that no noisy reading stays the same to the last bit.
-
-    Args:
-        unchanged: For how many cycles each reading had been the same, in the order of NOISY.
-        before: Noisy readings of the cycle before.
-        now: Noisy readings of this cycle.
-
-    Returns:
-        For how many cycles each reading has been the same, and the faults.
-    """
+    """Check that no noisy reading stays the same to the last bit; count the cycles of each, as in NOISY."""
     if not any(map(eq, before, now)):
         return NONE_UNCHANGED, ()
     counts = tuple([n + 1 if a == b else 0 for a, b, n in zip(before, now, unchanged, strict=True)])
@@ -305,10 +296,7 @@ def check_tilt(
 ) -> tuple[int, tuple[Evr, ...]]:
     """Check that gravity has the direction that the move under way was planned for.
 
-    Args:
-        count: Cycles in a row in which the direction was beyond its bound.
-        planned_R: Gravity when the move began, in the rover frame, shape (3,); any length.
-        read_R: Gravity as it is read, in the rover frame, shape (3,); any length.
+    Both are in the rover frame, (3,), of any length. Cycles in a row beyond the bound are counted.
     """
     monitors, planned = bounds.monitors, planned_R.tolist()
     # vectors this close cannot differ more in direction

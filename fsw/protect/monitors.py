@@ -94,16 +94,12 @@ def protect(
     unusable: tuple[Evr, ...],
     of_move: tuple[Evr, ...],
 ) -> tuple[MonitorState, Decision | None]:
-    """Monitor the arm in this cycle and decide what is done.
+    """Monitor the arm in this cycle and decide what is done; None if nothing happened.
 
     Args:
         last: State of the monitors after the cycle before.
-        arm: Arm with its joints and move in this cycle.
         unusable: What `check_readings` found in these readings.
         of_move: Events of the move in this cycle, among them its own faults.
-
-    Returns:
-        The state of the monitors for the next cycle, and the decision; None if nothing happened.
     """
     state, found = run_monitors(bounds, last, arm, sensors, usable=not unusable)
     found = unusable + found
@@ -181,10 +177,8 @@ def _monitor_joints(
 def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) -> tuple[Evr, ...]:
     """Check that a set-point is finite, inside the limits and no jump, whatever planned it.
 
-    Outside the limits it may still move inward: that is the way back.
-
-    Returns:
-        The fault of the first joint whose set-point must not go out.
+    Outside the limits it may still move inward: that is the way back. The fault is of the first joint whose
+    set-point must not go out.
     """
     limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad
     each = zip(move.setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
@@ -247,15 +241,10 @@ def check_following(bounds: ProtectionBounds, count: int, error_rad: Array) -> t
 def check_stall(
     bounds: ProtectionBounds, count: int, move: MoveStatus, error_rad: Array, rate_rad_s: Array
 ) -> tuple[int, tuple[Evr, ...]]:
-    """Check that every motor that is far from its set-point turns as it is commanded to.
+    """Check that every motor far from its set-point, (5,), turns as it is commanded to, at rates (5,).
 
-    Nearer to its set-point a motor may be held by friction.
-    A joint in homing shall stall, so homing itself monitors it.
-
-    Args:
-        count: Cycles in a row in which a motor was too slow.
-        error_rad: Distance of each motor from its set-point, shape (5,).
-        rate_rad_s: Rate of each motor on the output side, shape (5,).
+    Nearer to its set-point a motor may be held by friction. A joint in homing shall stall, so homing itself
+    monitors it. Cycles in a row in which a motor was too slow are counted.
     """
     monitors = bounds.monitors
     if move.homing is not None:

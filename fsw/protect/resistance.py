@@ -118,9 +118,6 @@ def monitor_free_move(
         last: State of the cycle before; None if no free move was under way.
         readings: Noisy readings, in the order of `readings.NOISY`.
         unchanged: For how many cycles each of them has been the same.
-
-    Returns:
-        The state for the next cycle, None unless a free move is under way, and the fault.
     """
     move = arm.move
     if move is None or arm.mode is not Mode.FREE_SPACE or move.is_releasing or move.is_stopping:
@@ -297,11 +294,7 @@ def describe_contact(
 ) -> UnexpectedContact:
     """Describe a contact by the joint that shows it best, and by a force against the motion of the tool.
 
-    Args:
-        torque_Nm: Torques of the obstacle on the outputs, 0 where nothing is known, shape (5,).
-
-    Returns:
-        The fault. The force is the least-squares fit to the torques.
+    The force is the least-squares fit to the torques of the obstacle on the outputs, (5,), 0 where unknown.
     """
     frames = forward(bounds.arm, arm.motor_rad + arm.gear_rad)
     J = joint_jacobian(frames, tool_pose(bounds.arm, frames, arm.tool).p)[3:]

@@ -207,11 +207,7 @@ class BudgetReport:
 
 
 def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> BudgetReport:
-    """Compute the budgets of one case or of all cases.
-
-    Raises:
-        BadRequest: The request is wrong; nothing was written.
-    """
+    """Compute the budgets of one case or of all cases; BadRequest if the request is wrong."""
     check_options(request)
     model = load_error_model()
     names = tuple(model.case) if request.case == ALL else (request.case,)

@@ -164,11 +164,7 @@ def _poses(report: BudgetReport) -> str:
 
 
 def save_budget_picture(report: BudgetReport, path: Path) -> str | None:
-    """Save the rows beside the paper's and the shares of the sources as PNG; return why there is none.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Save rows beside the paper's and shares of the sources as PNG; return why there is none."""
     accuracies = [name for name in report.budgets if "repeatability" not in name] or [*report.budgets]
 
     def draw(figure: Any) -> None:

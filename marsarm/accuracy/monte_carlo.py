@@ -56,10 +56,9 @@ class Checkpoint:
     def __init__(
         self, path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], object] = dict
     ):
-        """Open the file, and check what it holds.
+        """Open the file, or make it, and check what it holds.
 
         Args:
-            path: The file; it is made if it is not there.
             request: The request, comparable after a round trip through JSON.
             read: Parser of one result, which raises KeyError, TypeError or ValueError for anything else.
 
@@ -180,14 +179,7 @@ def run_job(job: ArmJob) -> dict[str, Any]:
 def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Run all jobs that have no record in the results yet.
-
-    Returns:
-        The records of all jobs in their order.
-
-    Raises:
-        BadRequest: A record was made with other parameters.
-    """
+    """Run all jobs without a record; return all records in order. BadRequest if one has other parameters."""
     wanted = {job.arm: job.params_sha256 for job in jobs}
     known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
     for record in known:
@@ -208,13 +200,7 @@ def run_jobs(
 
 
 def check_arm_record(record: dict[str, Any]) -> None:
-    """Check that a record describes an arm.
-
-    Raises:
-        KeyError: A key is missing.
-        TypeError: A value has the wrong type.
-        ValueError: A value is wrong.
-    """
+    """Check that a record describes an arm; KeyError, TypeError or ValueError if not."""
     if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
         raise TypeError("arm and params_sha256 are a number and a digest")
     list(read_measurements(record))
@@ -298,11 +284,7 @@ class MonteCarloReport:
 
 
 def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress) -> MonteCarloReport:
-    """Simulate and measure arms of a case, and compare them with the budget.
-
-    Raises:
-        BadRequest: The request is wrong; nothing was moved or written.
-    """
+    """Simulate and measure arms of a case, beside the budget; BadRequest if the request is wrong."""
     model = load_error_model()
     _check(request, model)
     jobs = _jobs(request)

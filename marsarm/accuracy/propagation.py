@@ -280,12 +280,7 @@ class SquaredLength:
 
 
 def squared_length(errors: Sequence[tuple[Array, Distribution]], known: Array | None = None) -> SquaredLength:
-    """Compute the cumulants of squared error lengths.
-
-    Args:
-        errors: Independent errors at their magnitudes, shape (m, k, n), with their distributions.
-        known: Known error to add, shape (m, n).
-    """
+    """Compute cumulants of squared lengths of independent errors, (m, k, n), with a known one, (m, n)."""
     m, _, n = errors[0][0].shape
     c = np.zeros((m, n)) if known is None else known
     S = np.zeros((m, m, n))

@@ -47,12 +47,7 @@ class ArmFiles:
 
 
 def build_arms(request: ArmRequest) -> tuple[ArmFiles, ...]:
-    """Make the files of an arm, or of all arms of the project, and write those that have changed.
-
-    Raises:
-        BadRequest: there is no such arm, its description is wrong, it cannot be homed, or a file is stale and
-            was to be checked.
-    """
+    """Make the files of one arm or all, and write changed ones; BadRequest if one is wrong, or is stale."""
     try:
         names = arm_names() if request.arm is None else (request.arm,)
         found = tuple(_make_files(name) for name in names)
@@ -133,11 +128,7 @@ class ArmLayout:
 
 
 def show_arm(request: ArmRequest) -> ArmLayout:
-    """Place the frames of an arm.
-
-    Raises:
-        BadRequest: There is no such arm, its description is wrong, or the picture cannot be written.
-    """
+    """Place the frames of an arm; BadRequest if there is none, or its picture cannot be written."""
     check_options(request)
     try:
         model = default_arm() if request.arm is None else load_arm(request.arm)

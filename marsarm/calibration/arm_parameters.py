@@ -162,13 +162,10 @@ def turret_displacement(nominal: Arm, x: Array) -> Pose:
 
 
 def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
-    """Move encoder zeros from the frames into the hardstop angles.
+    """Move encoder zeros from the frames into the hardstop angles: zeros (5,) [rad], and changed parameters.
 
     A rotation of a frame about z equals an offset of the next joint, and so of its hardstop angle. The new
     angles are valid after each hardstop has been found again.
-
-    Returns:
-        Encoder zeros [rad], (5,), and the parameters with changed hardstop angles.
     """
     zero = x[list(ENCODER_ZEROS)].copy()
     arm = params_with_values(params, x)

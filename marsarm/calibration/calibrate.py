@@ -78,14 +78,8 @@ def calibrate(
 ) -> Calibration:
     """Fit the arm to a campaign, reject outliers, and validate the fit on held-out poses.
 
-    `checks.check_fit` decides whether the result is acceptable.
-
-    Args:
-        with_backlash: True if the model uses the state of the backlash.
-        built: Tolerances of manufacture; None for those of the default arm.
-
-    Raises:
-        TooManyOutliers: No arm explains the poses.
+    `checks.check_fit` decides whether the result is acceptable. Without tolerances, they are those of the
+    default arm. TooManyOutliers says that no arm explains the poses.
     """
     parameters = arm_parameters(built)
     everything = np.ones(campaign.count, bool)
@@ -143,11 +137,7 @@ def rms_m(error: Array) -> float:
 
 
 def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) -> Params:
-    """Build the parameters of the calibrated arm, with the encoder zeros in its hardstop angles.
-
-    Args:
-        tools: Poses X_FT of registered tools in frame Arm6; they replace the nominal ones.
-    """
+    """Build parameters of the calibrated arm, zeros in its hardstops, with poses X_FT of registered tools."""
     _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
     registered = {name: pose_to_transform6(X_FT) for name, X_FT in (tools or {}).items()}
     changed = tuple(

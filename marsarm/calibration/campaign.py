@@ -71,11 +71,7 @@ class FrameFit:
 
 
 def fit_frame(targets: TrackerTargets, shots: TargetReadings, name: str) -> FrameFit:
-    """Fit the body's frame in the tracker's frame to the visible targets: weighted least squares (Kabsch).
-
-    Raises:
-        TooFewTargets: Fewer than three targets are visible, or all are on one line.
-    """
+    """Fit a body's frame in the tracker's to visible targets (Kabsch); TooFewTargets if they are no frame."""
     seen = shots.visible
     b, q, weight = targets.p_BoQ_B_m[:, seen], shots.p_WoQ_W_m[:, seen], shots.sigma_m[seen] ** -2
     count = int(np.count_nonzero(seen))
@@ -146,14 +142,7 @@ class CampaignRow:
 def measure_pose(
     tracker: Tracker, plant: Plant, roll_rad: float, X_RF: Pose, rng: np.random.Generator
 ) -> PoseMeasurement:
-    """Measure the arm at rest; the rover sways between measurements.
-
-    Args:
-        X_RF: Interface of the turret in the rover frame.
-
-    Raises:
-        TooFewTargets: The tracker sees too few targets on a body.
-    """
+    """Measure the arm at rest, while the rover sways; TooFewTargets if the tracker sees too few on a body."""
     sway = rng.standard_normal(6) * np.repeat([SWAY_RAD, SWAY_M], 3)
     readings = measure_targets(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
     named = zip(
@@ -291,13 +280,9 @@ class CampaignPlan:
 
 
 def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
-    """Find the hardstop of every joint on Earth without a turret.
+    """Find the hardstop of every joint on Earth without a turret, with loads like those on Mars with it.
 
-    Loads imitate those on Mars with the turret.
-
-    Raises:
-        CampaignFailed: A hardstop was not found.
-        BadRequest: The arm has no poses whose loads on Earth without a turret equal those on Mars.
+    CampaignFailed says that one was not found, BadRequest that no poses of the arm have such loads.
     """
     try:
         bare = without_turret(arm, on_earth=True)

@@ -125,11 +125,7 @@ MOST_ROWS: Final = 100_000
 
 
 def save_campaign(campaign: Campaign, path: Path) -> None:
-    """Write the table; the suffix, .parquet or .csv, selects the format.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Write the table as .parquet or .csv, by its suffix; BadOutput if the file cannot be written."""
     table = pa.table(dict(_columns(campaign)))
     with atomic_write(path, "data") as file:
         if path.suffix.lower() == ".csv":

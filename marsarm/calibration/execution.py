@@ -74,11 +74,7 @@ def check_data(nominal: Params, campaign: Campaign) -> None:
 
 
 def check_fit(found: Calibration) -> None:
-    """Check that a fit explains the poses neither badly nor too well, and that its arm is within tolerances.
-
-    Raises:
-        BadData: The fit is not acceptable; the message lists every reason.
-    """
+    """Check that a fit is neither bad nor too good, its arm within tolerances; BadData has every reason."""
     _refuse(_check_fit(found.best, found.frame_identifiability, found.hold_out))
 
 
@@ -294,11 +290,7 @@ class CalibrateReport:
 
 
 def run_calibration(request: CalibrateRequest, progress: Progress = no_progress) -> CalibrateReport:
-    """Measure or read a campaign, fit, check and verify, and write the requested files.
-
-    Raises:
-        BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
-    """
+    """Measure or read a campaign, fit, check, verify and write; BadRequest if request or data are wrong."""
     arm, base = _check_request(request)
     measured = _measuring_share(request)
     try:
@@ -329,11 +321,7 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
 
 
 def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params | None]:
-    """Check all that can be checked before any motion or output.
-
-    Returns:
-        The arm to measure and the parameters over those of its drawing, if there are any.
-    """
+    """Check what can be checked before a motion; return the arm, and parameters over those of its drawing."""
     check_options(request)
     if (request.arm is None) == (request.data is None):
         raise BadRequest(

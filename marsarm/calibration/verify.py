@@ -247,11 +247,7 @@ class Verification:
 def verify_calibration(
     arm: BuiltArm, params: Params, targets: int, seed: int, progress: Progress
 ) -> Verification:
-    """Move to fresh targets on Earth, on Mars, and on cold Mars with a shrunken arm.
-
-    Raises:
-        CampaignFailed: A hardstop was not found, or a move failed.
-    """
+    """Move to fresh targets on Earth, Mars, and cold Mars with a shrunken arm; CampaignFailed if it fails."""
     known = replace(arm, params=params)
     stops = 2 * HARDSTOP_TARGETS
     share = stops / (stops + WORLDS * targets)
@@ -277,8 +273,7 @@ def _tool_errors(
 ) -> Iterator[tuple[str, Array]]:
     """Move the full turret from target to target in the closed loop of one environment.
 
-    Yields:
-        The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
+    Yield the tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
     """
     loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, effects))
     rng = np.random.default_rng([seed, 4])

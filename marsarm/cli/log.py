@@ -160,11 +160,7 @@ def import_log(
 
 
 def _read(log: Path, start_s: float | None, stop_s: float | None) -> "Log":
-    """Read a log between two times.
-
-    Raises:
-        BadRequest: the log has no message between these times.
-    """
+    """Read a log between two times; BadRequest if it has no message there."""
     from marsarm.telemetry.format import trailing_bytes_text
     from marsarm.telemetry.inspection import bound_ns
     from marsarm.telemetry.read import read_log

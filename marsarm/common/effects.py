@@ -10,11 +10,7 @@ from simgap.common.errors import BadRequest
 
 
 def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Parse effects, each written as text or as the name of a TOML file, for an arm with these tools.
-
-    Raises:
-        BadRequest: some are wrong; the message lists all errors.
-    """
+    """Parse effects, each a text or a TOML file, for an arm with these tools; BadRequest lists all errors."""
     effects: list[Effect] = []
     problems: list[str] = []
     for text in texts:
@@ -31,11 +27,7 @@ def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect,
 
 
 def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
-    """Return the arm with those of these effects that it has before a run begins.
-
-    Raises:
-        BadRequest: the arm cannot have one of them.
-    """
+    """Return the arm with those effects that it has before a run; BadRequest if it cannot have one."""
     try:
         return arm.with_effects(effects)
     except EffectMisfit as error:

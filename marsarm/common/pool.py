@@ -79,10 +79,9 @@ class Outcome:
 
 
 def select_runner(workers: int | None, cluster: str | None) -> Runner:
-    """Make the runner that a user asks for.
+    """Make the runner that a user asks for, with so many processes of this machine, or one on each core.
 
     Args:
-        workers: Number of processes on this machine; None for one on each core.
         cluster: Host and port of the head of a Ray cluster, of which this machine is a node; "auto" for
             RAY_ADDRESS, or else the cluster of this machine; None for this machine alone.
 
@@ -211,11 +210,7 @@ class TaskOutcome:
 
 
 def connect(address: str) -> Runner:
-    """Connect to a cluster; return a runner on it.
-
-    Raises:
-        BadRequest: Ray is not installed, or no cluster answers at the address.
-    """
+    """Return a runner on a cluster; BadRequest without Ray, or if none answers at the address."""
     try:
         import ray
     except ImportError as error:
@@ -299,12 +294,7 @@ def _run(ray: Any, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[
 
 
 def _fetch(ray: Any, one: Future[Any]) -> TaskOutcome | None:
-    """Fetch what came of a task; None if its worker or node died.
-
-    Raises:
-        BadRequest: A node cannot load the software, or differs from this machine.
-        ClusterFailed: Ray cannot carry out the task.
-    """
+    """Fetch what came of a task, None if its node died; BadRequest if a node differs, or ClusterFailed."""
     errors = ray.exceptions
     try:
         found: TaskOutcome = one.result()

@@ -106,10 +106,7 @@ def clopper_pearson(hits: float, of: int, level: float = LEVEL) -> tuple[float, 
     """Compute the exact confidence interval of the probability of a hit (Clopper and Pearson 1934).
 
     At the lower end, as many hits or more have the probability (1 - level) / 2. At the upper end, as many or
-    fewer have it. The number of hits is not necessarily whole, as it is for `scipy.stats.binomtest`.
-
-    Raises:
-        ValueError: not 0 <= hits <= of.
+    fewer have it. The number of hits, 0 to `of`, is not necessarily whole, as for `scipy.stats.binomtest`.
     """
     if not 0 <= hits <= of:
         raise ValueError(f"{hits} hits of {of}")
@@ -145,14 +142,7 @@ class AccuracyEstimate:
 
 
 def estimate_accuracy(error: Array) -> AccuracyEstimate:
-    """Estimate accuracy and repeatability by a variance analysis between and within arms.
-
-    Args:
-        error: Errors in one unit, shape (components, arms, errors).
-
-    Raises:
-        ValueError: There are fewer than two arms, or fewer than two errors for each arm.
-    """
+    """Estimate accuracy and repeatability by variance within and between arms, (components, arms, errors)."""
     _, arms, each = error.shape
     if arms < 2 or each < 2:
         raise ValueError(f"{arms} arms with {each} errors each: two arms and two errors are the least")

@@ -29,19 +29,10 @@ TargetLabel = Callable[[int], tuple[str, str]]
 
 
 def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what: str) -> Array:
-    """Check points and directions, shape (3, n) each.
+    """Check points [m] and directions of any length, shape (3, n) each, in the words of the user.
 
-    Args:
-        position_m: Points, in metres.
-        direction: Vectors of any length.
-        naming: Names of position and direction in messages.
-        what: Description of a correct direction, for the error.
-
-    Returns:
-        Directions, scaled to a largest component of 1, so that no length can overflow.
-
-    Raises:
-        BadRequest: a number is not finite, a point is too far from the rover, or a direction is 0.
+    The directions are returned with a largest component of 1, so that no length can overflow. BadRequest says
+    that a number is not finite, a point too far from the rover, or a direction 0.
     """
 
     def refuse(wrong: NDArray[np.bool_], which: int, complaint: str) -> None:
@@ -62,11 +53,7 @@ def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what
 
 
 def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:
-    """Return the arm of this name, with the flight parameters of a TOML file if one is given.
-
-    Raises:
-        BadRequest: the name or the file is wrong.
-    """
+    """Return the arm of this name, with flight parameters of a TOML file; BadRequest if one is wrong."""
     try:
         return arm_named(name, None if params is None else load_params(name, params, mismatch))
     except UnknownArm as error:
@@ -74,11 +61,7 @@ def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltA
 
 
 def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of the drawing of the arm that is flown with them.
-
-    Raises:
-        BadRequest: the file is wrong, or its parameters belong to another arm.
-    """
+    """Read a TOML file of flight parameters over those of the arm's drawing; BadRequest if it is wrong."""
     try:
         model, own = arm_named(name).model, own_name(name)
     except UnknownArm as error:
@@ -93,11 +76,7 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
 
 
 def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> Params:
-    """Read a TOML file of flight parameters over those of a drawing; with `mismatch`, they need not fit it.
-
-    Raises:
-        BadRequest: the file is wrong, or no arm of this drawing can have its parameters.
-    """
+    """Read flight parameters over those of a drawing, which they fit without `mismatch`; else BadRequest."""
     try:
         params = params_over(model.params, path)
     except BadParams as error:
@@ -121,11 +100,7 @@ def parse_tool(name: str, tools: Sequence[str]) -> str:
 
 
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
-    """Make a world without a surface, with a rover tilted up to the limit of the arm.
-
-    Raises:
-        BadRequest: the scene is unknown, or the tilt is not finite or too large.
-    """
+    """Make a world without a surface, its rover tilted; BadRequest if scene or tilt are wrong."""
     if scene not in GRAVITY_M_S2:
         raise BadRequest(f"{scene_option}: {scene!r} is not known; there are {', '.join(GRAVITY_M_S2)}")
     if not np.all(np.isfinite((roll_deg, pitch_deg))):

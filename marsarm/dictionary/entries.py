@@ -242,10 +242,8 @@ E = TypeVar("E", bound=Definition)
 def filter_dictionary(dictionary: Dictionary, pattern: str) -> Dictionary:
     """Select the entries that match a pattern, and the matching fields of other entries; ignore case.
 
-    A field matches by its own name, or with its entry as /sensors.current_A or /sensors/current_A.
-
-    Raises:
-        BadRequest: nothing matches.
+    A field matches by its own name, or with its entry as /sensors.current_A or /sensors/current_A. BadRequest
+    says that nothing matches.
     """
     part = Dictionary(
         commands=tuple(_matching_entries(dictionary.commands, pattern)),

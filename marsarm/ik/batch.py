@@ -33,13 +33,10 @@ NAMES: Final = {
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:
-    """Read the targets of a file.
+    """Read the targets of a file; BadRequest if it, an array, a column or a target is missing or wrong.
 
     An .npz file holds arrays `position_m` and `approach`, shape (n, 3). A Parquet file has one column for
     each component.
-
-    Raises:
-        BadRequest: The file cannot be read, an array or column is missing, or a target is wrong.
     """
     if path.suffix.lower() not in BATCH_SUFFIXES:
         raise BadRequest(f"batch {path}: its name must end in {' or '.join(BATCH_SUFFIXES)}")
@@ -98,11 +95,7 @@ class BatchWriter(Protocol):
 
 @contextmanager
 def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
-    """Open a writer for the suffix of `path`; the file appears only if the block completes without error.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Open a writer by suffix; the file appears if the block completes, BadOutput if it cannot be written."""
     with atomic_write(path, "out") as file, ExitStack() as stack:
         if path.suffix.lower() == ".npz":
             spools: dict[str, IO[bytes]] = {}

@@ -59,14 +59,7 @@ def sample_workspace(
 
 
 def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> str | None:
-    """Save the plot as PNG.
-
-    Returns:
-        The reason if matplotlib is not installed, else None.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+    """Save the plot as PNG, BadOutput if that fails; return why there is none, without matplotlib."""
 
     def draw(figure: Any) -> None:
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
@@ -199,11 +192,7 @@ class ReachReport:
 
 
 def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachReport:
-    """Sample the workspace, and draw the map if requested.
-
-    Raises:
-        BadRequest: The request is wrong, or the picture cannot be written; nothing was written.
-    """
+    """Sample the workspace, and draw the map if requested; BadRequest if the request is wrong."""
     check_options(request)
     model = build_ik_model(request.model)
     run = select_runner(request.workers, request.cluster)

@@ -138,11 +138,7 @@ class BatchReport:
 
 
 def solve(request: IkRequest, progress: Progress = no_progress) -> IkReport | BatchReport:
-    """Solve the inverse kinematics of a request.
-
-    Raises:
-        BadRequest: The request is wrong, or a file cannot be read or written; nothing was written.
-    """
+    """Solve the inverse kinematics of a request; BadRequest if the request or a file is wrong."""
     check_options(request)
     model = build_ik_model(request.model)
     if request.batch is None and request.out is None:

@@ -36,16 +36,9 @@ class IkTargets:
 
 
 def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetLabel) -> IkTargets:
-    """Build targets after checks.
+    """Build targets in a frame of FRAMES of positions and directions of any length, shape (3, n) each.
 
-    Args:
-        position_m: Positions in `frame`, shape (3, n).
-        approach: Directions of any length in rover axes, shape (3, n).
-        frame: Name of the frame, of FRAMES.
-        naming: Names of positions and approaches in messages.
-
-    Raises:
-        BadRequest: The frame is unknown, a number is not finite, a point is too far, or a direction is 0.
+    BadRequest, in the words of the user, says that a number is not finite, a point too far, a direction 0.
     """
     if frame not in FRAMES:
         raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")

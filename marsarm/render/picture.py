@@ -60,11 +60,7 @@ class Camera(Protocol):
 def save_picture(
     model: mujoco.MjModel, data: mujoco.MjData, camera: str, path: Path, size: tuple[int, int] = (1280, 720)
 ) -> PictureResult:
-    """Save the view of a camera of the model as a PNG file; the state is current, as after mj_forward.
-
-    Raises:
-        BadRequest: the path cannot be written, there is no such camera, or the size is not positive.
-    """
+    """Save the view of a camera after mj_forward as PNG; BadRequest if path, camera or size are wrong."""
     check_output(path, (".png",), "picture")
     opened, result = _open_camera(model, camera, path, size, FINER)
     if opened is None:
@@ -91,17 +87,10 @@ def save_movie(
     path: Path,
     size: tuple[int, int] = (640, 360),
 ) -> PictureResult:
-    """Save an MP4 or GIF, by its suffix, with one frame for each pose.
+    """Save an MP4 or GIF, by its suffix, with a frame for each pose (model.nq,), drawn after the run.
 
-    A run only stores poses, which are small; the frames are drawn after it.
-
-    Args:
-        poses: Positions qpos, each of shape (model.nq,), in metres and radians.
-        size: Width and height in pixels, even for an MP4.
-
-    Raises:
-        BadRequest: the path cannot be written, PyAV is missing for an MP4, there is no such camera, there is
-            no pose, or the size is not positive.
+    The size is in pixels, even for an MP4. BadRequest says that path, camera or size are wrong, PyAV is
+    missing for an MP4, or there is no pose.
     """
     check_movie_path(path)
     opened, result = _open_camera(model, camera, path, size)
@@ -164,11 +153,7 @@ def _replace(path: Path) -> AbstractContextManager[Path]:
 
 
 def check_movie_path(path: Path) -> None:
-    """Refuse a path at which no movie can be written; an MP4 needs PyAV, a GIF does not.
-
-    Raises:
-        BadRequest: wrong suffix, no such folder, impossible name, no permission, or no PyAV.
-    """
+    """Refuse, by BadRequest, a path at which no movie can be written; an MP4 needs PyAV, a GIF does not."""
     check_output(path, (".gif", ".mp4"), "movie")
     if path.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
         raise BadRequest(f"movie {path}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
@@ -231,11 +216,7 @@ def unavailable_reason() -> str | None:
 
 
 def draw_something() -> None:
-    """Draw a sphere to test the driver.
-
-    Raises:
-        RuntimeError: the picture is blank. The driver may raise other errors.
-    """
+    """Draw a sphere to test the driver; RuntimeError, or an error of the driver, if that fails."""
     model = mujoco.MjModel.from_xml_string(PROBE_MODEL)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -216,8 +216,7 @@ class Rays:
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Cast rays from one point [m] in world axes along unit vectors, (n, 3).
 
-        Returns:
-            Index of the first geom hit, -1 for none, (n,); its distance [m], (n,); and its normal, (n, 3).
+        Return the first geom hit, -1 for none, (n,), its distance [m], (n,), and its normal, (n, 3).
         """
         count = len(direction)
         geom, distance, normal = np.full(count, -1, np.int32), np.zeros(count), np.zeros((count, 3))
@@ -245,10 +244,8 @@ class Rays:
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """Compute the light on surface points: skylight from above, and the sun where nothing casts a shadow.
 
-        Points [m] and unit normals are in world axes, (n, 3).
-
-        Returns:
-            Factors on red, green and blue, (n, 3), and whether the sun shines there, (n,).
+        Points [m] and unit normals are in world axes, (n, 3). Return factors on red, green and blue, (n, 3),
+        and whether the sun shines there, (n,).
         """
         sun = data.light_xdir[0] if self._model.nlight else np.array([0.0, 0.0, -1.0])
         sunlight = np.maximum(0.0, -(normal @ sun))

@@ -109,11 +109,7 @@ def _rotate(quat: Array, v: Array) -> Array:
 
 
 def project_outlines(boxes: RoundedBoxes, X_RS: Pose, axes: tuple[int, int]) -> Iterator[Array]:
-    """Yield the outline of each shape, seen along the axis that is not among these of the rover frame.
-
-    Yields:
-        Corners [m] of a convex polygon, shape (n, 2).
-    """
+    """Yield the convex outline, (n, 2) [m], of each shape along the axis of the rover that is not given."""
     signs = np.array(list(product((-1.0, 1.0), repeat=3))).T
     for k in range(boxes.part.size):
         # a box as large as the rounded one: its corners are outside of the shape by less than its radius

@@ -143,11 +143,7 @@ def _embed(svg: str, alt: str) -> str:
 def save_figure(
     path: Path, size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]
 ) -> str | None:
-    """Draw a figure and save it as PNG; return the reason if there is none, as matplotlib is missing.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Draw a figure as PNG, BadOutput if that fails; return why there is none, without matplotlib."""
     os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
     try:
         import matplotlib

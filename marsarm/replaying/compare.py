@@ -126,16 +126,10 @@ MIN_DIFFERENCE: Final = np.finfo(np.float64).smallest_subnormal.item()
 
 
 def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
-    """Compute the absolute difference of each pair of numbers.
+    """Compute the absolute difference of each pair of numbers, (...): 0 only if they are the same.
 
-    Args:
-        a: Numbers, shape (...).
-        b: Numbers, same shape and unit.
-        tolerance: Relative tolerance for numbers beyond 1, absolute below; 0 compares bit for bit.
-
-    Returns:
-        Differences, same shape and unit: 0 only if the numbers are the same, infinite if only one of them is
-        NaN, at least MIN_DIFFERENCE if they differ, as 0.0 and -0.0 do.
+    It is infinite if only one of them is NaN, and at least MIN_DIFFERENCE if they differ, as 0.0 and -0.0 do.
+    The tolerance is relative for numbers beyond 1, absolute below; 0 compares bit for bit.
     """
     x, y, least = a.astype(np.float64), b.astype(np.float64), MIN_DIFFERENCE
     with np.errstate(invalid="ignore", over="ignore"):
@@ -229,15 +223,11 @@ def compare_behaviours(
     tolerance: float = 0.0,
     chosen: ChannelFilter = lambda topic, field: True,
 ) -> Differences:
-    """Compare two runs; NaN equals NaN.
+    """Compare two runs, in chosen channels, lengths and events; NaN equals NaN.
 
     Flight software always reports that it has booted. A log without any event therefore has another source,
-    such as an imported table, and topics that it lacks are not compared.
-
-    Args:
-        tolerance: Relative tolerance for floats beyond 1, absolute below; 0 compares bit for bit. Integers
-            and flags must be equal.
-        chosen: Channels to compare; lengths and events are always compared.
+    such as an imported table, and topics that it lacks are not compared. The tolerance is that of
+    `array_difference`; integers and flags must be equal.
     """
     is_imported = not recorded.evrs and recorded.ticks > 0
     lacking = [topic for topic in replayed.series if topic not in recorded.series] if is_imported else []

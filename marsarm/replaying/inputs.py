@@ -55,12 +55,9 @@ class Inputs:
 
 
 def inputs_from_log(log: Log) -> Inputs:
-    """Return the inputs of flight software in a log.
+    """Return the inputs of flight software in a log; NotReplayable if it lacks one, or has one not known.
 
     If the log is truncated or messages are missing, they end with the last tick that is complete.
-
-    Raises:
-        NotReplayable: the log lacks an input, or this version of flight software does not know it.
     """
     notes: list[str] = [] if not log.trailing_bytes else [trailing_bytes_text(log.trailing_bytes)]
     if log.interrupted_by:

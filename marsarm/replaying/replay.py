@@ -65,11 +65,7 @@ class ReplayReport:
 
 
 def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayReport:
-    """Replay a log and compare the outputs.
-
-    Raises:
-        BadRequest: the log or the parameters cannot be read or used, or there is nothing to compare.
-    """
+    """Replay a log and compare the outputs; BadRequest if something given cannot be used or compared."""
     try:
         log = read_log(request.log)
         if f'"{IMPORT}"' in log.header.get("request", ""):
@@ -105,11 +101,7 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
 
 
 def run_flight_software(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:
-    """Run today's flight software on recorded inputs, up to the end or a software error.
-
-    Returns:
-        Outputs of each cycle.
-    """
+    """Run today's flight software on recorded inputs, to their end or a software error; outputs by cycle."""
     config = configure(params)
     state = boot(config, inputs.mode, inputs.reference)
     last = outputs_at_rest(state)

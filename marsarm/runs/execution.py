@@ -85,11 +85,7 @@ class Artifacts:
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationResult:
-    """Find the hardstop of every joint in turn, until one fails; return the last result.
-
-    Raises:
-        Exception: the one that ended flight software.
-    """
+    """Find the hardstop of every joint until one fails; return the last result, or raise what ended a run."""
     initialising = part_of(progress, 0.0, INITIALISATION_SHARE)
     initialising(0, len(HARDSTOP_ORDER), "initialising")
     for number, last in enumerate(initialise_joints(arm, seed=seed), 1):
@@ -244,12 +240,7 @@ def open_view(
     """Open what records the runs of a block for a page, and a viewer if one is wanted; None if neither is.
 
     A viewer is stopped if the block fails, or no run begins in it. Else it stays open, to play them again.
-
-    Args:
-        effects: Effects beyond those of the arm.
-
-    Raises:
-        BadRequest: the viewer cannot be opened.
+    Effects are those beyond the arm's. BadRequest says that the viewer cannot be opened.
     """
     if not files.view and files.page is None:
         yield None

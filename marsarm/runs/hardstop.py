@@ -108,11 +108,7 @@ def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> Hard
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
-    """Check a request, before anything moves or is written, and build its job.
-
-    Raises:
-        BadRequest: the request is wrong.
-    """
+    """Check a request before anything moves or is written, BadRequest if it is wrong, and build its job."""
     check_options(request)
     if request.temperature_C is not None and request.repeat > 1:
         raise BadRequest("temperature: is another in each of several repetitions; give no --temperature")
@@ -228,11 +224,7 @@ class StopPlan:
 
 
 def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
-    """Plan the poses for Mars with the turret, and for Earth without it with equal joint torques.
-
-    Raises:
-        BadRequest: the request is wrong, has options of a motion, or there is no such plan.
-    """
+    """Plan poses for Mars with the turret, and for Earth without it at equal torques; BadRequest if none."""
     of_motion = {
         "--joint": request.joint is not None,
         "--start": request.start_deg is not None,
@@ -262,11 +254,7 @@ def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
 
 
 def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
-    """Save the figure of the first run of each joint as PNG; return the reason if there is none.
-
-    Raises:
-        BadOutput: the file cannot be written.
-    """
+    """Save the figure of each joint's first run as PNG, BadOutput if that fails; return why there is none."""
     samples_by_joint = _samples_by_joint(runs)
     rows = max(len(samples_by_joint), 1)
 

@@ -45,11 +45,7 @@ class PlaceJob:
 
 
 def prepare_placement(request: PlaceRequest) -> PlaceJob:
-    """Check a request, before anything moves or is written, and build its job.
-
-    Raises:
-        BadRequest: the request is wrong, or the target cannot be reached.
-    """
+    """Check a request before anything moves, BadRequest if it is wrong or out of reach, and build its job."""
     check_options(request)
     if request.files.movie is not None:
         check_movie_path(request.files.movie)

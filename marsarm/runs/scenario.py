@@ -52,11 +52,7 @@ class RunReport:
 
 
 def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunReport:
-    """Carry out a scenario.
-
-    Raises:
-        BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
-    """
+    """Carry out a scenario; BadRequest, before anything moves or is written, if it is wrong."""
     scenario, arm = _prepare(request)
     title = f"{scenario.title} on arm {arm.name}"
     check_unlocked(request.files.log, "log")

@@ -26,10 +26,8 @@ class BadJson(ValueError):
 def record_to_json(value: Any) -> Any:
     """Encode a record, or a value in it, as JSON: fields by name, enums by name, tuples and arrays as lists.
 
-    Floats read back bit for bit. NaN and infinities are written as Python's `json` writes them.
-
-    Raises:
-        SchemaError: a value has no JSON type.
+    Floats read back bit for bit. NaN and infinities are written as Python's `json` writes them. SchemaError
+    says that a value has no JSON type.
     """
     match value:
         case IntEnum():
@@ -47,20 +45,10 @@ def record_to_json(value: Any) -> Any:
 
 
 def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: Any = None) -> Any:
-    """Decode a value of a type that `record_to_json` encoded.
+    """Decode a value of a type, a record or a field, that `record_to_json` encoded; BadJson if it is not.
 
     Another version may have written other fields. Unknown fields are left out; missing fields are taken from
-    `base` or from their defaults.
-
-    Args:
-        kind: Type of the value: a record, or the annotation of a field.
-        value: Parsed JSON.
-        place: Dotted name of the value, for messages.
-        notes: List that receives a sentence for each unknown or missing field.
-        base: Record that gives missing fields; None for the defaults.
-
-    Raises:
-        BadJson: a value is not of its type, or a field is missing and has no default.
+    `base` or from their defaults. A sentence for each is added to `notes`.
     """
     if value is None and NoneType in get_args(kind):
         return None
@@ -87,11 +75,7 @@ def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: 
 
 
 def command_from_json(name: str, arguments: Any, notes: list[str]) -> Command:
-    """Decode a command from its name and its arguments.
-
-    Raises:
-        BadJson: there is no such command, or an argument is wrong.
-    """
+    """Decode a command from its name and its arguments; BadJson if one of them is wrong."""
     kind = COMMAND_TYPES[_check_choice(tuple(COMMAND_TYPES), name, "command")]
     command: Command = record_from_json(kind, arguments, name, notes)
     return command
@@ -194,11 +178,7 @@ class LogEntry:
 
     @classmethod
     def decode(cls, message: bytes) -> Self:
-        """Decode a message that `encode` made.
-
-        Raises:
-            struct.error, UnicodeDecodeError, ValueError: the message is damaged.
-        """
+        """Decode what `encode` made; struct.error, UnicodeDecodeError or ValueError if it is damaged."""
         values: list[int | str] = []
         at = len(ENCAPSULATION)
         for kind in get_type_hints(cls).values():

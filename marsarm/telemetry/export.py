@@ -72,12 +72,8 @@ def export(
     """Write topics to one file, or to one file each in a folder; all files appear together at the end.
 
     Args:
-        out: File for one topic, or folder.
         topics: Topics to write; all if empty.
         kind: Suffix of the files in a folder.
-
-    Returns:
-        File of each topic.
 
     Raises:
         BadRequest: the log has no such topic, or a file is the log itself.
@@ -104,11 +100,7 @@ def export(
 
 
 def _make_folder(out: Path) -> bool:
-    """Make the folder if it does not exist, and return whether it was made.
-
-    Raises:
-        BadOutput: the folder cannot be made.
-    """
+    """Make the folder if it does not exist, BadOutput if that fails, and return whether it was made."""
     if out.suffix in TABLE_SUFFIXES or os.path.isdir(out):
         return False
     try:

@@ -255,11 +255,7 @@ def known_targets() -> dict[str, ChannelTarget]:
 
 
 def _custom_target(where: str, name: str, table: ChannelTable) -> ChannelTarget:
-    """Return a channel that only the table has; the end of its name is the unit in the log.
-
-    Raises:
-        RobotError: the name is wrong.
-    """
+    """Return a channel that only the table has, by a name that ends in a unit; RobotError if it is wrong."""
     if not name.startswith(IMPORT_PREFIX):
         near = get_close_matches(name, known_targets(), 1)
         hint = f"did you mean {near[0]!r}? " if near else ""

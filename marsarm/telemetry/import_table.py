@@ -79,12 +79,7 @@ class ImportedLog:
 
 
 def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> ImportedLog:
-    """Write the log of a table.
-
-    Raises:
-        BadRequest: the path of the log is wrong; nothing was written.
-        RobotError: the table or the mapping is wrong; nothing was written.
-    """
+    """Write the log of a table; BadRequest if its path is wrong, RobotError if table or mapping is."""
     check_distinct_files({"table": table, "mapping": mapping, "OUT": log})
     check_output(log, (".mcap",), "OUT")
     progress(0, 2, "reading the table")
@@ -273,11 +268,7 @@ def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:
 
 
 def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
-    """Write a closed log, messages in order of time; it has no channel for commands, which are unknown.
-
-    Raises:
-        OSError: the disk is full or gone.
-    """
+    """Write a closed log in order of time, without commands, which are unknown; OSError if that fails."""
     writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
     messages = [zip(one.ticks.tolist(), repeat(one.spec.id), one.data, strict=False) for one in made.series]
     for tick, channel, message in merge(*messages, key=itemgetter(0)):

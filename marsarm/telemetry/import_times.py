@@ -57,11 +57,7 @@ class RowSelection:
 
 
 def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
-    """Return the times of the rows of a column.
-
-    Raises:
-        RobotError: a row has no time, or its time is not after that of the row before.
-    """
+    """Return the times of the rows of a column; RobotError if one is missing or not after the row before."""
     time_s = _times_s(log, time, column)
     if time_s.size != column.value.size:
         raise RobotError(
@@ -112,11 +108,7 @@ def _times_s(log: LogFile, time: GridTime, column: Column) -> Cycles:
 
 
 def check_grid(times: RowTimes, time: GridTime) -> None:
-    """Check that each cycle has one row, if the grid is "exact".
-
-    Raises:
-        RobotError: a row is missing or not on the grid; the message says what to write under [time].
-    """
+    """Check that each cycle of an "exact" grid has one row; RobotError says what to write under [time]."""
     if time.grid != "exact":
         return
     ticks = np.rint(times.cycles)
@@ -145,14 +137,7 @@ def check_grid(times: RowTimes, time: GridTime) -> None:
 
 
 def pick_rows(times: RowTimes, time: GridTime, rows: Rows) -> RowSelection:
-    """Select the rows that become the messages of a topic.
-
-    Args:
-        rows: One or more rows with values, shape (k,).
-
-    Raises:
-        RobotError: two rows are in one cycle or too far apart, or there are too many messages.
-    """
+    """Select messages of a topic from rows with values, (k,); RobotError for two in one cycle or too many."""
     at = times.cycles[rows]
     if time.grid in ("exact", "nearest"):
         ticks = np.rint(at).astype(np.int64)

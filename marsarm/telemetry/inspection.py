@@ -64,11 +64,7 @@ def index_text(index: tuple[int, ...]) -> str:
 
 
 def bound_ns(option: str, time_s: float | None) -> int | None:
-    """Convert a bound of log time to nanoseconds; None stays None.
-
-    Raises:
-        BadRequest: no log has this time.
-    """
+    """Convert a bound of log time to nanoseconds, None to None; BadRequest if no log has this time."""
     if time_s is None:
         return None
     if not 0.0 <= time_s < MAX_LOG_S:
@@ -85,10 +81,7 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
     """Select the channels that match any of some patterns, in their order; all without a pattern.
 
     A pattern is /joint.motor_rad or /joint/motor_rad. `*` stands for any letters. An index such as [2] at the
-    end selects one number.
-
-    Raises:
-        BadRequest: a pattern matches no channel.
+    end selects one number. BadRequest says that a pattern matches none.
     """
     every = [
         ChannelSeries(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
@@ -132,12 +125,7 @@ COLOURS: Final = {"warning": "#c1121f", "command": "#31688e", "other": "0.75"}
 
 
 def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
-    """Save the figure as PNG; return the reason if there is none, as matplotlib is missing.
-
-    Raises:
-        BadRequest: there are more channels than panels.
-        BadOutput: the file cannot be written.
-    """
+    """Save the figure as PNG, BadRequest for too many channels, else BadOutput; return why there is none."""
     if len(channels) > MAX_PANELS:
         raise BadRequest(
             f"{len(channels)} channels are selected; a figure has room for {MAX_PANELS}; "

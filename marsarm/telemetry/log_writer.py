@@ -109,11 +109,7 @@ class ChunkWriter:
         channels: Sequence[Channel],
         chunk_cycles: int,
     ) -> None:
-        """Write metadata, schemas and channels; the last two go into a chunk, so that they have a CRC.
-
-        Raises:
-            OSError: the disk is full or gone.
-        """
+        """Write metadata, then schemas and channels in a chunk, which has a CRC; OSError if that fails."""
         self._file = file
         self._compressor = ZstdCompressor(level=COMPRESSION_LEVEL)
         self._size, self._crc = 0, 0
@@ -137,11 +133,7 @@ class ChunkWriter:
         self._write_chunk(encode_records(*schemas, *channels), 0, 0, {})
 
     def add(self, time_ns: int, messages: Sequence[tuple[int, bytes]]) -> None:
-        """Add messages of one time by channel, numbered here; a full chunk goes to the operating system.
-
-        Raises:
-            OSError: the disk is full or gone.
-        """
+        """Add messages of one time by channel, numbered here, and write a full chunk; OSError if it fails."""
         first_ns = self._first_ns = time_ns if self._first_ns is None else self._first_ns
         for channel, body in messages:
             length = MESSAGE_HEADER.size - RECORD_HEAD.size + len(body)
@@ -157,11 +149,7 @@ class ChunkWriter:
             self._close_chunk(first_ns)
 
     def finish(self, metadata: Sequence[Metadata]) -> None:
-        """Write the waiting cycles, metadata and the summary, and close the file.
-
-        Raises:
-            OSError: the disk is full or gone.
-        """
+        """Write waiting cycles, metadata and summary, and close the file; OSError if the disk is full."""
         with self._file:
             if self._error is not None:
                 raise OSError(self._error.errno, self._error.strerror)

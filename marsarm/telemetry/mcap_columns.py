@@ -80,11 +80,7 @@ class McapContent:
 
 
 def read_records(data: bytes) -> McapContent:
-    """Split a log into records, up to the end of its data or the place where it was cut.
-
-    Raises:
-        CorruptData: a record is damaged.
-    """
+    """Split a log into records, to the end of its data or where it was cut; CorruptData if one is damaged."""
     found = McapContent()
     while found.end + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, found.end)
@@ -146,11 +142,7 @@ def _check_chunks(found: McapContent, data: bytes, end: int) -> None:
 
 
 def unpack_chunk(chunk: Chunk) -> bytes:
-    """Decompress the records of a chunk and check their CRC.
-
-    Raises:
-        ZstdError, ValueError: the data is damaged.
-    """
+    """Decompress the records of a chunk and check their CRC; ZstdError or ValueError if they are damaged."""
     # Checked first: a damaged size could reserve any amount of memory.
     size = chunk.uncompressed_size
     if (
@@ -166,11 +158,7 @@ def unpack_chunk(chunk: Chunk) -> bytes:
 
 
 def message_starts(plain: bytes) -> list[int]:
-    """Return the byte where each message of a decompressed chunk begins.
-
-    Raises:
-        ValueError: the records do not fill the chunk.
-    """
+    """Return where each message of a decompressed chunk begins; ValueError if records do not fill it."""
     starts, at = [], 0
     try:
         while at < len(plain):
@@ -217,11 +205,7 @@ class MessageBatch:
 
 
 def read_batches(chunks: Sequence[tuple[int, Chunk]]) -> Iterator[MessageBatch]:
-    """Yield the messages of chunks in batches of about BATCH_BYTES.
-
-    Raises:
-        CorruptData: a chunk does not match its CRC, or does not consist of records.
-    """
+    """Yield messages of chunks in batches of about BATCH_BYTES; CorruptData if a chunk is damaged."""
     parts: list[bytes] = []
     starts: list[int] = []
     size = 0

@@ -140,11 +140,7 @@ def read_log(
 
 
 def read_log_bytes(path: Path) -> bytes:
-    """Read the content of a file.
-
-    Raises:
-        LogNotReadable: it cannot be read, is no regular file, or is larger than any log.
-    """
+    """Read a file; LogNotReadable if it cannot be read, is no regular file, or is larger than any log."""
     try:
         return read_bytes(path, MAX_LOG_BYTES, "a log, such as run.mcap")
     except RobotError as error:
@@ -172,12 +168,7 @@ def parse_log(path: Path, data: bytes, selection: LogSelection = WHOLE_LOG) -> L
 
 
 def checked_header(path: Path, found: McapContent) -> dict[str, str]:
-    """Return the header of a log of a known format, after a check of its CRC.
-
-    Raises:
-        LogNotReadable: it is no marsarm log, or ends before its header.
-        CorruptData: the header does not match its CRC.
-    """
+    """Return the header of a log; LogNotReadable if it is none of ours, CorruptData if its CRC is wrong."""
     about, header = found.metadata.get(FORMAT_RECORD), found.metadata.get(HEADER_RECORD)
     if about is None:
         raise LogNotReadable(path, "an MCAP file, but not a marsarm log, or cut short before its header")
@@ -256,13 +247,7 @@ def _take_messages(
 def _check_messages(topic: str, heads: NDArray[np.void], from_start: bool, one_a_cycle: bool) -> None:
     """Check that sequence numbers are consecutive, from 0 if `from_start`, and that times do not go back.
 
-    Args:
-        heads: Heads of the messages, type MESSAGE_DTYPE, shape (n,).
-        from_start: Whether the first message of the topic is here.
-        one_a_cycle: Whether times rise strictly.
-
-    Raises:
-        ValueError: a message is missing or out of order.
+    Heads are of MESSAGE_DTYPE, (n,); with one message a cycle, times rise strictly. Else it is a ValueError.
     """
     sequence, time_ns = heads["sequence"].astype(np.int64), heads["time_ns"]
     first = 0 if from_start or not len(sequence) else int(sequence[0])

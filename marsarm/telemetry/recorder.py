@@ -96,11 +96,7 @@ def run_header(
     effects: Sequence[Effect] = (),
     world: World | None = None,
 ) -> dict[str, str]:
-    """Return the header of a run that has not begun; effects are those beyond the arm's.
-
-    Raises:
-        ValueError: the run has begun, so the start conditions are no longer known.
-    """
+    """Return the header of a run, with effects beyond the arm's; ValueError if it has begun."""
     return {
         **flight_header(loop, commands),
         "arm": arm,
@@ -113,11 +109,7 @@ def run_header(
 
 
 def flight_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str]:
-    """Return the part of the header that knows nothing of the plant: versions, start conditions and commands.
-
-    Raises:
-        ValueError: the run has begun.
-    """
+    """Return what knows nothing of the plant: versions, start, commands; ValueError if the run has begun."""
     if loop.state.tick != 0:
         raise ValueError(f"the run is at tick {loop.state.tick}; a log begins with flight software's first")
     return {
@@ -169,11 +161,7 @@ NOT_CLOSED: Final = "a recorder that nobody closed"
 def create_log(
     path: Path, header: Mapping[str, str], channels: tuple[TopicSpec, ...], chunk_cycles: int
 ) -> ChunkWriter:
-    """Replace the file at `path` by a log with header and channels, and return its writer.
-
-    Raises:
-        LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
-    """
+    """Replace a file by a log with header and channels; LogNotWritable, and the old file, if that fails."""
     try:
         target = Path(os.path.realpath(path))  # a link stays a link
         check_output(target, (target.suffix.lower(),), "log")
@@ -317,12 +305,7 @@ def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:
 def record_commands(
     path: Path | str, loop: ClosedLoop, *commands: Command, stop_when: Callable[[CycleRecord], bool] = never
 ) -> SequenceResult:
-    """Run commands as `run_commands` does, and write the log of a run that has not begun.
-
-    Raises:
-        LogNotWritable: the file cannot be written.
-        ValueError: the run has begun, or flight software would refuse a command for an argument.
-    """
+    """Run commands as `run_commands` does, and write the log; LogNotWritable, or ValueError for a command."""
     commands = tuple(_read_command(loop, command) for command in commands)
     setup = loop.setup
     drawn = _effects_by_name(setup.arm.name)

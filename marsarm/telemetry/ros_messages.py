@@ -54,12 +54,7 @@ class RosEncoder:
     """
 
     def __init__(self, config: Config, scene: DrawnScene | None = None) -> None:
-        """Prepare the messages.
-
-        Args:
-            config: Configuration of the arm.
-            scene: Visible shapes of the run; None for a log without a robot description.
-        """
+        """Prepare the messages of an arm, and of the scene of the run, without robot description for None."""
         self._config, self._is_first = config, True
         self._fixed = fixed_frames(config.arm, {} if scene is None else scene.frames)
         self._turning = turning_frames(config)

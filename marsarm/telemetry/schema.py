@@ -245,11 +245,7 @@ class Layout:
 
     @classmethod
     def from_json(cls, text: str) -> "Layout":
-        """Decode a layout that `to_json` encoded; comments are lost.
-
-        Raises:
-            TypeError, ValueError: the text is not a layout of numbers.
-        """
+        """Decode what `to_json` encoded, without comments; TypeError or ValueError if it is no layout."""
         rows = json.loads(text)
         if not all(NUMBER.fullmatch(kind) for _, kind, _ in rows):
             raise ValueError(f"a field is no number: {text}")
@@ -310,13 +306,10 @@ def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
 
 
 def packet_layout(packet: type, names: Iterable[str], arm: ArmNames) -> Layout:
-    """Return the layout of fields of a packet, from its annotations.
+    """Return the layout of fields of a packet, from its annotations; SchemaError if ROS 2 cannot have one.
 
     Fields are ordered by size, the largest first, and within a size single numbers before arrays. This order
     needs no padding.
-
-    Raises:
-        SchemaError: a field has no fixed layout, or its name in lower case is taken or not legal in ROS 2.
     """
     hints = get_type_hints(packet, include_extras=True)
     fields = [packet_field(packet, name, hints[name], arm) for name in names]

@@ -203,8 +203,7 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
 def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
     """Return the channels that a header lists, by rising number; the comments of definitions are lost.
 
-    Raises:
-        KeyError, TypeError, AttributeError, ValueError: the header lists no channels, or is damaged.
+    A damaged header raises KeyError, TypeError, AttributeError or ValueError.
     """
     listed = json.loads(header[CHANNELS_KEY])
     return tuple(sorted((_decode_topic(*one) for one in listed.items()), key=lambda one: one.id))
@@ -254,10 +253,6 @@ def begin_log(
     more: Sequence[Metadata] = (),
     chunk_cycles: int = CHUNK_CYCLES,
 ) -> ChunkWriter:
-    """Begin a log with a header, more metadata, and channels, and return its writer.
-
-    Raises:
-        OSError: the disk is full or gone.
-    """
+    """Begin a log with a header, more metadata, and channels; OSError if the disk is full or gone."""
     metadata = [*header_records({**header, CHANNELS_KEY: encode_topics(channels)}), *more]
     return ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)

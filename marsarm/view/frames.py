@@ -73,11 +73,7 @@ class Samples:
 
     @classmethod
     def of_log(cls, log: Log) -> Self:
-        """Select the samples of a log, at most MOST_SAMPLES, at regular times.
-
-        Raises:
-            BadRequest: the log has no joints, or no gravity.
-        """
+        """Select at most MOST_SAMPLES of a log at regular times; BadRequest without joints or gravity."""
         missing = [topic for topic in ("/joint", "/sensors") if topic not in log.packets]
         if missing:
             raise BadRequest(f"log {log.path}: has no {missing[0]}, which a view needs; record it with --log")
@@ -182,8 +178,7 @@ class ViewFrames:
     def arm_at(self, offset: NDArray[np.float32], time_s: float, factor: float) -> tuple[Array, Array]:
         """Compute the poses of one arm, `true` or `believed`, at a time, with its offsets times a factor.
 
-        Returns:
-            Positions, shape (b + 1, 3), and quaternions x, y, z, w, shape (b + 1, 4).
+        They are positions, (b + 1, 3), and quaternions x, y, z, w, (b + 1, 4).
         """
         added = factor * self.between(offset, time_s)
         rigid = Rotation.from_quat(self.between(self.q, time_s))
@@ -231,18 +226,11 @@ class ViewFrames:
 def compute_frames(
     scene: Scene, samples: Samples, believed_arm: Arm, true_arm: Arm, surface_normal_R: Array | None
 ) -> ViewFrames:
-    """Compute the frames of a run.
+    """Compute the frames of a run, by the parameters of flight software and as the arm was built.
 
     The springs of the true arm are in equilibrium with gravity and with the contact force: the arm is slow.
-
-    Args:
-        samples: Samples of the run, from a log or from its cycles.
-        believed_arm: Arm by the parameters of flight software.
-        true_arm: Arm as it was built.
-        surface_normal_R: Unit vector out of the surface in the rover frame, shape (3,); None for no surface.
-
-    Raises:
-        BadRequest: no sample has angles of all joints and gravity, or one has a tool that the arm lacks.
+    The unit normal of the surface is in the rover frame, (3,). BadRequest says that no sample has all angles
+    and gravity, or that one has a tool that the arm lacks.
     """
     samples = samples.select_known()
     if not len(samples.time_s):

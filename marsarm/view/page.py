@@ -145,11 +145,7 @@ class ViewReport:
 
 
 def view(request: ViewRequest, progress: Progress) -> ViewReport:
-    """Prepare the view of a log: write its page, or open the viewer.
-
-    Raises:
-        BadRequest: the request or the log is wrong, or the viewer cannot be opened.
-    """
+    """Prepare the view of a log: write its page, or open the viewer; BadRequest if something is wrong."""
     check_options(request)
     progress(0, 2, "reading")
     run = watch_log(request.log)

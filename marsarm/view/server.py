@@ -117,16 +117,9 @@ class Viewer:
     """Viewer of one run, live or recorded; a context manager that stops its server."""
 
     def __init__(self, scene: Scene, port: int, title: str, otherwise: str) -> None:
-        """Start the server, which prints its address.
+        """Start the server from a port on, and print its address; BadRequest without viser or a free port.
 
-        Args:
-            scene: Scene of the run.
-            port: First port to try.
-            title: Title of the page.
-            otherwise: Advice for an error: how the command works without a viewer.
-
-        Raises:
-            BadRequest: viser is missing, or no port is free.
+        `otherwise` is advice for an error: how the command works without a viewer.
         """
         self._server = open_server(port, title, otherwise)
         self._stage = Stage(self._server, scene)
@@ -234,11 +227,7 @@ def end_by_ctrl_c() -> Iterator[None]:
 
 
 def open_server(port: int, title: str, otherwise: str) -> Any:
-    """Start viser on the loopback interface, and print its address on standard error.
-
-    Raises:
-        BadRequest: viser is missing, or the port cannot be opened.
-    """
+    """Start viser on loopback, and print its address on standard error; BadRequest if that is impossible."""
     try:
         import viser
     except ImportError as error:
@@ -301,11 +290,7 @@ class LiveView(RecordedRun):
     """Viewer that is fed with the cycles of a run; a context manager that stops it."""
 
     def __init__(self, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]) -> None:
-        """Open the viewer of a run, which is described as for a recorded one.
-
-        Raises:
-            BadRequest: the viewer cannot be opened.
-        """
+        """Open the viewer of a run, described as for a recorded one; BadRequest if that is impossible."""
         super().__init__(title, world, arm, effects)
         self._viewer = Viewer(self._surroundings.scene, DEFAULT_PORT, title, "leave out --view")
         self._trail: Trail | None = None
@@ -341,11 +326,7 @@ class LiveView(RecordedRun):
         return whole
 
     def play(self) -> None:
-        """Play the whole run until the user presses Ctrl-C.
-
-        Raises:
-            BadRequest: no sample of the run can be drawn.
-        """
+        """Play the whole run until the user presses Ctrl-C; BadRequest if no sample can be drawn."""
         with self:
             scene, frames = self._surroundings.scene, self._frames(slice(None))
             self._viewer.play(WatchedRun(self._title, (), (), scene, frames, tuple(self._events)))

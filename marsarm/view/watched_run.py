@@ -104,11 +104,7 @@ def build_surroundings(
 
 
 def watch_log(path: Path) -> WatchedRun:
-    """Prepare a log for a view.
-
-    Raises:
-        BadRequest: the log cannot be read, has no joints, or is of a drawing that this machine does not have.
-    """
+    """Prepare a log for a view; BadRequest if it cannot be read or drawn on this machine."""
     log = read_log(path, ("/joint", "/sensors", "/truth", "/tool", EVR_TOPIC))
     notes: list[str] = []
     try:
@@ -212,14 +208,7 @@ class RecordedRun:
     """Samples and events of a run, or of several that follow each other."""
 
     def __init__(self, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]) -> None:
-        """Begin without any sample.
-
-        Args:
-            title: Title of the run.
-            world: World of the run.
-            arm: Arm with its flight parameters.
-            effects: Effects beyond those of the arm.
-        """
+        """Begin a run without any sample, with the effects beyond those of the arm."""
         self._title = title
         self._surroundings = build_surroundings(world, arm.params, (*arm.effects, *effects), arm.model)
         self._records: list[CycleRecord] = []
@@ -265,14 +254,7 @@ class RecordedRun:
         return self._surroundings.frames(samples)
 
     def collect(self, header: Mapping[str, str]) -> WatchedRun:
-        """Return the run for a page, with at most MOST_SAMPLES at regular times.
-
-        Args:
-            header: What identifies the run, as in the header of its log.
-
-        Raises:
-            BadRequest: no sample of the run can be drawn.
-        """
+        """Return the run for a page, of at most MOST_SAMPLES; BadRequest if none can be drawn."""
         frames = self._frames(slice(None, None, -(-len(self._times_s) // MOST_SAMPLES)))
         scene = self._surroundings.scene
         return WatchedRun(self._title, list_facts(header), (), scene, frames, tuple(self._events))

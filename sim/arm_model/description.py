@@ -288,11 +288,7 @@ _ADAPTER: Final = TypeAdapter(ArmDescription)
 
 
 def read_description(text: str, path: str) -> ArmDescription:
-    """Read the text of an `arm.toml`.
-
-    Raises:
-        BadArm: fields in it are missing, not known or of a wrong type; the message names each.
-    """
+    """Read the text of an `arm.toml`; BadArm names each field missing, not known or of a wrong type."""
     try:
         table = parse_toml(text, path)
     except RobotError as error:

@@ -186,15 +186,7 @@ def has_description(name: str) -> bool:
 
 
 def load_arm(name: str) -> ArmModel:
-    """Make an arm from its files.
-
-    Args:
-        name: Name of an arm of the project, or a folder with an `arm.toml`.
-
-    Raises:
-        BadArm: there is no such arm, or its description is wrong.
-        BadParams: flight software does not accept its parameters.
-    """
+    """Make an arm of the project, or of a folder with an `arm.toml`; BadArm or BadParams if it is wrong."""
     folder = arm_folder(name)
     path = folder / FILE_NAME
     if not has_description(name):

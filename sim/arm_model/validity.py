@@ -25,11 +25,7 @@ OTHER_BODIES: Final = re.compile(
 
 
 def check_description(arm: ArmDescription, path: str) -> None:
-    """Check the description of an arm.
-
-    Raises:
-        BadArm: numbers are outside their limits, or names lead nowhere; the message names each.
-    """
+    """Check the description of an arm; BadArm names each number off limits and name that leads nowhere."""
     problems = [
         *_check_numbers(arm),
         *_check_joints(arm),
@@ -208,13 +204,7 @@ def _check_shape(shape: Shape, most_m: float = 1.0) -> Iterator[str]:
 
 
 def reserved_of_flight(own: dict[str, Any], shared: dict[str, Any], flight: dict[str, Any]) -> Iterator[str]:
-    """Yield each place of `[flight]` that another table of the description sets.
-
-    Args:
-        own: Flight parameters that the other tables make.
-        shared: Flight parameters that do not depend on the arm.
-        flight: Table `[flight]`.
-    """
+    """Yield each place of the table `[flight]` that own tables of a drawing set, but not the shared ones."""
     for key, value in flight.items():
         if key not in own:
             continue

@@ -90,11 +90,7 @@ def has_flight_parameter(kind: type[Effect]) -> bool:
 
 
 def place_fields_of(kind: type[Effect], tools: Sequence[str] | None = None) -> tuple[PlaceField, ...]:
-    """List the fields of an effect whose type is a joint, a frame, a tool or a literal.
-
-    Args:
-        tools: Tools of the arm; None for those of the default arm.
-    """
+    """List the fields of an effect that are a joint, a frame, a tool (None: default ones) or a literal."""
     hints = get_type_hints(kind, include_extras=True)
     found = []
     for field in fields(kind):
@@ -125,14 +121,7 @@ def parameters_of(kind: type[Effect]) -> tuple[ParameterField, ...]:
 
 
 def all_places(kind: type[Effect], tools: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
-    """List every place that an effect accepts.
-
-    Args:
-        tools: Tools of the arm; None for those of the default arm.
-
-    Yields:
-        Field values by field name.
-    """
+    """Yield every place that an effect accepts, by field name; tools are the default ones for None."""
     place_fields = place_fields_of(kind, tools)
     choices = [[*([None] if field.optional else []), *field.members.values()] for field in place_fields]
     values = {p.field: _neutral_value(p) for p in parameters_of(kind)}
@@ -225,11 +214,7 @@ class EffectHypothesis:
 
 
 def scaled_value(parameter: ParameterField, times: float) -> float:
-    """Return the value that is `times` typical departures from neutral.
-
-    Raises:
-        ValueError: the parameter has no neutral value.
-    """
+    """Return the value `times` typical departures from neutral; ValueError without a neutral value."""
     spec = parameter.spec
     if spec is None or spec.neutral is None:
         raise ValueError(f"{parameter.field} has no neutral value")

@@ -56,11 +56,7 @@ class SensorError(Protocol):
 def apply_sensor_errors(
     sensor_errors: tuple[SensorError, ...], sensors: Sensors, rng: np.random.Generator
 ) -> tuple[Sensors, tuple[SensorError, ...]]:
-    """Apply all sensor errors to the readings, in the order in which they began.
-
-    Returns:
-        The readings, and the errors to apply in the next cycle.
-    """
+    """Apply sensor errors to readings as they began; return readings, and the errors of the next cycle."""
     updated = []
     for error in sensor_errors:
         updated.append(error.update(sensors))
@@ -276,11 +272,7 @@ class EffectMisfit(ValueError):
 
 
 def check_effects(effects: Iterable[Effect], params: Params) -> None:
-    """Check that the arm of these parameters can have these effects.
-
-    Raises:
-        EffectMisfit: an effect is at a tool or a contact switch that the arm does not have.
-    """
+    """Check that the arm of these parameters can have these effects; EffectMisfit if it lacks a place."""
     for effect in effects:
         problem = effect.find_misfit(params)
         if problem is not None:

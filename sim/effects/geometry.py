@@ -180,11 +180,7 @@ class Warming(Effect):
 
 
 def check_tool(frame: Frame, tool: ToolName | None) -> None:
-    """Check that a tool is given if, and only if, the frame is TOOL.
-
-    Raises:
-        ValueError: the tool is missing, or the frame has none.
-    """
+    """Check that a tool is given if, and only if, the frame is TOOL; ValueError if not."""
     if frame is Frame.TOOL and tool is None:
         raise ValueError("tool: an effect at frame tool names its tool; write tool.NAME")
     if frame is not Frame.TOOL and tool is not None:

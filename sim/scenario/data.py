@@ -207,10 +207,6 @@ class Scenario:
         return replace(self, world=replace(self.world, tilt_roll_rad=roll_rad, tilt_pitch_rad=pitch_rad))
 
     def fit_arm(self, arm: BuiltArm) -> BuiltArm:
-        """Return the arm with those effects of the scenario that it has before the run.
-
-        Raises:
-            EffectMisfit: an effect or a fault is at a tool or a switch that the arm does not have.
-        """
+        """Return the arm with effects that it has before the run; EffectMisfit if it lacks a place."""
         check_effects((injection.fault for injection in self.faults), arm.params)
         return arm.with_effects(self.effects)

@@ -45,11 +45,7 @@ class BadEffect(ValueError):
 
 
 def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
-    """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
-
-    Raises:
-        BadEffect: the name is not known, or its place or its parameters are wrong.
-    """
+    """Make the effect NAME or FILE.py:CLASS:PLACE:PARAMETER=VALUE,...; BadEffect if any of it is wrong."""
     file = FILE_PATTERN.fullmatch(text)
     name, *parts = (part.strip() for part in (text if file is None else file["rest"]).split(":"))
     if file is not None:
@@ -85,11 +81,7 @@ def effect_text(effect: Effect) -> str:
 
 
 def find_effect_class(name: str) -> type[Effect]:
-    """Return the class of an effect by its name in the catalogue, or by FILE.py:CLASS.
-
-    Raises:
-        BadEffect: there is no such class.
-    """
+    """Return a class of effect by its name in the catalogue or by FILE.py:CLASS; BadEffect if it has none."""
     file = FILE_PATTERN.fullmatch(name)
     if file is None and not name.endswith(".py"):
         if name not in catalogue():
@@ -107,11 +99,7 @@ def find_effect_class(name: str) -> type[Effect]:
 def effect_from_fields(
     kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str]
 ) -> Effect:
-    """Make the effect of a table of its fields, for an arm with these tools.
-
-    Raises:
-        BadEffect: a field is missing, not known, or has a wrong value.
-    """
+    """Make the effect of a table of its fields, for an arm with these tools; BadEffect if one is wrong."""
     findings = Findings(tuple(tools))
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
@@ -139,11 +127,7 @@ def read_effect(table: dict[str, Any], place: KeyPath, findings: Findings) -> Ef
 
 
 def read_effect_file(path: Path, tools: Sequence[str]) -> tuple[Effect, ...]:
-    """Read the effects of a file, for an arm with these tools.
-
-    Raises:
-        BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
-    """
+    """Read the effects of a file, for an arm with these tools; BadEffect has a line for each problem."""
     try:
         data = read_toml(path)
     except RobotError as error:
@@ -191,11 +175,7 @@ def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
 
 
 def load_effect_class(path: str, name: str) -> type[Effect]:
-    """Run a Python file and return its class of this name.
-
-    Raises:
-        BadEffect: there is no such file or class, the file cannot be run, or the class is no effect.
-    """
+    """Run a Python file and return its class of this name; BadEffect if that fails, or it is no effect."""
     known = [kind.__name__ for kind in effect_classes_in_file(path)]
     kind = vars(load_module(Path(path))).get(name)
     if not name:

@@ -79,15 +79,7 @@ def built_in_scenarios() -> dict[str, str]:
 
 
 def load_scenario(name: str, arm: str | None = None) -> Scenario:
-    """Load a built-in scenario by name, or a TOML file by path.
-
-    Args:
-        name: Name or path.
-        arm: Arm in place of that of the scenario; tools are those of its drawing.
-
-    Raises:
-        BadScenario: there is none, it cannot be read, or something in it is wrong.
-    """
+    """Load a built-in scenario by name, or a file by path, with another arm; BadScenario if it is wrong."""
     texts = built_in_scenarios()
     if name in texts:
         return parse_scenario(texts[name], name, f"{name}.toml", arm)
@@ -103,16 +95,7 @@ def load_scenario(name: str, arm: str | None = None) -> Scenario:
 
 
 def parse_scenario(text: str, name: str, file: str, arm: str | None = None) -> Scenario:
-    """Parse the text of a scenario.
-
-    Args:
-        text: TOML text.
-        file: Name of the file in messages.
-        arm: Arm in place of that of the scenario.
-
-    Raises:
-        BadScenario: something is wrong; the message has every problem.
-    """
+    """Parse the text of a scenario, with another arm for its own; BadScenario has every problem."""
     try:
         data = parse_toml(text, file)
     except RobotError as error:

@@ -365,11 +365,7 @@ def _surface_normal(scenario: Scenario) -> Array:
 
 
 def _surface(scenario: Scenario) -> Surface:
-    """Return the surface of the world; a scenario file with this check has one.
-
-    Raises:
-        ValueError: the world has no surface.
-    """
+    """Return the surface of the world; a scenario file with this check has one."""
     if scenario.world.surface is None:
         raise ValueError(f"{scenario.name}: a check of contact needs a surface in its world")
     return scenario.world.surface

@@ -76,11 +76,7 @@ class _BadValue(Exception):
 def read_record(
     kind: type[T], table: dict[str, Any], place: KeyPath, findings: Findings, choices: Choices = NO_CHOICES
 ) -> T | None:
-    """Read a table as a dataclass, with those of its fields that a file may set.
-
-    Returns:
-        The dataclass, or None if there are problems, which are added to `findings`.
-    """
+    """Read a table as a dataclass, with fields that a file may set; None adds its problems to `findings`."""
     before = len(findings.problems)
     hints = get_type_hints(kind, include_extras=True)
     words = {f.name: field_keys(f.name, _bare_type(hints[f.name])) for f in fields(kind)}  # type: ignore[arg-type]

@@ -94,11 +94,7 @@ class ScenarioRun:
         self._begun_s = 0.0
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Run the scenario; after a fault, run one cycle more with a command to move.
-
-        Yields:
-            Every cycle.
-        """
+        """Yield every cycle; after a fault, run one cycle more with a command to move."""
         sequence = run_sequence(self._loop, self._scenario.commands)
         self._outcome = yield from observe_cycles(sequence, self._note)
         self._braked = self._loop.braked
@@ -108,11 +104,7 @@ class ScenarioRun:
             yield record
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm in place of the remaining commands.
-
-        Yields:
-            Every cycle.
-        """
+        """Stop the arm in place of the remaining commands, and yield every cycle."""
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._watch)
 
     def progress_at(self, time_s: float) -> tuple[float, int]:
@@ -190,11 +182,7 @@ class NotTaught(RuntimeError):
 def teach(
     arm: BuiltArm, reference: Reference, points: tuple[TaughtPoint, ...], world: World, seed: int = 0
 ) -> BuiltArm:
-    """Return the arm with these places among its parameters.
-
-    Raises:
-        NotTaught: flight software refused or did not complete a move.
-    """
+    """Return the arm with these places among its parameters; NotTaught if a move is not completed."""
     found = tuple(_teach_point(arm, reference, point, world, seed) for point in points)
     names = {point.name for point in found}
     kept = tuple(point for point in arm.params.teach if point.name not in names)

@@ -73,15 +73,7 @@ def read_taught_point(table: dict[str, Any], place: KeyPath, findings: Findings)
 def read_command(
     table: dict[str, Any], place: KeyPath, findings: Findings, points: Mapping[str, str], params: Params
 ) -> Command | None:
-    """Read a command, or return None and report problems.
-
-    Args:
-        findings: Problems to add to.
-        points: Tools of the taught places, by name.
-
-    Returns:
-        The command, its positions in RMECH.
-    """
+    """Read a command with positions in RMECH, by the tools of taught places; None adds to `findings`."""
     kind = read_kind(COMMAND_CLASSES, table, place, findings)
     if kind is None:
         return None
@@ -120,13 +112,7 @@ def read_command(
 def read_fault(
     table: dict[str, Any], place: KeyPath, findings: Findings, commands: int, has_surface: bool
 ) -> Injection | None:
-    """Read a fault and its time, or return None and report problems.
-
-    Args:
-        findings: Problems to add to.
-        commands: Number of commands.
-        has_surface: True if the world has a rock face.
-    """
+    """Read a fault and its time, by number of commands and surface; None adds its problems to `findings`."""
     kind = read_kind(FAULT_CLASS_BY_NAME, table, place, findings)
     if kind is None:
         return None
