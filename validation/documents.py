@@ -22,7 +22,7 @@ PAGES: Final = (
 )
 """Pages in their order. Others have campaigns, which `make campaign` runs, or steps of a developer."""
 BLOCK: Final = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-NAMED: Final = re.compile(r'(?:# |""")([\w-]+\.(?:toml|py))\b')
+NAMED: Final = re.compile(r"# ([\w-]+\.toml)\b")
 """Opening of a block that is the content of a file."""
 PROGRAMS: Final = ("marsarm ", "simgap ", "python ")
 PLACEHOLDER: Final = re.compile(r"\b[A-Z]{3,}\b|\bmy-arm\b|--install-completion")
