@@ -36,8 +36,9 @@ def run_python(words: list[str], folder: Path, backend: str) -> str:
 
 
 def run_example(name: str, folder: Path) -> str:
-    """Run a script in an empty folder, and return what it prints."""
-    printed = run_python([str(ROOT / "examples" / f"{name}.py")], folder, "agg")
+    """Run a script in a folder that is empty or has a shorter copy of it, and return what it prints."""
+    copy = folder / f"{name}.py"
+    printed = run_python([str(copy if copy.exists() else ROOT / "examples" / copy.name)], folder, "agg")
     picture = matplotlib.image.imread(folder / f"{name}.png")
     assert picture.shape[1] == 800
     assert picture[..., :3].std() > 0.01
@@ -97,9 +98,11 @@ def test_a_monitor_of_ones_own_stops_the_arm_near_its_bound(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_monte_carlo_samples_a_hundred_arms(tmp_path):
+def test_a_monte_carlo_samples_as_many_arms_as_it_says(tmp_path):
+    script = (ROOT / "examples" / "monte_carlo.py").read_text()
+    (tmp_path / "monte_carlo.py").write_text(script.replace("arms=100", "arms=12"))
     printed = run_example("monte_carlo", tmp_path)
-    assert "100 arms, 0 failed" in printed
+    assert "12 arms, 0 failed" in printed
     median_mm, largest_mm = numbers(r"median (\S+) mm, largest (\S+) mm", printed)
     assert 0.5 < median_mm < largest_mm < 6.0
 
