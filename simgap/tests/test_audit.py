@@ -246,17 +246,6 @@ def test_the_error_of_the_model_does_not_depend_on_where_the_clock_starts(begin_
     assert found == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_motor_that_is_off_lets_the_arm_fall():
-    motion = record(planar_arm(), 1, commands(1, -0.6, 0.4))
-    shoulder = motion.joints["shoulder"]
-    time_s = shoulder.position.time_s
-    off = replace(shoulder, enabled=Signal(time_s, (time_s < 6.0).astype(float)))
-    found = NominalModel(planar_arm()).simulate(replace(motion, joints={**motion.joints, "shoulder": off}))
-    error = np.abs(found.position["shoulder"] - shoulder.position.value)
-    assert error[time_s < 6.0].max() < 0.05
-    assert error[time_s > 7.0].max() > 0.5
-
-
 def test_a_simulation_that_blows_up_has_no_error():
     robot = planar_arm()
     stiff = replace(robot, joints=tuple(replace(one, kp_Nm_rad=1e12) for one in robot.joints))

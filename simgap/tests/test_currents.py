@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.robot_folder import write_csv, write_robot
-from helpers.two_joint_arm import arm, rms, simulated
+from helpers.two_joint_arm import arm, simulated
 from simgap import diagnose
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.nominal import NominalModel
@@ -17,13 +17,11 @@ from simgap.effects.actuation import CurrentScale
 from simgap.loading import load, take_currents_as_torques
 from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch
-from simgap.residuals.inverse_residuals import InverseResiduals
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 
 ELBOW = 'torque = { column = "m2", unit = "mN m", side = "motor" }'
 CURRENT = 'current = { column = "m2", unit = "mA" }\ntorque_constant_Nm_A = 2.5'
-COMMAND = 'command = { column = "c1", unit = "deg" }\n'
 
 
 @cache
@@ -109,15 +107,6 @@ def test_the_scale_of_a_current_is_a_base_parameter_only_if_it_is_a_guess():
         found = [one for one in base_effects(robot, logs) if isinstance(one, CurrentScale)]
         assert [one.place for one in found] == ([] if is_known else ["shoulder", "elbow"])
         assert not any(isinstance(one, CurrentScale) for one in catalogue(robot, logs))
-
-
-def test_the_true_scale_leaves_the_noise_and_scales_no_noise():
-    robot, motions = guessed(10.0, 10.8, False)
-    model = InverseResiduals(robot, motions)
-    effects = [one for one in base_effects(robot, Logs(tuple(motions))) if isinstance(one, CurrentScale)]
-    plain, right = model.residuals(effects, np.array([[0.0, 0.0], [0.8, 0.8]]))
-    for j in range(2):
-        assert rms(right[model.joint_of == j]) < 0.6 * rms(plain[model.joint_of == j])
 
 
 @pytest.mark.slow

@@ -153,14 +153,6 @@ def test_cold_friction_counts_from_the_hottest_temperature() -> None:
     assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
 
 
-def test_asymmetric_friction_acts_in_one_direction_alone() -> None:
-    robot = level(dry_Nm=0.01)
-    effect = at_swing(AsymmetricFriction, robot)
-    up, down = (simulated(robot, held(sign * 0.1), (effect, [0.05])) for sign in (1.0, -1.0))
-    assert up[-1] == pytest.approx(0.5 * (0.1 - 0.01 - 0.05) / INERTIA_kgm2 * TIME_s[-1] ** 2, rel=5e-3)
-    assert down[-1] == pytest.approx(-0.5 * (0.1 - 0.01) / INERTIA_kgm2 * TIME_s[-1] ** 2, rel=5e-3)
-
-
 def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
     robot = level(dry_Nm=0.05)
     effect = at_swing(StribeckFriction, robot)

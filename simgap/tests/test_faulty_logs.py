@@ -137,13 +137,6 @@ def test_motions_of_a_counter_without_limits_agree():
     assert np.abs(found["position"][0] - found["position"][1]).max() < 0.1
 
 
-def test_a_counter_of_a_motor_that_never_began_anew_is_as_it_was():
-    shown = [0.1 + 0.1 * TURNS, 0.8 + 0.1 * TURNS]
-    found, wraps = unwrap({"position": shown}, HALF, gear=10.0, side="motor")
-    np.testing.assert_allclose(found["position"], shown)
-    assert wraps == [None, None]
-
-
 def test_positions_a_turn_beyond_the_model_are_refused_with_their_zero(clean):
     logs = with_joint(clean, "elbow", change_position(lambda value: value + 2 * np.pi))
     (found,) = remarks(logs, RemarkKind.UNIT)

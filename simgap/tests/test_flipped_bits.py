@@ -92,7 +92,7 @@ def judge(form, path, written):
     ("tries", "form"),
     [
         pytest.param(tries, form, marks=[pytest.mark.slow] if tries > 15 else [], id=f"{form.name}-{tries}")
-        for tries, form in product((15, 300), FORMATS)
+        for tries, form in product((15, 100), FORMATS)
     ],
 )
 def test_a_flipped_bit_changes_no_number_without_a_word(form, tries, tmp_path):

@@ -41,11 +41,6 @@ def test_a_csv_may_have_semicolons_and_decimal_commas(tmp_path):
     np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
 
 
-def test_signals_of_one_clock_share_their_times(tmp_path, robot):
-    joints = load(robot, write_parquet(tmp_path)).motions[0].joints
-    assert joints["shoulder"].position.time_s is joints["elbow"].torque.time_s
-
-
 def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):
     path = write_parquet(tmp_path, m2=[1.0, None, 3.0, 4.0, None, None, 7.0])
     slow, fast = load(robot, path).motions
@@ -81,11 +76,6 @@ def test_times_count_from_the_start_of_the_motion(tmp_path, robot):
     np.testing.assert_allclose(
         load(robot, path).motions[0].joints["elbow"].position.time_s, [0.0, 0.01, 0.02], atol=1e-6
     )
-
-
-def test_two_columns_together_name_a_motion(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ('["motion"]', '["motion", "gain"]')))
-    assert [one.name for one in load(robot, write_parquet(tmp_path)).motions] == ["slow 2", "fast 3"]
 
 
 def test_motions_that_repeat_one_another_share_a_text(tmp_path):
@@ -293,11 +283,6 @@ def names(motions):
 def test_the_default_split_counts(tmp_path):
     found = logs(tmp_path)
     assert (names(found.fit), names(found.judged)) == (["slow"], ["fast"])
-
-
-def test_another_split_may_be_named(tmp_path):
-    found = logs(tmp_path, split="second")
-    assert (names(found.fit), names(found.judged)) == (["fast"], ["slow"])
 
 
 def test_motions_may_be_held_out_by_motion_condition_or_file(tmp_path):

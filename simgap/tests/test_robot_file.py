@@ -35,12 +35,6 @@ def test_the_limit_of_a_geared_actuator_is_at_the_joint(tmp_path):
     assert Robot.from_toml(write_robot(tmp_path)).joint("elbow").torque_limit_Nm == pytest.approx(5.0)
 
 
-def test_the_model_gets_the_time_step_of_the_file(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path))
-    assert robot.model.opt.timestep == 0.002
-    assert robot.control_period_s == pytest.approx(0.004)
-
-
 def test_a_joint_with_a_vertical_axis_is_not_loaded_by_gravity(tmp_path):
     robot = Robot.from_toml(write_robot(tmp_path))
     assert robot.joint("shoulder").is_loaded_by_gravity

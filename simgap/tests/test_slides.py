@@ -12,13 +12,11 @@ from simgap.checks.nominal import NominalModel
 from simgap.common.errors import RobotError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import joint_scales
-from simgap.effects.transmission import Backlash, JointCompliance
 from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
-from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
 from simgap.simulation.simulation import Engine
@@ -61,15 +59,6 @@ def by_mujoco(text):
         data.ctrl[:2], last = (command + last) / 2, command  # half a step later, as in the engine
         mujoco.mj_step(model, data)
     return np.transpose(shown)
-
-
-def test_a_slide_has_the_numbers_of_the_model_in_m_and_n(robot):
-    lift, swing = robot.joints
-    assert (lift.is_slide, lift.unit, lift.effort_unit) == (True, "m", "N")
-    assert (lift.kp_Nm_rad, lift.kd_Nms_rad, lift.torque_limit_Nm) == (3000.0, 100.0, 120.0)
-    assert not lift.is_loaded_by_gravity  # a force that is the same everywhere gives no scale
-    assert (swing.unit, swing.effort_unit) == ("rad", "N m")
-    assert lift.show(0.0123) == "12.3 mm"
 
 
 def test_the_engine_and_the_patch_move_a_slide_as_mujoco_does(robot):
@@ -128,27 +117,6 @@ def test_effects_of_a_slide_are_told_in_its_units(tmp_path):
     assert not any("rad" in text or "N m" in text for text in texts)
     of_hinge = {size.name for one in effects if one.place == "swing" for size in one.sizes}
     assert {"coulomb_Nm", "damping_Nms_rad", "armature_kgm2", "zero_rad"} <= of_hinge
-
-
-def test_a_gear_of_a_slide_bends_and_has_play(robot):
-    scale = joint_scales(robot, [motion_of(COMMAND)])
-    plain, shift = by_engine(robot)[0], []
-    for effect in (
-        Backlash("lift", 0, True, 1e-3, 1e-2, True),
-        JointCompliance("lift", 0, True, 1e-4, 1e-3, True),
-    ):
-        moved = by_engine(robot, [effect], [2e-3 if isinstance(effect, Backlash) else 1e-4])[0]
-        shift.append(np.abs(moved - plain).max())
-    assert scale["lift"].torque_Nm == 120.0
-    assert all(1e-5 < one < 1e-2 for one in shift), shift
-
-
-def test_residuals_have_the_unit_of_each_joint(robot):
-    model = SimulationResiduals(robot, [motion_of(COMMAND)])
-    assert model.units == ("m", "rad")
-    delay = CommandDelay.at(robot, "lift", joint_scales(robot, [motion_of(COMMAND)]))
-    here, later = model.residuals([delay], np.array([[0.0], [0.02]]))
-    assert np.abs(here - later)[model.joint_of == 0].max() > 1e-4
 
 
 def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
@@ -287,7 +255,7 @@ def test_a_free_base_is_refused_or_held(tmp_path, joint):
 @pytest.mark.slow
 def test_the_delay_and_the_friction_of_a_slide_are_found(tmp_path):
     robot = Robot.from_toml(write_folder(tmp_path))
-    logs = load(robot, write_logs(tmp_path), held_out=["m3", "m5"])
+    logs = load(robot, write_logs(tmp_path), held_out=["m2", "m4"])
     result = diagnose(robot, logs.fit, held_out=logs.judged)
     found = next(one for one in result.findings if "lift: command delay" in one.effects)
     assert found.places == ("lift",)

@@ -1,11 +1,8 @@
 """Parts of campaigns in the closed loop: jobs, placements, obstacles and random commands."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
-from fsw.estimate.reference import Reference
 from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.initialisation import initial_reference, true_reference
@@ -19,18 +16,15 @@ from validation.obstacles import STRAIGHT_N, draw, meet
 from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
 
-ARMS = ("calibrated:1", "calibrated:2")
-JOBS = [(arm, name) for arm in ARMS for name in sorted(built_in_scenarios())]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arm_name", "name"), JOBS)
-def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(arm_name, name):
-    assert run_scenario_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(built_in_scenarios()))
+def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name):
+    assert run_scenario_on("calibrated:1", name, true_reference(arm_named("calibrated:1"))).failed == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bit-exchange", "sampling"])
 def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
     """Fly an as-built arm with the nominal parameters."""
     ran = run_scenario_on("as-built:1", name, true_reference(arm_named("as-built:1")))
@@ -48,19 +42,13 @@ def test_a_tool_change_comes_closer_to_the_spot_than_coordinates_to_their_target
 
 
 MAX_TILT_RAD = np.radians(20.0)
-TARGETS = range(3)
-
-
-@cache
-def found_at_its_hardstops(name: str) -> Reference:
-    return initial_reference(arm_named(name))
 
 
 def run_placement(name: str, seed: int) -> PlacementResult:
     """Run a random placement in the closed loop, from the ready pose, after the hardstops were found."""
     arm = arm_named(name)
     world, seen = random_placement(seed, arm, "apxs", MAX_TILT_RAD)
-    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, found_at_its_hardstops(name))
+    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, initial_reference(arm))
     run = PlacementRun(ClosedLoop(setup), seen.placement)
     for _ in run:
         pass
@@ -69,18 +57,16 @@ def run_placement(name: str, seed: int) -> PlacementResult:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", TARGETS)
-def test_the_nominal_arm_touches_within_a_millimetre_and_a_fifth_of_a_degree(seed):
-    contact = run_placement("nominal", seed).contact
+def test_the_nominal_arm_touches_within_a_millimetre_and_a_fifth_of_a_degree():
+    contact = run_placement("nominal", 1).contact
     assert contact is not None
     assert contact.total_m < 1e-3
     assert np.degrees(contact.axis_rad) < 0.2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", TARGETS)
-def test_an_as_built_arm_touches_too_and_its_error_is_told(seed):
-    contact = run_placement(f"as-built:{seed}", seed).contact
+def test_an_as_built_arm_touches_too_and_its_error_is_told():
+    contact = run_placement("as-built:1", 1).contact
     assert contact is not None
     assert 0 < contact.total_m < 0.06
 
@@ -109,9 +95,8 @@ def test_an_obstacle_in_a_turn_is_reported_with_joint_and_torque(index):
     assert met.true_N < 154.0  # docs/faults.md, at a lever of 1 m
 
 
-@pytest.mark.parametrize("seed", [101, pytest.param(102, marks=pytest.mark.slow)])
-def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused(seed):
-    found = campaign(Context(seed), 1500)
+def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused():
+    found = campaign(Context(101), 1500)
     assert found["bugs"] == []
     assert found["cycles"] == 1500
     assert found["accepted"]

@@ -205,19 +205,3 @@ def test_the_identifiable_axes_are_independent_and_no_other_tells_anything_new(t
     for place in (None, *UNSEEN):
         columns = [AXES.index(p) for p in SEEN + ([] if place is None else [place])]
         assert rank(tool_jacobian[:, columns]) == 26, place
-
-
-@pytest.mark.parametrize("frame", Frame)
-def test_the_columns_are_what_frame_errors_do(tool_jacobian: lab.Array, frame: Frame) -> None:
-    """Compare the first pose with finite differences through the flight parameters."""
-    params = nominal_params()
-    arm = build_arm(params)
-    pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)
-    X = tool_pose(arm, forward(arm, pose), "apxs")
-    for axis in range(6):
-        step = 1e-6 * np.eye(6)[axis]
-        tool = "apxs" if frame is Frame.TOOL else None
-        other = build_arm(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
-        moved = inverse(X) @ tool_pose(other, forward(other, pose), "apxs")
-        screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
-        np.testing.assert_allclose(tool_jacobian[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)

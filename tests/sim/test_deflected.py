@@ -28,7 +28,8 @@ from tests.tools import TOOLS, tool_index
 
 TURRETS_KG = (30.0, 8.0, 19.0)
 """Masses of the flight turret, with which the paper verifies, and of two stand-ins at calibration."""
-POSES_PER_TURRET = 67
+POSES_PER_TURRET = 16
+"""Each branch on Mars and on Earth."""
 SCENES: tuple[Literal["mars", "earth"], ...] = ("mars", "earth")
 
 NEAR_M, NEAR_RAD = 1e-6, 1e-6
@@ -160,20 +161,21 @@ POSES = {"straight": lab.STRAIGHT_RAD, "ready": lab.READY_RAD, "stowed": lab.STO
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize(
+    ("world", "pose"),
+    [("earth", "straight"), ("mars, 25 deg", "ready"), ("mars", "stowed"), ("mars, 25 deg", "left")],
+)
 def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
-    coarse, fine = (lab.load(lab.plant(world, step_s), POSES[pose]) for step_s in (None, FINE_S))
+    coarse, fine = (lab.load(lab.plant(WORLDS[world], step_s), POSES[pose]) for step_s in (None, FINE_S))
     assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-@pytest.mark.parametrize("pose", ["straight", "ready"])
+@pytest.mark.parametrize(("world", "pose"), [("mars, 25 deg", "straight"), ("earth", "ready")])
 def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
     coarse, fine = (
-        lab.load(lab.plant(world, step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)
+        lab.load(lab.plant(WORLDS[world], step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)
     )
     for plant in (coarse, fine):
         lab.hold_by_motors(plant)
@@ -183,10 +185,9 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world):
+def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step():
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
-    coarse, fine = (move_arm(world, step_s, goal) for step_s in (None, FINE_S))
+    coarse, fine = (move_arm(WORLDS["mars, 25 deg"], step_s, goal) for step_s in (None, FINE_S))
     assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
     assert lab.tool_distance_mm(coarse.plant, fine.plant) < STOPPED_MM
 

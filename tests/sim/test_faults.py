@@ -44,12 +44,10 @@ from sim.effects.faults import (
 from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.setting import World
-from tests.fsw.rig import config_of
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
 
-CONFIG = config_of()
 NOW_S = 0.0
 READINGS = {"encoder_count": 5, "resolver_rad": 5, "current_A": 5, "winding_C": 5, "gravity_R_m_s2": 3}
 ALL, NONE = np.ones(5, bool), np.zeros(5, bool)
@@ -91,12 +89,6 @@ def test_a_biased_sensor_reads_too_much_by_its_bias_and_no_other_does(quiet, nam
 def test_a_sensor_that_reads_no_number_does_so_where_it_is_told(quiet, name):
     readings = avionics_with(SensorFault(NOW_S, name, "nan", 2)).sense()
     np.testing.assert_array_equal(np.isnan(read(readings, name)), np.arange(READINGS[name]) == 2)
-
-
-@pytest.mark.parametrize("name", ["encoder_count", "switch_closed"])
-def test_what_cannot_read_nan_is_refused_with_what_it_can(name):
-    with pytest.raises(ValueError, match=f"{name} cannot read nan; write frozen, biased or noisy"):
-        SensorFault(NOW_S, name, "nan")
 
 
 @pytest.mark.parametrize("name", READINGS)
@@ -242,7 +234,7 @@ def test_what_is_tolerated_does_not_end_a_move(name):
 
 
 @pytest.mark.parametrize("fault", [JointSeized, BrakeStuck])
-@pytest.mark.parametrize("joint", slow_but(Joint, Joint.AZIMUTH))
+@pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.TURRET], Joint.AZIMUTH))
 def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_next_move(fault, joint):
     arm = arm_named("nominal")
     loop = ClosedLoop(Setup(arm, World(), joints5(lab.READY_RAD), reference=lab.true_reference(arm)))

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import reduce
 from operator import getitem
@@ -190,13 +189,6 @@ def test_only_the_compliance_of_a_spring_or_of_a_rigid_link_is_taken(tmp_path, c
             params_over_nominal(path)
 
 
-@pytest.mark.parametrize("link", ["arm1", "arm2", "arm3", "arm4", "arm5", "arm6"])
-def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) -> None:
-    rows = [[-1e-9 if row == column == 3 else 0.0 for column in range(6)] for row in range(6)]
-    with pytest.raises(BadParams, match=rf"links\.{link}\.compliance: is not positive semidefinite"):
-        params_over_nominal(write_file(tmp_path, f"[links.{link}]\ncompliance = {rows}\n"))
-
-
 @pytest.mark.parametrize(
     ("tool", "where"), [("drill", "switches.drill_1"), ("portion", "teach.inlet_1.tool")]
 )
@@ -223,41 +215,10 @@ def test_what_is_missing_is_named(missing: str) -> None:
         params_from_table(table, "nominal.toml")
 
 
-@pytest.mark.slow
-def test_any_number_that_is_not_one_is_named() -> None:
-    places = list(numbers_of(nominal_table()))
-    assert len(places) > 300
-    for place in places:
-        table = nominal_table()
-        reduce(getitem, place[:-1], table)[place[-1]] = float("nan")
-        field = ".".join(_field_of(table, place))
-        with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
-            params_from_table(table, "nominal.toml")
-
-
 def nominal_table() -> dict[str, Any]:
     """Return the content of the nominal file, with lists in place of tuples, to be changed."""
     table: dict[str, Any] = json.loads(json.dumps(params_table(nominal_params())))
     return table
-
-
-def _field_of(table: Any, place: tuple[str | int, ...]) -> Iterator[str]:
-    """Yield the names on the way to a number; a record of a list goes by its name or number."""
-    for key in place:
-        table = table[key]
-        if isinstance(key, str):
-            yield key
-        elif isinstance(table, dict):
-            yield table.get("name", str(key))
-
-
-def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Return the places of the numbers of a table."""
-    if isinstance(table, dict | list):
-        for key, value in table.items() if isinstance(table, dict) else enumerate(table):
-            yield from numbers_of(value, (*place, key))
-    elif isinstance(table, int | float):
-        yield place
 
 
 def test_the_digest_is_of_the_values_and_not_of_their_order_or_notation(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 ARM = arm_named("nominal")
 FRICTION_NM = np.array([joint.output_friction_Nm for joint in ARM.params.joints.in_order()])
 TILTED = World("mars", np.radians(15.0), np.radians(-20.0))
-POSES = 10
+POSES = 6
 
 
 def visit(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[RestState]:
@@ -80,7 +80,7 @@ def test_what_is_believed_of_a_gear_is_true_within_its_uncertainty(compensated):
 
 
 def test_an_as_built_arm_is_not_claimed_to_lie_where_it_does_not():
-    for pose in visit("on", "as-built:6", poses=6):
+    for pose in visit("on", "as-built:6", poses=3):
         known = pose.side != 0
         np.testing.assert_array_equal(pose.side[known], pose.true_side[known])
 

@@ -93,12 +93,6 @@ def test_a_name_says_joint_signal_and_unit(name, joint, key, unit):
     assert (found.joint, found.key, found.unit) == (joint, key, unit)
 
 
-def test_words_that_all_joints_share_may_be_missing():
-    joints = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
-    assert parse_name("actual_q_shoulder_lift", joints).joint == "shoulder_lift_joint"
-    assert parse_name("joint_states.position", joints).joint == ""
-
-
 def test_units_come_from_names_and_velocities_from_the_change_of_positions(tmp_path):
     write_csv(
         tmp_path,

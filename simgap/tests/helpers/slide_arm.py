@@ -95,7 +95,7 @@ def command_of(seed: int, time_s: Array) -> Array:
 
 
 def record(
-    seed: int, noise_seed: int, delay_s: float, friction_N: float, duration_s: float = 5.0
+    seed: int, noise_seed: int, delay_s: float, friction_N: float, duration_s: float = 2.5
 ) -> dict[str, Array]:
     """Return the columns of a motion of the real lift: late commands, and a slide with more friction."""
     model = mujoco.MjModel.from_xml_string(model_text())
@@ -126,7 +126,7 @@ def record(
     }
 
 
-def write_logs(folder: Path, delay_s: float = 0.03, friction_N: float = 6.0, count: int = 6) -> Path:
+def write_logs(folder: Path, delay_s: float = 0.03, friction_N: float = 6.0, count: int = 5) -> Path:
     """Write motions as a CSV file; the last two repeat the two before them."""
     seeds = [*range(count - 2), count - 4, count - 3]
     lines = []

@@ -49,13 +49,6 @@ def calibrated(joints, joint, off_rad=0.0, share=1.0):
     return apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
 
 
-def test_before_the_first_reading_nothing_is_known():
-    joints = uninitialised_estimate(CONFIG, REMEMBERED)
-    assert not joints.initialised
-    np.testing.assert_array_equal(joints.side, 0)
-    assert (joints.uncertainty_rad > 100 * HALF).all()
-
-
 @given(counts)
 def test_a_calibrated_joint_is_where_its_encoder_and_its_zero_say(count):
     joints = first_update(count, resolver_rad=np.full(5, 9.0))

@@ -261,14 +261,6 @@ def test_a_stop_with_its_move_or_while_the_brakes_are_being_released_moves_nothi
     assert np.abs(rig.count - start).max() <= (0 if cycles is None else 2)
 
 
-def test_stops_may_be_repeated_every_cycle():
-    rig = moving_free()
-    for _ in range(40):
-        rig.cycle(Stop())
-    rig.run(at_most=200)
-    assert CommandAborted("MoveJoints") in rig.evrs
-
-
 @pytest.mark.parametrize("mode", [Mode.STOWED, Mode.DEPLOYED])
 @pytest.mark.parametrize("tolerance_rad", [0.02, 0.15])
 @pytest.mark.parametrize("joint", Joint)
@@ -359,13 +351,6 @@ def test_only_the_first_of_two_moves_in_one_cycle_begins():
     rig.cycle(MoveJoints(floats(START + 0.05)), Retract("apxs", 0.1))
     assert CommandAccepted("MoveJoints") in rig.evrs
     assert CommandRefused("Retract", "MoveJoints is under way") in rig.evrs
-
-
-@pytest.mark.parametrize("command", [COMMANDS[GuardedMove], COMMANDS[Retract]])
-def test_the_tool_channels_follow_the_tool_of_the_last_tool_command(command):
-    rig = deployed()
-    rig.cycle(command(rig))
-    assert rig.state.tool == "apxs"
 
 
 def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():

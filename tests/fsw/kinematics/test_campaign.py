@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import assert_consistent, assert_poses_found, assert_roots_meet, solve_poses
@@ -50,19 +49,6 @@ def test_every_root_of_a_target_meets_it_and_at_most_four_of_the_workspace_are_v
     assert np.mean(few) > 0.98
 
 
-@pytest.mark.slow
-@by_case
-def test_vectors_are_inside_their_limits_and_many_are_near_double_roots(case):
-    rng = np.random.default_rng(1)
-    for trial in kinematics.trials(case, rng):
-        q, near = kinematics.draw_vectors(trial, rng, 2000)
-        assert (limit_excess(trial.arm, q) <= 0).all()
-        for flag in (kinematics.Near.ELBOW, kinematics.Near.WRIST, kinematics.Near.SHOULDER):
-            there = (near & flag) > 0
-            assert there.sum() > 100
-            assert np.median(kinematics.smallest_singular_value(trial, q[:, there])) < 0.01
-
-
 @pytest.mark.parametrize(
     "case",
     slow_but(kinematics.CASES, kinematics.CASES[0], kinematics.CASES[-1]),
@@ -72,13 +58,3 @@ def test_some_vectors_are_measured_from_the_double_roots_of_the_arm_as_it_is(cas
     trial = next(kinematics.trials(case, np.random.default_rng(2)))
     q, near = kinematics.draw_vectors(trial, np.random.default_rng(3), 3000)
     assert (kinematics.smallest_singular_value(trial, q[:, near > 0]) < 1e-4).sum() > 10
-
-
-def test_the_jacobian_of_a_deflected_tool_counts_the_load_s_response():
-    """The Jacobian differs from the rigid one by a few parts in a thousand."""
-    q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
-    rigid, deflected = (
-        kinematics.task_jacobian(kinematics.Trial("nominal", kinematics.arm_of("nominal"), "drill", pull), q)
-        for pull in (None, np.array([0.0, 0.0, 3.711]))
-    )
-    assert 1e-3 < np.abs(deflected - rigid).max() < 0.1

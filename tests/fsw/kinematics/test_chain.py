@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Transform6
 from fsw.kinematics.arm import heat_arm, pose_to_transform6, transform6_to_pose
-from fsw.kinematics.chain import forward, frame_jacobian, frame_poses, joint_jacobian, tool_pose
+from fsw.kinematics.chain import forward, frame_jacobian, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z, screw_exp
 from helpers.marks import slow_but
 from tests.fsw.rig import config_of, in_limits, matrix
@@ -65,16 +65,6 @@ def test_the_strained_arm_is_the_product_of_links_and_springs(name):
             np.testing.assert_allclose(matrix(frames.X_RF[i]), X, atol=1e-12)
 
 
-def test_no_strain_is_zero_strain():
-    config = config_of("calibrated:3")
-    q = in_limits(config, np.random.default_rng(3), 5)
-    rigid_arm, unstrained = forward(config.arm, q), forward(config.arm, q, np.zeros((6, 6, 5)))
-    np.testing.assert_allclose(rigid_arm.X_RF.R, unstrained.X_RF.R, atol=1e-15)
-    np.testing.assert_allclose(rigid_arm.X_RF.p, unstrained.X_RF.p, atol=1e-15)
-    np.testing.assert_array_equal(rigid_arm.X_LD.R[..., 0], np.tile(np.eye(3)[:, :, None], 6))
-    np.testing.assert_array_equal(rigid_arm.X_LD.p[..., 0], config.arm.p_LC_m)
-
-
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("tool", TOOLS)
 def test_the_jacobian_agrees_with_finite_differences(name, tool):
@@ -113,19 +103,6 @@ def test_the_jacobian_of_every_frame_agrees_with_finite_differences(name, tool, 
 
         J = frame_jacobian(forward(config.arm, q, strain), pose(np.zeros(6)))[:, :, frame]
         np.testing.assert_allclose(J, differentiate(pose, 6), atol=1e-8)
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-def test_the_poses_of_the_frames_are_those_of_the_chain_and_of_the_tool(tool):
-    config = config_of("calibrated:3")
-    frames = forward(config.arm, in_limits(config, np.random.default_rng(8), 4))
-    X_RT = tool_pose(config.arm, frames, tool)
-    X = frame_poses(frames, X_RT)
-    assert X.R.shape == (3, 3, len(Frame), 4)
-    for frame in Frame:
-        expected = X_RT if frame is Frame.TOOL else frames.X_RF[int(frame)]
-        np.testing.assert_array_equal(X[int(frame)].R, expected.R)
-        np.testing.assert_array_equal(X[int(frame)].p, expected.p)
 
 
 def test_a_batch_of_poses_is_its_single_poses():
@@ -224,12 +201,6 @@ def test_the_nominal_soft_limits_are_those_of_the_table():
     np.testing.assert_allclose(
         np.degrees(np.stack([arm.soft_min_rad, arm.soft_max_rad], axis=1)), SOFT_LIMITS_DEG, atol=1e-9
     )
-
-
-def test_the_calibrated_arm_uses_all_six_numbers_of_its_links():
-    links = config_of("calibrated:3").params.links.in_order()
-    for link in links:
-        assert all(getattr(link.transform, name) != 0 for name in Transform6.__slots__)
 
 
 TITANIUM_1_K = 8.6e-6

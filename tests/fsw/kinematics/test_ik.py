@@ -295,19 +295,6 @@ def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape
             np.testing.assert_array_equal(several, getattr(shaped, name)[..., k // 30, k % 30])
 
 
-@pytest.mark.slow
-def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
-    solved = near_double_roots("calibrated:3", "rigid", "drt", 40)
-    easy = random_poses("calibrated:3", "rigid", "drt", N_LOADED)
-    p, a = (np.tile(v, ik.CHUNK // N_LOADED + 1)[:, : ik.CHUNK] for v in (easy.p, easy.a))
-    p, a = (np.concatenate([many, few], axis=1) for many, few in ((p, solved.p), (a, solved.a)))
-    assert p.shape[1] == ik.CHUNK + 40
-    result = ik.inverse_kinematics(solved.trial.arm, "drt", p, a)
-    for part, alone in ((slice(ik.CHUNK, None), solved.result), (slice(0, N_LOADED), easy.result)):
-        np.testing.assert_array_equal(result.verdict[:, part], alone.verdict)
-    assert_consistent(solved.trial.arm, result)
-
-
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_a_batch_of_deflected_targets_is_its_single_targets(name):
     solved = random_poses(name, "mars", "drt", N_LOADED)

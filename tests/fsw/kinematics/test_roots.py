@@ -98,31 +98,6 @@ def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravit
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
 
 
-def test_a_start_that_is_not_finite_does_not_converge_and_leaves_its_neighbours_alone():
-    config = config_of()
-    q, p, a = deflected_targets(config, "apxs", 10, MARS_R_m_s2)
-    start = q.copy()
-    start[:, 3] = np.nan
-    start[2, 5] = np.inf
-    found = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, start)
-    np.testing.assert_array_equal(np.flatnonzero(~found.converged), [3, 5])
-    assert np.isinf(found.error[[3, 5]]).all()
-    assert not found.torque_Nm[:, [3, 5]].any()
-
-
-def test_unreachable_neighbours_do_not_change_what_converges():
-    config = config_of()
-    q, p, a = deflected_targets(config, "apxs", 12, MARS_R_m_s2)
-    mixed = p.copy()
-    mixed[:, ::3] += 2.0
-    found = refine_roots(config.arm, "apxs", mixed, a, MARS_R_m_s2, q + 0.01)
-    np.testing.assert_array_equal(found.converged, np.arange(12) % 3 != 0)
-    alone = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, q + 0.01)
-    np.testing.assert_allclose(
-        found.output_rad[:, found.converged], alone.output_rad[:, found.converged], atol=1e-9
-    )
-
-
 def test_the_task_jacobian_agrees_with_finite_differences():
     config, h = config_of("calibrated:3"), 1e-6
     q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
@@ -165,18 +140,6 @@ def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_
     np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
 
 
-def test_without_gravity_the_evaluation_is_of_the_rigid_arm():
-    arm = config_of("calibrated:3").arm
-    q = in_limits(config_of(), np.random.default_rng(7), 20)
-    tried = evaluate_pose(arm, "mahli", q, None, RIGID)
-    rigid = tool_pose(arm, forward(arm, q), "mahli")
-    np.testing.assert_array_equal(tried.X_RT.p, rigid.p)
-    np.testing.assert_array_equal(tried.X_RT.R, rigid.R)
-    assert not tried.strain.any()
-    assert not tried.torque_Nm.any()
-    assert not tried.strain_change.any()
-
-
 CLEAR = [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:3", "tilted")]
 N_CLEAR = 200
 FAR, ALL = np.ones(N_CLEAR), np.ones(N_CLEAR, bool)
@@ -202,16 +165,6 @@ def test_from_beside_a_clear_pose_iterations_lead_to_it(name, gravity):
     X = trial.tool_pose(roots.output_rad[:, good])
     assert np.abs(task_error(X, p[:, good], a[:, good])).max() < 5 * root_tolerance(pull)
     assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0)[good], 0.95) < 1e-5
-
-
-def test_roots_that_are_not_selected_stay_as_they_were():
-    trial, pull, q, p, a = clear_targets("nominal", "mars")
-    selected = np.arange(N_CLEAR) % 2 == 0
-    roots = solve_fixed_point(trial.arm, "apxs", p, a, pull, q + 0.005, FAR, selected)
-    np.testing.assert_array_equal(roots.output_rad[:, ~selected], q[:, ~selected] + 0.005)
-    assert np.isinf(roots.error[~selected]).all()
-    assert not roots.followed[~selected].any()
-    assert not roots.torque_Nm[:, ~selected].any()
 
 
 def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
@@ -271,13 +224,6 @@ def test_a_root_keeps_the_shoulder_and_the_wrist_of_its_start(name, gravity):
         for q in (roots.output_rad[:, straight], found.output_rad)
     )
     np.testing.assert_array_equal(before, after)
-
-
-def test_without_a_straight_elbow_nothing_is_solved():
-    solved = straight_poses("nominal", "mars")
-    none = np.zeros((8, solved.p.shape[1]), bool)
-    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, GRAVITIES["mars"], none)
-    assert found.output_rad.shape == (5, 0)
 
 
 N = 110

@@ -76,15 +76,6 @@ def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name)
                     assert abs(slope) < 2e-3
 
 
-def test_without_gravity_nothing_yields():
-    config = config_of("calibrated:3")
-    q = in_limits(config, np.random.default_rng(5), 20)
-    here = settle(config.arm, q, np.zeros_like(q), np.zeros(3))
-    assert not here.strain.any()
-    assert not here.torque_Nm.any()
-    np.testing.assert_array_equal(here.output_rad, q)
-
-
 @pytest.mark.parametrize("name", ARMS)
 def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_earth(name):
     config = config_of(name)
@@ -104,15 +95,6 @@ def test_the_output_is_the_motor_angle_plus_backlash_plus_wind_up():
     here = settle(config.arm, motor, gap, MARS_R_m_s2)
     wind_up = here.torque_Nm / config.arm.gear_stiffness_Nm_rad[:, None]
     np.testing.assert_allclose(here.output_rad, motor + gap + wind_up, atol=1e-10)
-
-
-def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
-    config = config_of("calibrated:3")
-    motor = in_limits(config, np.random.default_rng(8), 30)
-    here = settle(config.arm, motor, np.zeros_like(motor), EARTH_R_m_s2)
-    same = settle_output(config.arm, here.output_rad, EARTH_R_m_s2)
-    np.testing.assert_allclose(same.strain, here.strain, atol=1e-10)
-    np.testing.assert_allclose(same.torque_Nm, here.torque_Nm, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -139,20 +121,6 @@ def test_the_torque_of_a_push_is_what_it_adds_to_the_load():
         frames, _, pushed_Nm = load_arm(arm, q, strain, TILTED_R_m_s2, push)
         _, _, free_Nm = load_arm(arm, q, strain, TILTED_R_m_s2)
         np.testing.assert_allclose(push_torque(arm, frames, push), pushed_Nm - free_Nm, rtol=0, atol=1e-11)
-
-
-def test_gravity_may_differ_from_arm_to_arm_of_a_batch():
-    config, rng = config_of("calibrated:3"), np.random.default_rng(11)
-    motor = in_limits(config, rng, 6).reshape(5, 2, 3)
-    gravity = 3.711 * rng.uniform(-1, 1, (3, 2, 3))
-    many = settle(config.arm, motor, np.zeros_like(motor), gravity)
-    same = settle(config.arm, motor, np.zeros_like(motor), MARS_R_m_s2)
-    alike = np.broadcast_to(MARS_R_m_s2[:, None, None], (3, 2, 3))
-    np.testing.assert_array_equal(settle(config.arm, motor, np.zeros_like(motor), alike).strain, same.strain)
-    for index in np.ndindex(2, 3):
-        one = settle(config.arm, motor[:, *index], np.zeros(5), gravity[:, *index])
-        np.testing.assert_allclose(many.strain[..., *index], one.strain, atol=2e-12)
-        np.testing.assert_allclose(many.torque_Nm[:, *index], one.torque_Nm, atol=1e-8)
 
 
 def test_a_strain_is_rotation_first_and_the_links_come_second():

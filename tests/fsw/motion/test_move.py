@@ -82,13 +82,6 @@ def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_t
     assert (np.abs(np.diff(seen, axis=0)) <= CONFIG.speed_rad_s / 64 * (1 + 1e-9)).all()
 
 
-def test_paths_run_one_after_the_other_each_to_its_end():
-    there, back = joint_path(CONFIG, READY, READY + 0.01), joint_path(CONFIG, READY + 0.01, READY)
-    moves, _ = run_through(move_by(0.0, paths=(there, back)))
-    assert max(move.setpoint.motor_rad[0] for move in moves) == pytest.approx(READY[0] + 0.01)
-    np.testing.assert_allclose(moves[-1].setpoint.motor_rad, READY, atol=1e-12)
-
-
 @pytest.mark.parametrize("phase", Phase)
 def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
     stopped = stop_early(CONFIG, move_by(0.5, phase, guarded_tool="apxs"), Mode.GUARDED)
@@ -137,17 +130,6 @@ def test_calm_is_counted_anew_after_the_last_motion():
         while settling.phase is Phase.SETTLE:
             settling, cycles = advance(settling, calm).move, cycles + 1
         assert cycles == CONFIG.settle_ticks
-
-
-def test_a_stop_goes_on_from_the_set_point_without_a_jump():
-    move = move_by(0.5)
-    for _ in range(300):
-        move = advance(move).move
-    rate = move.setpoint.rate_rad_s
-    braking = advance(stop_early(CONFIG, move, Mode.DEPLOYED), following(move)).move
-    step = braking.setpoint.motor_rad - move.setpoint.motor_rad
-    np.testing.assert_allclose(step, (rate + braking.setpoint.rate_rad_s) / 2 / 64, atol=1e-12)
-    assert (braking.setpoint.rate_rad_s < rate).all()
 
 
 def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.collision.distance import compute_clearances
-from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
+from fsw.dictionary.commands import MoveTool, Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle, settle_output
@@ -34,7 +34,6 @@ from tests.fsw.rig import (
     config_of,
     facing,
     find_violation,
-    floats,
     in_limits,
 )
 
@@ -176,16 +175,3 @@ def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
         GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, MAX_CLEARANCE_M
     ).min()
     assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6
-
-
-def test_where_the_arm_goes_by_command_is_what_is_looked_at():
-    """The arm of the rig follows a plan; each point stays within a step of a checked pose."""
-    rig = Rig(CONFIG)
-    goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
-    rig.until_moving(MoveJoints(floats(goal)), cycles=8)
-    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.plan.paths, FINE_STEP_M)))
-    while rig.outputs.joint.busy:
-        rig.cycle()
-        motor = rig.state.joints.motor_rad[:, None]
-        here = points_of_arm(forward(CONFIG.arm, motor))
-        assert np.linalg.norm(checked - here, axis=0).max(axis=0).min() <= 0.5 * FINE_STEP_M + 1e-4

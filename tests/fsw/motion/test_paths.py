@@ -61,14 +61,6 @@ def test_all_joints_of_a_move_end_together():
     assert path.duration_s == pytest.approx(alone.duration_s)
 
 
-def test_a_move_to_where_the_arm_is_takes_no_time_and_stays():
-    start = np.array(CONFIG.params.poses.ready_rad)
-    path = joint_path(CONFIG, start, start)
-    assert path.duration_s == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_array_equal(path.at(1.0).motor_rad, start)
-    np.testing.assert_array_equal(path.at(1.0).rate_rad_s, 0)
-
-
 @given(hnp.arrays(float, 5, elements=st.floats(-1, 1)), hnp.arrays(float, 5, elements=st.floats(-3, 3)))
 def test_a_stop_begins_where_the_move_was_and_slows_every_joint_to_rest(share, angle):
     start = Setpoint(angle, share * CONFIG.speed_rad_s)

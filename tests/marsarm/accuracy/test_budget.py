@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fsw.dictionary.enums import Frame
 from marsarm.accuracy import propagation
 from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
 from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
@@ -104,25 +103,11 @@ def test_the_paper_rule_lies_between_the_best_and_the_worst_case(u):
     assert np.all(propagation.paper_rule(u, AT_LIMIT) <= propagation.worst_case(u) + 1e-15)
 
 
-@settings(max_examples=50, deadline=None)
-@given(ERRORS)
-def test_shares_add_up_to_the_total(u):
-    total = propagation.bounds(propagation.paper_rule(u, AT_LIMIT)).total_m
-    there = total > 1e-9
-    assert np.allclose(propagation.shares(u, AT_LIMIT).sum(axis=(0, 1))[there], total[there], rtol=1e-9)
-
-
 def test_the_paper_rule_adds_frames_then_roots_sources_then_adds_those_at_their_limits():
     u = np.zeros((4, 6, 7, 1))
     u[0, 3, :2] = [[1.0], [2.0]]
     u[1, 3, 0], u[2, 3, 0], u[3, 3, 0] = 3.0, 5.0, 4.0
     assert propagation.paper_rule(u, AT_LIMIT)[3, 0] == pytest.approx(1 + 2 + 5 + np.hypot(3, 4))
-
-
-def test_nothing_makes_up_nothing():
-    u = np.zeros((4, 6, 7, 3))
-    u[0, 3, 0, 0] = 1e-3
-    assert np.all(np.isfinite(propagation.shares(u, AT_LIMIT)[..., 0]))
 
 
 def test_lateral_is_across_the_approach_and_normal_along_it():
@@ -179,20 +164,3 @@ def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
     assert source.basis
     assert source.text
     assert propagation.CUMULANTS[source.distribution][0] > 0
-
-
-@pytest.mark.parametrize("name", MODEL.source)
-def test_what_is_drawn_with_every_move_is_random_and_lies_anywhere_within(name):
-    source = MODEL.source[name]
-    if source.effect in ("frame play", "servo error", "windup"):
-        assert (source.kind, source.distribution) == ("random", "uniform")
-    if source.kind == "systematic":
-        assert source.effect in ("frame error", "stiffness", "warming")
-
-
-def test_errors_of_joints_are_turns_about_z_of_the_frames_at_the_joints():
-    for name in ("backlash", "encoder", "windup", "zero_offset", "motor_controller"):
-        theta = MODEL.source[name].theta
-        assert np.all(theta[2, : Frame.ARM6] > 0)
-        theta[2, : Frame.ARM6] = 0
-        assert not theta.any()

@@ -148,22 +148,6 @@ def test_statics_end_where_the_closed_loop_does(case, seed):
     assert np.allclose(statics[1], loop[1], atol=0.01)
 
 
-def test_what_is_drawn_keeps_within_its_magnitude():
-    source = MODEL.source["isolator_hysteresis"]
-    (play,) = trial.sample_source(source, 1.0, TOOL, np.random.default_rng(0))
-    body = frame_body(Frame.TOOL, TOOL)
-    scatters = [play.draw(np.random.default_rng(k)).screw(body) for k in range(300)]
-    most = np.abs(scatters).max(axis=0) / source.theta[:, Frame.TOOL]
-    assert np.all((most > 0.95) & (most <= 1.0))
-
-
-def test_the_same_seed_draws_the_same_arm():
-    case = MODEL.case["accuracy"]
-    one, same, other = (trial.sample_effects(MODEL, case, TOOL, np.random.default_rng(k)) for k in (1, 1, 2))
-    assert one == same
-    assert one != other
-
-
 def errors_m(seed, count):
     """Compute the total errors of the APXS of an arm at placements in the workspace, shape (count,)."""
     arm = arm_named(f"as-built:{seed}")

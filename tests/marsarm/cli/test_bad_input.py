@@ -11,12 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from helpers.command import LIBRARY_WORDS, call, snapshot
+from helpers.command import LIBRARY_WORDS, snapshot
 from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
-from simgap.common.app import VerbApp
-from simgap.common.verb import VerbResult, verb
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
@@ -298,17 +296,3 @@ def test_a_full_disk_gets_one_sentence_and_leaves_nothing(folder: Path, command:
     assert done.returncode == 2
     assert re.fullmatch(r"(GOOD|out) [^\n]*: cannot be written \(File too large\)\n", done.stderr)
     assert snapshot(folder) == before
-
-
-def test_the_help_shows_brackets_as_they_are(tmp_path: Path) -> None:
-    def work() -> VerbResult:
-        """Read an [[effect]] table and [world]."""
-        raise AssertionError
-
-    app = VerbApp()
-    app.command()(verb(work))
-
-    def program() -> None:
-        app()
-
-    assert "Read an [[effect]] table and [world]." in call(program, tmp_path, "--help").stdout

@@ -17,7 +17,6 @@ from simgap.common.progress import (
     read_earlier_run,
     show_progress,
 )
-from validation.campaigns import Context
 
 
 def test_the_time_left_follows_from_the_work_done() -> None:
@@ -39,25 +38,11 @@ def test_while_a_step_lasts_the_time_left_is_a_range_that_holds_the_truth() -> N
     assert state.line(200.0).endswith("0 s to 5 min left")
 
 
-def test_the_first_result_of_equal_jobs_gives_the_time_of_all() -> None:
-    state = ProgressState(started_s=0.0)
-    context = Context(progress=lambda done, total, what: state.update(done, total, what, 10.0 * done))
-    context.each(abs, [(-k,) for k in range(5)])
-    assert state.first_share == 0.0
-
-
 def test_work_of_which_no_share_is_done_counts_its_steps() -> None:
     state = ProgressState(started_s=0.0)
     for now_s in range(1, 8):
         state.update(0.0, 1.0, "fit", now_s)
     assert state.line(90.0) == "fit: step 7 after 90 s, time left not known"
-
-
-def test_results_of_an_earlier_command_took_no_time() -> None:
-    state = ProgressState(started_s=0.0)
-    state.update(5, 10, "arms", 0.0)
-    state.update(6, 10, "arms", 10.0)
-    assert state.left_s(10.0) == pytest.approx((40.0, 40.0))
 
 
 def test_stages_are_parts_of_one_whole_that_never_falls() -> None:
@@ -128,25 +113,12 @@ def _times_s(size: float) -> Array:
     return size * np.interp(np.linspace(0.0, 1.0, 101), shares, times_s)
 
 
-def test_a_run_without_a_report_has_the_time_left_of_the_earlier_one() -> None:
-    state = ProgressState(0.0, EarlierRun.of_points([(0.0, 0.5), (0.4, 30.0)], 50.0))
-    assert state.left_s(10.0) == pytest.approx((40.0, 40.0))
-    assert state.line(10.0) == "starting: 0% after 10 s, 40 s left"
-
-
 def test_a_run_for_another_request_says_nothing_before_a_share_is_done() -> None:
     state = ProgressState(0.0, EarlierRun.of_points([(0.5, 60.0)], 120.0, "long.csv"), "short.csv")
     state.update(0.0, 1.0, "fit", 1.0)
     assert state.left_s(10.0) is None
     state.update(0.5, 1.0, "fit", 19.0)
     assert state.left_s(19.0) == pytest.approx((20.0 / 61.0 * 60.0,) * 2)
-
-
-def test_what_an_earlier_command_has_done_counts_for_nothing() -> None:
-    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 80.0), (0.75, 90.0)], 100.0))
-    state.update(0.5, 1.0, "going on", 1.0)
-    state.update(0.75, 1.0, "work", 21.0)
-    assert state.left_s(21.0) == pytest.approx((10.0 * 21.0 / 11.0,) * 2)
 
 
 def test_the_course_of_a_run_is_kept_for_the_next_one(

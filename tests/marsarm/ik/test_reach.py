@@ -6,12 +6,9 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from marsarm.common.pool import run_here
-from marsarm.ik.reach import reach, reach_document, sample_workspace
-from marsarm.ik.request import ModelRequest, ReachRequest
-from marsarm.ik.solve import build_ik_model
+from marsarm.ik.reach import reach, reach_document
+from marsarm.ik.request import ReachRequest
 from sim.frames import approach_from, random_surface, random_targets
-from simgap.common.progress import no_progress
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 
@@ -38,14 +35,6 @@ def test_the_elevation_limit_is_what_stands_in_the_way(document):
     by_joint = document["outside_limits_by_joint"]
     assert sum(by_joint.values()) == pytest.approx(document["out_by_verdict"]["outside_limits"])
     assert by_joint["elevation"] > 0.85
-
-
-def test_the_same_seed_is_the_same_map_and_another_is_not():
-    model = build_ik_model(ModelRequest(compensate="off"))
-    first, again, other = (sample_workspace(model, 300, seed, run_here, no_progress)[0] for seed in (1, 1, 2))
-    assert np.array_equal(first.valid, again.valid)
-    assert np.array_equal(first.p_NoTo_N_m, again.p_NoTo_N_m)
-    assert not np.array_equal(first.p_NoTo_N_m, other.p_NoTo_N_m)
 
 
 def test_the_workspace_is_the_cylinder_and_the_wedge():
@@ -76,14 +65,6 @@ def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
     with PIL.Image.open(tmp_path / "reach.png") as picture:
         assert picture.size == (1540, 990)
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
-
-
-@pytest.mark.slow
-def test_a_map_of_one_target_is_drawn_too(tmp_path):
-    path = tmp_path / "few.png"
-    report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path))
-    assert report.picture_problem is None
-    assert path.stat().st_size > 10_000
 
 
 def test_without_matplotlib_there_is_a_message_and_no_picture(tmp_path, monkeypatch):

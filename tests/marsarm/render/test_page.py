@@ -101,12 +101,6 @@ def test_a_figure_takes_every_colour_of_its_text_and_axes_from_the_page():
     assert not re.search(r"<g id=|<metadata|<image|<\?xml|<svg[^>]* width=", text)
 
 
-def test_two_figures_share_no_identifier():
-    ids = [set(re.findall(r'id="([^"]+)"', svg.render_svg(alt, 2.0, drawn))) for alt in ("one", "two")]
-    assert ids[0]
-    assert not ids[0] & ids[1]
-
-
 def test_text_cannot_break_out_of_the_page(page):
     evil = "</main><script>alert(1)</script>"
     text = page(

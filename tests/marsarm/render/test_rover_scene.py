@@ -1,22 +1,14 @@
 """The scene of a tilted rover, and triangles of shapes."""
 
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from marsarm.render.picture import PictureResult
 from marsarm.render.rays import Rays, triangulate
 from marsarm.render.rover_scene import tilt_rover
-from marsarm.runs import execution
-from marsarm.runs.execution import DrawnPoses, save_pictures
-from marsarm.runs.request import RunFiles
-from sim.arm_model.load import default_arm
 from sim.setting import Scene, Surface, World
 from sim.world import build
-from simgap.common.progress import no_progress
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 LOW_ROCK = Surface((2.05, 0.1, 0.2), (0.0, 0.0, -1.0))
@@ -101,21 +93,6 @@ def test_a_level_rover_is_drawn_as_ever() -> None:
     before = spec.to_xml()
     tilt_rover(spec)
     assert spec.to_xml() == before
-
-
-def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pictures: list[mujoco.MjModel] = []
-
-    def save(model: mujoco.MjModel, *_: Any) -> PictureResult:
-        pictures.append(model)
-        return PictureResult(None, "none")
-
-    monkeypatch.setattr(execution, "save_picture", save)
-    world = tilted(10.0, -5.0)
-    drawn = DrawnPoses(best=np.zeros(build(world).compile().nq))
-    save_pictures(RunFiles(picture=tmp_path / "x.png"), world, default_arm(), drawn, no_progress)
-    (model,) = pictures
-    np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)
 
 
 MODEL = """

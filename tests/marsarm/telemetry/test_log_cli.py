@@ -14,7 +14,7 @@ from marsarm.telemetry.export import export, index_suffixes
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
-from marsarm.telemetry.tables import LINE_WIDTH, channels_document, info_document
+from marsarm.telemetry.tables import channels_document
 from sim.record import CycleRecord
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import no_progress
@@ -51,15 +51,6 @@ def test_a_log_cut_short_is_said_to_be(folder):
     assert not found["closed"]
     assert 0 < found["cycles"] < CYCLES
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
-
-
-def test_the_header_of_a_log_has_lines_that_a_person_can_read(folder):
-    assert max(map(len, marsarm(folder, "log", "info", "run.mcap").stdout.splitlines())) <= LINE_WIDTH
-
-
-def test_channels_of_a_part(folder):
-    found = run_json(folder, "info", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
-    assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
 
 
 def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
@@ -109,14 +100,6 @@ def test_every_verb_has_help_with_an_example(folder, verb):
     ran = marsarm(folder, "log", verb, "--help")
     assert ran.returncode == 0
     assert f"Example: marsarm log {verb}" in " ".join(ran.stdout.split())
-
-
-def test_brackets_are_printed_as_they_are(folder):
-    (folder / "run.mcap").rename(folder / "run[bold].mcap")
-    found = marsarm(folder, "log", "info", "run[bold].mcap", "/joint.motor_rad")
-    assert "float64[5]" in found.stdout
-    drawn = marsarm(folder, "log", "plot", "run[bold].mcap", "/joint.motor_rad", "--out", "a[bold].png")
-    assert "a[bold].png" in drawn.stdout
 
 
 HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
@@ -206,14 +189,6 @@ def test_where_nothing_can_be_written_nothing_is(
         with pytest.raises(BadOutput, match=why):
             export(log, tmp_path / out, topics, no_progress)
     assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
-
-
-def test_a_log_in_numbers(log: Log) -> None:
-    info = info_document(log)
-    assert (info["cycles"], info["first_s"], info["duration_s"]) == (41, 0.0, 41 / 64)
-    assert [one["topic"] for one in info["topics"] if one["truth"]] == ["/truth"]
-    assert info["evrs"] == {"ACTIVITY_HI": 82}
-    assert next(one for one in info["topics"] if one["topic"] == "/joint")["rate_hz"] == 64.0
 
 
 def test_channels_by_pattern_with_their_ranges(log: Log) -> None:

@@ -73,13 +73,6 @@ def urdf() -> Urdf:
     return Urdf(description_of(World(surface=FACE), "nominal"))
 
 
-def test_the_links_are_one_tree_with_the_root_of_the_transforms(urdf: Urdf) -> None:
-    assert len(set(urdf.links)) == len(urdf.links)
-    assert set(urdf.links) - urdf.joint_to.keys() == {"map"}
-    for link in urdf.links[1:]:
-        urdf.pose_in_map(link, {})
-
-
 def test_the_joints_are_those_of_joint_states(urdf: Urdf) -> None:
     moving = [joint for joint in urdf.joint_to.values() if joint.attrib["type"] == "revolute"]
     assert [joint.attrib["name"] for joint in moving] == list(JOINTS)
@@ -162,15 +155,6 @@ def test_the_ground_is_as_high_as_the_world_has_it(world: World) -> None:
     top = (urdf.pose_in_map("ground", {}) @ X_GV).p[2] + 0.5 * sizes[2]
     assert (shape, top) == ("box", pytest.approx(P_NR_M[2] - world.ground_N_m, abs=1e-8))
     assert ("rock" in urdf.links) == (world.surface is not None)
-
-
-def test_the_same_run_has_the_same_description_and_every_colour_is_defined(urdf: Urdf) -> None:
-    assert description_of(World(surface=FACE), "nominal") == description_of(World(surface=FACE), "nominal")
-    known = {one.attrib["name"] for one in urdf.robot.findall("material")}
-    used = {one.attrib["name"] for one in urdf.robot.findall("link/visual/material")}
-    assert used == known
-    for colour in urdf.robot.findall("material/color"):
-        assert all(0 <= float(part) <= 1 for part in colour.attrib["rgba"].split())
 
 
 def test_a_shape_that_urdf_lacks_is_drawn_as_the_box_around_it() -> None:

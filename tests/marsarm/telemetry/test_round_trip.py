@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from numpy.typing import NDArray
 
 from fsw.dictionary.commands import MoveJoint, Stop
 from fsw.dictionary.enums import Joint
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.recorder import commands_header, flight_header, model_digest, run_header
-from marsarm.telemetry.topics import topics_in
 from sim.arms import arm_named
-from sim.effects.gears import CoulombFriction
-from sim.effects.geometry import Warming
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.setting import World
@@ -120,40 +116,6 @@ def test_a_run_that_ends_in_an_exception_leaves_a_whole_log(make: Any, tmp_path:
     assert not read_log(path).truncated
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arm:
-    angle_rad: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outputs:
-    arm: Arm
-    spare_arm: Arm | None
-    alive: bool
-    events: tuple[Arm, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cycle:
-    tick: int
-    outputs: Outputs
-
-
-def test_each_dataclass_in_a_cycle_is_a_topic_and_so_are_plain_fields_beside_them() -> None:
-    assert [(t.name, t.path, t.field_names) for t in topics_in(Cycle)] == [
-        ("/outputs", "outputs", ("alive",)),
-        ("/arm", "outputs.arm", ("angle_rad",)),
-        ("/spare_arm", "outputs.spare_arm", ("angle_rad",)),
-    ]
-
-
-def test_the_topics_of_our_cycle_have_names_of_their_own() -> None:
-    names = [topic.name for topic in topics_in(CycleRecord)]
-    assert {"/sensors", "/drive", "/joint", "/tool", "/truth"} <= set(names)
-    assert len(set(names)) == len(names)
-    assert not {"/evr", "/command"} & set(names)
-
-
 KEYS = {
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request", "effects"),
     *("params", "params_sha256", "mjcf_sha256", "commands", "commands_sha256", "boot"),
@@ -179,15 +141,6 @@ def test_a_header_holds_everything_as_text():
     assert header["params_sha256"] == nominal().config.params_sha256
     assert json.loads(header["cpu"])[-1].startswith("OpenBLAS ")
     assert (header["seed"], json.loads(header["request"])) == ("3", {"tool": "apxs"})
-
-
-def test_a_header_names_the_effects_that_were_switched_on():
-    effects = (CoulombFriction(Joint.ELBOW, 25.0), Warming(10.0))
-    header = run_header(nominal(), "nominal", 3, {}, (), effects)
-    assert json.loads(header["effects"]) == [
-        "coulomb-friction:elbow:torque_Nm=25.0",
-        "warming:warming_K=10.0",
-    ]
 
 
 def test_the_flight_header_has_nothing_of_the_plant():

@@ -157,18 +157,6 @@ def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
         assert browser.problems == []
 
 
-@needs_node
-@pytest.mark.parametrize(
-    ("low", "high", "ticks"), [(0, 10, ["0", "5", "10"]), (-0.3, 0.3, ["-0.2", "0.0", "0.2"])]
-)
-def test_the_scale_of_a_plot_has_round_numbers_and_no_negative_zero(low, high, ticks):
-    plots = files("marsarm.view").joinpath("page", "plots.js").read_text(encoding="utf-8")
-    browser = "const matchMedia = () => ({});"
-    script = f"{browser} {plots} console.log(JSON.stringify(ticksBetween({low}, {high}, 3)));"
-    done = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout) == ticks
-
-
 @needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])

@@ -14,7 +14,7 @@ from sim.mujoco_settings import BUS_V, GAINS
 from tests.sim import lab
 from tests.sim.effects import bench
 
-TIMES = pytest.mark.parametrize("times", slow_but([0.5, 1.0, 2.0], 2.0))
+TIMES = pytest.mark.parametrize("times", slow_but([0.5, 2.0], 2.0))
 JOINTS = pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.TURRET], Joint.TURRET))
 
 
@@ -67,7 +67,7 @@ def test_viscous_friction_costs_its_damping_times_the_speed(speed, times):
     )
 
 
-@pytest.mark.parametrize("speed", slow_but([0.1, 0.5, 1.0], 0.1))
+@pytest.mark.parametrize("speed", slow_but([0.1, 0.5], 0.1))
 @TIMES
 def test_stribeck_friction_falls_with_the_speed(speed, times):
     joint, knee = Joint.AZIMUTH, 0.01
@@ -98,7 +98,7 @@ def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed, time
     assert found == pytest.approx(0.1 * times * gear_load_Nm(joint, speed), rel=0.04)
 
 
-@pytest.mark.parametrize("factor", slow_but([0.95, 0.9, 0.8], 0.8))
+@pytest.mark.parametrize("factor", slow_but([0.95, 0.8], 0.8))
 def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor):
     joint = Joint.ELEVATION
     helps = np.sign(gravity_Nm(joint))
@@ -128,7 +128,7 @@ def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor):
     assert found == pytest.approx((factor - 1.0) * (cold_Nm + viscous), rel=0.02)
 
 
-@pytest.mark.parametrize("delay_s", slow_but([0.01, 0.03, 0.06], 0.03))
+@pytest.mark.parametrize("delay_s", slow_but([0.03, 0.06], 0.03))
 def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s):
     joint = Joint.AZIMUTH
     behind = (

@@ -92,10 +92,6 @@ def test_the_temperature_of_a_scenario_is_that_of_the_windings():
     assert loop.avionics.sense().winding_C == pytest.approx(-40.0)
 
 
-def test_a_scenario_without_a_measurement_has_not_passed():
-    assert not ScenarioResult(Outcome.DONE, 0, 0.0, (), ()).passed
-
-
 def test_a_command_that_a_fault_ended_was_not_carried_out_even_if_the_sequence_goes_on():
     cut = Injection(PowerLoss(0.5))
     checks = (Done(), Recovered("MotorStalled"))
@@ -192,7 +188,7 @@ def teaching_errors(name: str, point: TaughtPoint = AIR) -> tuple[float, float, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["nominal", "as-built:3", "as-built:8"])
+@pytest.mark.parametrize("name", ["nominal", "as-built:3"])
 def test_an_arm_comes_back_to_the_true_place_even_if_it_believes_to_be_elsewhere(name):
     off_m, axis_rad, believed_m = teaching_errors(name)
     if name == "nominal":

@@ -25,7 +25,7 @@ from sim.frames import P_NR_M
 from sim.scenario import tables
 from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
 from sim.scenario.file import BadScenario, built_in_scenarios, load_scenario, parse_scenario
-from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake
+from sim.scenario.records import Findings, field_keys, read_record, upper_snake
 from sim.setting import Surface
 from tests.sim.scenario.bad import BAD, GOOD
 from tests.tools import TOOLS
@@ -119,23 +119,6 @@ def test_every_command_check_and_fault_has_a_name_in_the_file():
     assert {"same_spot", "over_inlet"} <= set(tables.CHECK_CLASSES)
 
 
-def test_the_words_of_a_field_leave_out_the_letters_of_its_frames():
-    vector = tuple[float, float, float]
-    assert str(field_keys("p_RoTo_R_m", vector)) == "position_m or position_mm"
-    assert str(field_keys("end_p_RoTo_R_m", vector)) == "end_position_m or end_position_mm"
-    assert str(field_keys("p_N_m", vector)) == "position_m or position_mm"
-    assert str(field_keys("approach_R", vector)) == "approach"
-    assert str(field_keys("gravity_T", vector)) == "gravity"
-    assert str(field_keys("force_N", float)) == "force_N"
-    assert str(field_keys("angle_rad", float)) == "angle_rad or angle_deg"
-    assert str(field_keys("temperature_C", float)) == "temperature_degC"
-
-
-@pytest.mark.parametrize("suffix", UNIT_FACTORS)
-def test_every_unit_of_the_house_is_one_of_its_own(suffix):
-    assert 1.0 in UNIT_FACTORS[suffix].values()
-
-
 def test_positions_are_in_rnav_unless_another_frame_is_said():
     place = [2.0, 0.1, -0.25]
     expected = {"tool": "apxs", "approach": [0, 0, 1]}
@@ -193,17 +176,6 @@ def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
     assert found.title
     assert found.summary.endswith(".")
     assert found.arm == "nominal"
-
-
-def test_the_five_jobs_of_the_arm_are_there():
-    assert set(built_in_scenarios()) >= {
-        "contact-science",
-        "tool-change",
-        "sampling",
-        "processing",
-        "delivery",
-        "bit-exchange",
-    }
 
 
 def problems(text: str) -> tuple[str, ...]:
