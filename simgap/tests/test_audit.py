@@ -19,12 +19,13 @@ from helpers.planar_arm import (
 from helpers.real_robots import load_real
 from simgap.checks.audit import audit
 from simgap.checks.commands import count_foreign_commands
-from simgap.checks.nominal import NominalModel
+from simgap.checks.nominal import simulate_nominal
 from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_motions, diagnose
 from simgap.logs import JointLog, Logs, Signal
 from simgap.result import Refusal
+from simgap.simulation.compiled import Models
 
 TABLE_MOTIONS = {
     *("boundary_exploration", "diagonal_sweep", "dual_joint_elbow_wrist", "figure_eight"),
@@ -241,8 +242,8 @@ def test_the_error_of_the_model_does_not_depend_on_where_the_clock_starts(begin_
         name: JointLog(Signal(time_s, one.position.value), Signal(time_s, one.command.value))
         for name, one in motion.joints.items()
     }
-    found = NominalModel(planar_arm()).simulate(replace(motion, joints=joints)).mean_abs_rad
-    expected = NominalModel(planar_arm()).simulate(motion).mean_abs_rad
+    found = simulate_nominal(Models(planar_arm()), replace(motion, joints=joints)).mean_abs_rad
+    expected = simulate_nominal(Models(planar_arm()), motion).mean_abs_rad
     assert found == pytest.approx(expected, abs=1e-6)
 
 
@@ -250,10 +251,8 @@ def test_a_simulation_that_blows_up_has_no_error():
     robot = planar_arm()
     stiff = replace(robot, joints=tuple(replace(one, kp_Nm_rad=1e12) for one in robot.joints))
     motion = record(robot, 1, commands(1, -0.6, 0.4))
-    found = NominalModel(
-        replace(stiff, joints=tuple(replace(o, torque_limit_Nm=np.inf) for o in stiff.joints))
-    )
-    assert np.isnan(found.simulate(motion).mean_abs_rad["shoulder"])
+    free = replace(stiff, joints=tuple(replace(o, torque_limit_Nm=np.inf) for o in stiff.joints))
+    assert np.isnan(simulate_nominal(Models(free), motion).mean_abs_rad["shoulder"])
 
 
 TIME_s = np.arange(0.0, 8.0, 0.02)

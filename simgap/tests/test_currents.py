@@ -11,7 +11,7 @@ from helpers.robot_folder import write_csv, write_robot
 from helpers.two_joint_arm import arm, simulated
 from simgap import diagnose
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.checks.nominal import NominalModel
+from simgap.checks.nominal import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import CurrentScale
 from simgap.loading import load, take_currents_as_torques
@@ -19,6 +19,7 @@ from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.simulation.compiled import Models
 
 ELBOW = 'torque = { column = "m2", unit = "mN m", side = "motor" }'
 CURRENT = 'current = { column = "m2", unit = "mA" }\ntorque_constant_Nm_A = 2.5'
@@ -69,7 +70,7 @@ def test_no_gain_is_asked_where_torques_are_compared(tmp_path):
     assert math.isnan(robot.joint("shoulder").kp_Nm_rad)
     logs = load(robot, write_csv(tmp_path))
     assert [one.name for one in list_kinds(robot, logs.motions, None)] == ["inverse dynamics"]
-    assert math.isnan(NominalModel(robot).simulate(logs.motions[0]).mean_abs_rad["shoulder"])
+    assert math.isnan(simulate_nominal(Models(robot), logs.motions[0]).mean_abs_rad["shoulder"])
     assert "motor of shoulder" not in make_patch(robot, [], []).model_xml
     assert not any("kp" in one for one in make_patch(robot, [], []).changes if "shoulder" in one)
     path.write_text(path.read_text().replace('torque = { column = "m2", unit = "N m" }\n', ""))

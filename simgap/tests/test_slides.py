@@ -8,7 +8,7 @@ from helpers.slide_arm import command_of, model_text, write_folder, write_logs
 from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
-from simgap.checks.nominal import NominalModel
+from simgap.checks.nominal import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import joint_scales
@@ -174,7 +174,7 @@ def test_a_gripper_with_its_own_log_starts_where_its_tie_puts_both_fingers(tmp_p
     robot = Robot.from_toml(path)
     (motion,) = load(robot, tmp_path / "log.csv").motions
     assert motion.joints["left"].position.value == pytest.approx(0.02)
-    assert NominalModel(robot).simulate(motion).position["left"] == pytest.approx(0.02, abs=1e-5)
+    assert simulate_nominal(Models(robot), motion).position["left"] == pytest.approx(0.02, abs=1e-5)
     windows = cut_windows(robot, motion, None, 0.0)
     (shown,) = Engine(Models(robot), [], windows, 1).positions(np.zeros((1, 0)))
     assert shown.reshape(3, -1)[2] == pytest.approx(0.02, abs=1e-5)

@@ -13,6 +13,12 @@ from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import GainError
+from simgap.effects.command import (
+    CommandDelay,
+    CommonCommandDelay,
+    CommonMeasurementDelay,
+    MeasurementDelay,
+)
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
 from simgap.logs import Logs, Motion, Signal
@@ -87,6 +93,16 @@ def test_every_effect_of_the_catalogue_can_be_a_start(tmp_path) -> None:
     save_patch(MODEL, diagnosis(effects=effects, sizes=tuple(sizes)), tmp_path)
     again = read_found(MODEL, tmp_path)
     assert [repr(one) for one in again] == [repr(one) for one in effects]
+
+
+@pytest.mark.parametrize(
+    ("kind", "own"), [(CommonCommandDelay, CommandDelay), (CommonMeasurementDelay, MeasurementDelay)]
+)
+def test_a_delay_of_all_joints_can_be_a_start(kind, own, tmp_path) -> None:
+    one = at_swing(own, MODEL)
+    common = kind((one, replace(one, place="lift")), MODEL.control_period_s)
+    save_patch(MODEL, diagnosis(effects=(common,), sizes=((DELAY_s,),)), tmp_path)
+    assert [repr(one) for one in read_found(MODEL, tmp_path)] == [repr(common)]
 
 
 def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp_path, late) -> None:

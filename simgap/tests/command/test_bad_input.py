@@ -19,7 +19,6 @@ from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
 from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs
-from simgap.checks.nominal import NominalModel
 
 POSITION = 'column = "position_elbow", unit = "rad"'
 ROBOTS = {
@@ -219,7 +218,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError
 
     monkeypatch.setattr(simgap.diagnosis, "select_effects", refuse)
-    monkeypatch.setattr(NominalModel, "simulate", refuse)
+    monkeypatch.setattr("simgap.command.check.simulate_nominal", refuse)
 
 
 @pytest.mark.usefixtures("no_simulation")

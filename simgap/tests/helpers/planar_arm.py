@@ -6,9 +6,10 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from simgap.checks.nominal import NominalModel
+from simgap.checks.nominal import simulate_nominal
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
+from simgap.simulation.compiled import Models
 
 RATE_HZ = 50.0
 DURATION_S = 12.0
@@ -80,7 +81,7 @@ def record(real: Robot, number: int, sent: dict[str, np.ndarray], arrived=None) 
     time_s = np.arange(sent["shoulder"].size) / RATE_HZ
     start = {name: np.full(time_s.size, value[0]) for name, value in arrived.items()}
     before = motion(number, time_s, start, arrived)
-    found = NominalModel(real).simulate(before).position
+    found = simulate_nominal(Models(real), before).position
     position = {name: np.round(value / COUNT_RAD) * COUNT_RAD for name, value in found.items()}
     return motion(number, time_s, position, sent)
 

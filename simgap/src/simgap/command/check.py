@@ -10,7 +10,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.checks.audit import audit
-from simgap.checks.nominal import NominalModel, NominalMotion
+from simgap.checks.nominal import NominalMotion, simulate_nominal
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
 from simgap.common.console import plain_console, pluralize, text_table
@@ -34,6 +34,7 @@ from simgap.report.page import (
 from simgap.report.traces import extreme_rows
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.simulation.compiled import Models
 
 READ: Final = 0.05
 """Share of the time that reading takes; measured on an hour of logs of six joints."""
@@ -98,7 +99,7 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     logs = load(robot, request.logs)
     progress(READ, 1.0, "auditing")
     found = audit(robot, logs)
-    model = NominalModel(robot)
+    models = Models(robot)
     durations_s = [
         max(float(np.ptp(log.position.time_s)) for log in motion.joints.values()) for motion in logs.motions
     ]
@@ -106,7 +107,7 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     nominal = []
     for motion, done in zip(logs.motions, ends[:-1], strict=True):
         progress(AUDITED + (1.0 - AUDITED) * float(done), 1.0, f"simulating {motion.name}")
-        nominal.append(model.simulate(motion))
+        nominal.append(simulate_nominal(models, motion))
     digests = digest_files({"robot": [request.robot], "log": request.logs})
     return CheckReport(request, robot, logs, found, tuple(nominal), digests, _refusal(robot, logs, found))
 

@@ -206,7 +206,7 @@ class _CommonDelay(Effect):
 
     family: ClassVar[Family] = Family.TIMING
     at_joints: tuple[JointEffect, ...]
-    """The delay of each joint alone."""
+    """The delay of each joint alone; a file of effects needs its class, so a kind of delay names it."""
     period_s: float
     """Control period."""
     place: str = "all joints"
@@ -234,6 +234,7 @@ class CommonCommandDelay(_CommonDelay):
     """The commands of all joints arrive late by one time, as over a bus."""
 
     name: ClassVar[str] = CommandDelay.name
+    at_joints: tuple[CommandDelay, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,6 +242,7 @@ class CommonMeasurementDelay(_CommonDelay):
     """The positions of all joints are older than their time stamps by one time, as with another clock."""
 
     name: ClassVar[str] = MeasurementDelay.name
+    at_joints: tuple[MeasurementDelay, ...]
 
 
 @dataclass(frozen=True, slots=True)
