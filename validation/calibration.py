@@ -33,11 +33,7 @@ INTERVAL: Final = 1.645
 
 
 def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Array]:
-    """Measure an arm.
-
-    Returns:
-        The campaign, and the errors of the motor zeros, shape (5,), in rad.
-    """
+    """Measure an arm; return the campaign, and the errors of the motor zeros, (5,) [rad]."""
     plan = CampaignPlan(seed=seed)
     if not closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
@@ -46,11 +42,7 @@ def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Arra
 
 
 def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
-    """Measure an arm, calibrate it, and compare the result with the truth.
-
-    Args:
-        files: Folder for its parameter file.
-    """
+    """Measure an arm, calibrate it, into a folder if given, and compare the result with the truth."""
     arm, nominal = arm_named(f"as-built:{seed}"), nominal_params()
     campaign, zero_error_rad = measure(arm, seed, closed_loop)
     check_data(nominal, campaign)

@@ -101,11 +101,7 @@ def find_campaign(name: str) -> Campaign:
 
 
 def read_sizes(work: Callable[..., Any], words: Iterable[str]) -> dict[str, Any]:
-    """Read NAME=VALUE by the annotations of the function of a campaign.
-
-    Raises:
-        BadRequest: A name is not known, or a value has another type.
-    """
+    """Read NAME=VALUE as the function of a campaign annotates it; BadRequest for another name or type."""
     known = dict(list(inspect.signature(work).parameters.items())[1:])
     sizes = {}
     for word in words:

@@ -116,11 +116,7 @@ def select(document: Any, keys: Sequence[str | int]) -> Iterator[float]:
 
 
 def measure(table: RequirementTable, campaign: MeasuringCampaign) -> dict[str, float]:
-    """Run a campaign, and return the values of its requirements by name.
-
-    Raises:
-        RuntimeError: It printed no JSON document.
-    """
+    """Run a campaign, and return its values by requirement; RuntimeError if it printed no JSON document."""
     words = shlex.split(campaign.command)
     command = [sys.executable, *words[1:]]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)

@@ -127,13 +127,9 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
-        """Diagnose a case.
+        """Diagnose a case, with a catalogue that lacks one effect if named.
 
-        Args:
-            without: Name of an effect that the catalogue does not have; "" for none.
-
-        Raises:
-            NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
+        NoDiagnosis if a log cannot be compared, most motions are missing, or the plant diverges.
         """
         campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
         if without:
