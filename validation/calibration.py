@@ -84,12 +84,9 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
 
 
 def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Document:
-    """Calibrate all arms, and check the results.
+    """Calibrate as-built arms, and check the results; the folder takes their parameter files, SEED.toml.
 
-    Args:
-        context: Its folder takes the parameter files of the arms, SEED.toml each.
-        arms: Number of as-built arms.
-        closed_loop: Measure in the closed loop: three minutes an arm, not ten seconds.
+    Measuring in the closed loop takes three minutes an arm, not ten seconds.
     """
     if arms < 1:
         raise BadRequest("set: arms are 1 or more")

@@ -231,9 +231,7 @@ def check_result(case: TrueCase, result: Document) -> None:
 def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
     """Diagnose solved cases with one clear effect again, with a catalogue that lacks it.
 
-    Args:
-        context: Its folder holds the cases.
-        cases: Greatest number of cases; those with the largest effects are taken.
+    Of the cases in the folder, so many are taken, those with the largest effects.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")
     truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder, maker)
