@@ -127,8 +127,7 @@ def is_loss_reported(
 def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     """Judge a strict read of a damaged file, of which `cut_ns` is the log time of its last complete chunk.
 
-    Returns:
-        "harmless", "detected", "refused" or "cut", or a description of the error that begins with "WRONG".
+    It is "harmless", "detected", "refused" or "cut", or an error, whose text begins with "WRONG".
     """
     try:
         log = parse_log(HERE, damaged)
@@ -152,8 +151,7 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
 def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
     """Judge the recovery of a damaged file, with a flag for each chunk that is damaged.
 
-    Returns:
-        "saved" or "nothing to save", or a description of the error that begins with "WRONG".
+    It is "saved" or "nothing to save", or an error, whose text begins with "WRONG".
     """
     bad, good = folder / "bad.mcap", folder / "good.mcap"
     bad.write_bytes(damaged)

@@ -242,9 +242,7 @@ SHOTS = {
 def view(context: Context, log: Path | None = None) -> Document:
     """Measure the frames a second of the page that plays a run, without a GPU, and its size.
 
-    Args:
-        context: Its folder takes the pictures of docs/logs.md.
-        log: The log to play; a placement of as-built:7 if there is none.
+    It plays a log, by default a placement of as-built:7; the folder takes the pictures of docs/logs.md.
     """
     if find_chromium() is None:
         raise BadRequest(f"view: {MISSING}")

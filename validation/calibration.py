@@ -33,11 +33,7 @@ INTERVAL: Final = 1.645
 
 
 def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Array]:
-    """Measure an arm.
-
-    Returns:
-        The campaign, and the errors of the motor zeros, shape (5,), in rad.
-    """
+    """Measure an arm; return the campaign, and the errors of the motor zeros, (5,) [rad]."""
     plan = CampaignPlan(seed=seed)
     if not closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
@@ -46,11 +42,7 @@ def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Arra
 
 
 def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
-    """Measure an arm, calibrate it, and compare the result with the truth.
-
-    Args:
-        files: Folder for its parameter file.
-    """
+    """Measure an arm, calibrate it, into a folder if given, and compare the result with the truth."""
     arm, nominal = arm_named(f"as-built:{seed}"), nominal_params()
     campaign, zero_error_rad = measure(arm, seed, closed_loop)
     check_data(nominal, campaign)
@@ -92,12 +84,9 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
 
 
 def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Document:
-    """Calibrate all arms, and check the results.
+    """Calibrate as-built arms, and check the results; the folder takes their parameter files, SEED.toml.
 
-    Args:
-        context: Its folder takes the parameter files of the arms, SEED.toml each.
-        arms: Number of as-built arms.
-        closed_loop: Measure in the closed loop: three minutes an arm, not ten seconds.
+    Measuring in the closed loop takes three minutes an arm, not ten seconds.
     """
     if arms < 1:
         raise BadRequest("set: arms are 1 or more")

@@ -101,11 +101,7 @@ def find_campaign(name: str) -> Campaign:
 
 
 def read_sizes(work: Callable[..., Any], words: Iterable[str]) -> dict[str, Any]:
-    """Read NAME=VALUE by the annotations of the function of a campaign.
-
-    Raises:
-        BadRequest: A name is not known, or a value has another type.
-    """
+    """Read NAME=VALUE as the function of a campaign annotates it; BadRequest for another name or type."""
     known = dict(list(inspect.signature(work).parameters.items())[1:])
     sizes = {}
     for word in words:
@@ -171,12 +167,7 @@ def run_brief(campaign: Campaign, seed: int) -> BriefResult:
 
 
 def brief(context: Context, only: str = "") -> Document:
-    """Run the campaigns, as many at a time as there are workers.
-
-    Args:
-        context: Gives seed and workers.
-        only: Names, with commas; empty for all.
-    """
+    """Run all campaigns, or those named, with commas, as many at a time as there are workers."""
     chosen = [one for one in TABLE if one.brief is not None and (not only or one.name in only.split(","))]
     if not chosen:
         raise BadRequest(f"set only: no campaign with a brief form is called {only}")

@@ -252,8 +252,7 @@ def log_distances(rng: np.random.Generator, n: int) -> Array:
 def draw_vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
     """Draw joint vectors inside the soft limits, most of them near double roots or limits.
 
-    Returns:
-        Output angles in rad, shape (5, n), and flags of Near, shape (n,).
+    They are output angles, (5, n) [rad], with flags of Near, (n,).
     """
     low, high = trial.arm.soft_min_rad[:, None], trial.arm.soft_max_rad[:, None]
     plain = rng.uniform(low, high, (5, n))
@@ -338,8 +337,7 @@ def _put_near_limits(q: Array, flagged: Kinds, low: Array, high: Array, rng: np.
 def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Flags]:
     """Draw targets in the workspace, near double roots, and anywhere in reach.
 
-    Returns:
-        Positions [m] and unit approach vectors in the rover frame, (3, n) each; which are of the workspace.
+    Return positions [m] and unit approach vectors in the rover frame, (3, n) each, and flags of the first.
     """
     p_N_m, angles_rad = random_targets(rng, n)
     p_m, approach = p_R_from_N(p_N_m.T).T, approach_from(angles_rad)

@@ -116,11 +116,7 @@ def select(document: Any, keys: Sequence[str | int]) -> Iterator[float]:
 
 
 def measure(table: RequirementTable, campaign: MeasuringCampaign) -> dict[str, float]:
-    """Run a campaign, and return the values of its requirements by name.
-
-    Raises:
-        RuntimeError: It printed no JSON document.
-    """
+    """Run a campaign, and return its values by requirement; RuntimeError if it printed no JSON document."""
     words = shlex.split(campaign.command)
     command = [sys.executable, *words[1:]]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
@@ -236,11 +232,8 @@ def _result(row: RequirementRow, value: float) -> str:
 def campaign(context: Context, measure_anew: bool = True, check: bool = False, only: str = "") -> Document:
     """Measure the requirements, and write their page; in bounds if there is no problem.
 
-    Args:
-        context: Told of the progress.
-        measure_anew: Run the campaigns, for half an hour; else take the numbers that were measured.
-        check: Write nothing.
-        only: Names of the campaigns to measure, with commas; empty for all.
+    The campaigns, all or those named with commas, run for half an hour; else the numbers that were measured
+    stay. A check writes nothing.
     """
     table = load_table()
     kept = json.loads(MEASURED.read_text(encoding="utf-8"))

@@ -123,14 +123,9 @@ def draw_contact(robot: Robot, motion: Motion, found: Audit, figure: Any) -> Non
 
 
 def convert(folder: Path, joints: tuple[str, ...]) -> pa.Table:
-    """Read all motions in the order of their names.
+    """Read all motions of a folder, in the order of their names, by the names of the joints in the logs.
 
-    Args:
-        folder: Folder with a folder for each motion.
-        joints: Names of the joints, in the order of the logs.
-
-    Raises:
-        RobotError: There is no motion, a file is missing, or the rows of a motion do not agree.
+    RobotError if there is none, a file is missing, or the rows of a motion do not agree.
     """
     tables = []
     names = sorted({one.parent.name for file in FILES for one in folder.glob(f"*/{file}")})

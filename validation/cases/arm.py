@@ -127,13 +127,9 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
-        """Diagnose a case.
+        """Diagnose a case, with a catalogue that lacks one effect if named.
 
-        Args:
-            without: Name of an effect that the catalogue does not have; "" for none.
-
-        Raises:
-            NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
+        NoDiagnosis if a log cannot be compared, most motions are missing, or the plant diverges.
         """
         campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
         if without:
@@ -235,9 +231,7 @@ def check_result(case: TrueCase, result: Document) -> None:
 def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
     """Diagnose solved cases with one clear effect again, with a catalogue that lacks it.
 
-    Args:
-        context: Its folder holds the cases.
-        cases: Greatest number of cases; those with the largest effects are taken.
+    Of the cases in the folder, so many are taken, those with the largest effects.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")
     truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder, maker)

@@ -101,10 +101,6 @@ def plan_cases(
     Effects are sampled first, then the place of each. The two effects of a pair have different classes.
     Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
     them, their cases have no effect.
-
-    Args:
-        cases: Number of cases.
-        outside: Effects outside the catalogue.
     """
     known, unknown = ([one for one in some if can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
@@ -211,11 +207,7 @@ class TruthLeaked(UserError):
 
 
 def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
-    """Check that a log does not reveal the truth of its case.
-
-    Raises:
-        TruthLeaked: The log contains a header key, topic, name or number of the truth.
-    """
+    """Raise TruthLeaked if a log has a header key, topic, name or number of the truth of its case."""
     log = read_log(path)
     extra_keys = sorted(set(log.header) - ALLOWED_KEYS)
     if extra_keys:

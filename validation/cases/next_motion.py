@@ -173,13 +173,9 @@ def make_next(truth: Truth, planned: Motion) -> Motion:
 
 
 def campaign(context: Context, cases: int = 40, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases; seed 0 becomes 1, for its cases are for tuning.
+    """Make, solve and score sealed cases as `run_steps` does.
 
-    Args:
-        context: Its folder holds the cases; next-cases-SEED if it names none.
-        cases: Number of cases.
-        step: all, make, solve or score.
-        partial: Score only cases that are solved.
+    They are in next-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
     """
     context = replace(context, seed=max(context.seed, 1))
     return sealed.run_steps(context, NextCases(tuple(SERVOS)), cases, step, partial)

@@ -180,14 +180,9 @@ def campaign(
     partial: bool = False,
     robots: str = ",".join(ARMS),
 ) -> Document:
-    """Make, solve and score sealed pairs; seed 0 becomes 1, for its cases are for tuning.
+    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does.
 
-    Args:
-        context: Its folder holds the cases; robot-pairs-SEED if it names none.
-        cases: Number of pairs.
-        step: all, make, solve or score.
-        partial: Score only pairs that are solved.
-        robots: Names, with commas.
+    They are in robot-pairs-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
     """
     context = replace(context, seed=max(context.seed, 1))
     return sealed.run_steps(context, RobotPairs(tuple(robots.split(","))), cases, step, partial)

@@ -235,15 +235,10 @@ def campaign(
     robots: str = ",".join(ARMS),
     test_rates: bool = True,
 ) -> Document:
-    """Make, solve and score sealed cases; seed 0 becomes 1, for its cases are for tuning.
+    """Make, solve and score sealed cases of robots, named with commas, as `run_steps` does.
 
-    Args:
-        context: Its folder holds the cases; robot-cases-SEED if it names none.
-        cases: Number of cases.
-        step: all, make, solve or score.
-        partial: Score only cases that are solved.
-        robots: Names, with commas.
-        test_rates: False for few cases: then only a false alarm counts.
+    They are in robot-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning. Of few
+    cases the rates are not tested: then only a false alarm counts.
     """
     context = replace(context, seed=max(context.seed, 1))
     maker = RobotCases(tuple(robots.split(",")), test_rates)

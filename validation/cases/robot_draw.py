@@ -109,11 +109,7 @@ class CaseMotions:
 
 
 def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
-    """Draw a case of a robot, a key of `ARMS`; the same seed gives the same case.
-
-    Returns:
-        The nominal robot, its logs with the held-out motions, and the truth.
-    """
+    """Draw robot, logs with held-out motions, and truth of a case of a key of `ARMS`, the same by seed."""
     truth = draw_truth(seed, kind, model)
     return load_robot(model), record_logs(truth), truth
 
@@ -278,9 +274,7 @@ def find_size(
 ) -> tuple[TrueEffect, float]:
     """Search the size with a strength of `times` family-wise limits; return the effect and what it reaches.
 
-    Raises:
-        NoSize: No size within its bounds has a strength in the range of all strengths.
-        FloatingPointError: The truth diverged.
+    NoSize if no size within its bounds has a strength in the range, FloatingPointError if the truth diverged.
     """
     size, high = one.entry.typical, one.entry.high
     below, above, best = 0.0, np.inf, (np.inf, 0.0, 0.0)
@@ -311,8 +305,7 @@ def _between(below: float, above: float, size: float) -> float:
 def record_logs(truth: Truth, run: int = 0) -> Logs:
     """Record all motions of a case with noise, quantised.
 
-    Args:
-        run: Later runs have the same commands, each its own noise, and no motion that is held out.
+    Later runs have the same commands, each its own noise, and no motion that is held out.
     """
     campaign, seed = make_motions(truth.seed, truth.model), truth.seed
     effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]

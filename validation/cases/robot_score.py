@@ -175,13 +175,7 @@ def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
 
 
 def score_bars(bars: dict[str, RateBar], count: int, more: Document, in_bounds: bool = True) -> CaseScore:
-    """Return a score by bars, all of which have to be met.
-
-    Args:
-        count: Number of solved cases.
-        more: What else stands in the document.
-        in_bounds: False if something else missed its bound.
-    """
+    """Return a score of `count` solved cases by bars, which have to be met, as all other bounds have to."""
     document = {
         "cases": count,
         "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
@@ -217,12 +211,7 @@ FAR: Final = 0.9
 def find_equivalents(
     campaign: CaseMotions, drawn: DrawnEffect, entries: tuple[Entry, ...]
 ) -> tuple[tuple[str, str], ...]:
-    """Return the effects with their places that cannot be told from a true one.
-
-    Args:
-        drawn: The effect; one of the entries is its own equivalent.
-        entries: Effects that a verdict may name.
-    """
+    """Return the entries, with places, that cannot be told from a true effect, itself included."""
     true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
     near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
     found = [

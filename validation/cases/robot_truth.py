@@ -85,14 +85,7 @@ class TrueEffect:
         cls.needs_load, cls.is_everywhere = needs_load, is_everywhere
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
-        """Make it.
-
-        Args:
-            scene: The nominal robot and its motions.
-            place: Name of a joint or of a body.
-            size: Amplitude in the unit of the effect.
-            shape: Number from 0 to 1 from which a shape parameter is computed.
-        """
+        """Make it at a joint or body, of a size in its unit and a shape, a number from 0 to 1."""
         self.scene, self.robot, self.place, self.size, self.shape = scene, scene.robot, place, size, shape
         names = [joint.name for joint in scene.robot.joints]
         self.j = names.index(place) if place in names else 0
@@ -199,19 +192,10 @@ class Plant:
         seed: int,
         temperature_degC: tuple[float, float] = (25.0, 25.0),
     ) -> Array:
-        """Return what the encoders show at the times of the commands, without noise.
+        """Return what the encoders show at the times of the commands, without noise, (n_joints, n) [rad].
 
-        Args:
-            commands: Commands, (n_joints, n) [rad], held until the next sample.
-            period_s: Time between samples.
-            seed: Seed of effects that are random.
-            temperature_degC: At the first and at the last sample.
-
-        Returns:
-            Shown positions, (n_joints, n) [rad].
-
-        Raises:
-            FloatingPointError: The simulation diverged.
+        Commands, (n_joints, n) [rad], are held until the next sample; temperatures are those of the first and
+        the last. FloatingPointError if the simulation diverged.
         """
         return _Motion(self, commands, period_s, seed, temperature_degC).simulate()
 

@@ -127,13 +127,10 @@ class CaseMaker(Generic[Case]):
 def run_steps(
     context: Context, maker: CaseMaker[Any], cases: int, step: str, partial: bool, is_kept: bool = True
 ) -> Document:
-    """Make, solve and score cases, or do one of these.
+    """Make, solve and score cases, or do one of `STEPS`, in the folder of the context.
 
-    Args:
-        context: Its folder holds the cases.
-        step: One of STEPS.
-        partial: Score only cases that are solved, instead of refusing others.
-        is_kept: Keep the cases in a folder of the name and the seed if the context names none.
+    If it names none, cases that are kept have one of the name and the seed. A partial score is of the cases
+    that are solved, where others are refused.
     """
     if step not in STEPS:
         raise BadRequest(f"set step: {step} is none of {', '.join(STEPS)}")
@@ -156,14 +153,9 @@ def run_steps(
 def make_cases(
     folder: Path, maker: CaseMaker[Any], cases: int, seed: int, run: Runner, progress: Progress
 ) -> tuple[str, int]:
-    """Draw and seal the truth, then record every case that is not there.
+    """Draw and seal the truth, then record every case that is not there; return digest and number recorded.
 
-    Returns:
-        The digest, and the number of cases that were recorded now.
-
-    Raises:
-        BadRequest: The folder holds something else, or cases of another seed or number.
-        BadOutput: A file cannot be written.
+    BadRequest if the folder holds something else, or cases of another seed or number.
     """
     if not 1 <= cases <= MOST_CASES:
         raise BadRequest(f"cases: {cases} is not within 1 .. {MOST_CASES}")
@@ -292,11 +284,7 @@ def read_digest(folder: Path) -> str:
 
 
 def solve_cases(folder: Path, maker: CaseMaker[Any], run: Runner, progress: Progress) -> tuple[int, int]:
-    """Solve all cases without a result; never read the truth.
-
-    Returns:
-        Number of cases solved now, and number of all cases.
-    """
+    """Solve all cases without a result, and never read the truth; return how many, and the number of all."""
     read_digest(folder)
     cases = sorted(one for one in (folder / CASES_FOLDER).glob(f"case-*{maker.suffix}"))
     if not cases:
@@ -325,10 +313,9 @@ def solve_case(job: tuple[Path, CaseMaker[Any], Path]) -> str:
 
 
 def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore:
-    """Score the cases of a folder; the truth must match its digest.
+    """Score the cases of a folder.
 
-    Raises:
-        BadRequest: The truth was changed, a case is not solved, or a result is damaged.
+    BadRequest if the truth was changed, a case is not solved, or a result is damaged.
     """
     truth, results = load_truth(folder, maker), load_results(folder, maker)
     missing = [case.name for case in truth.cases if case.name not in results]

@@ -67,13 +67,9 @@ def is_sure_and_wrong(case: SealedCase, result: Document) -> bool:
 
 
 def campaign(context: Context, cases: int = 60, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases of servos; seed 0 becomes 1, for its cases are for tuning.
+    """Make, solve and score sealed cases of servos as `run_steps` does.
 
-    Args:
-        context: Its folder holds the cases; servo-cases-SEED if it names none.
-        cases: Number of cases.
-        step: all, make, solve or score.
-        partial: Score only cases that are solved.
+    They are in servo-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
     """
     context = replace(context, seed=max(context.seed, 1))
     return sealed.run_steps(context, ServoCases(tuple(SERVOS)), cases, step, partial)

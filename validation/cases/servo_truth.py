@@ -78,11 +78,7 @@ class ServoPlant:
         temperature_degC: tuple[float, float],
         gain: Array,
     ) -> Array:
-        """Return what the encoder shows; arguments as those of `Plant.simulate`.
-
-        Args:
-            gain: Gain at each sample, (n,); 0 without power.
-        """
+        """Return what the encoder shows, as `Plant.simulate` does; a gain, (n,), is 0 without power."""
         h, n = self.step_s, commands.shape[1]
         steps = round((n - 1) * period_s / h)
         time_s = h * np.arange(-round(SETTLE_S / h), steps + 1)

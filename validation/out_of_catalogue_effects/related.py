@@ -39,11 +39,7 @@ class ChurningGrease(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class SharedSeal(EachCycle):
-    """Added friction of motor and gear, proportional to the speed of the next joint towards the rover.
-
-    Raises:
-        ValueError: the joint is the first one.
-    """
+    """Added friction of motor and gear, proportional to the speed of the next joint towards the rover."""
 
     joint: Joint
     torque_Nm: Torque
@@ -97,11 +93,7 @@ class UnevenMesh(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class TwoJointCable(EachCycle):
-    """Cable across a joint and the next one towards the rover, a spring on the sum of their angles.
-
-    Raises:
-        ValueError: the joint is the first one.
-    """
+    """Cable across a joint and the next one towards the rover, a spring on the sum of their angles."""
 
     joint: Joint
     stiffness_Nm_rad: Annotated[float, ParameterSpec(0.0, 500.0, unit="N m/rad", typical=2.0, neutral=0.0)]
