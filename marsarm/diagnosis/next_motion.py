@@ -27,16 +27,9 @@ def propose_motion(
 ) -> Proposal:
     """Propose the motion that tells the rivals of the finding in most doubt apart.
 
-    Calibration errors and sizes of effects are fitted again, with what the earlier motions say of them.
-
-    Args:
-        model: Model of the earlier motions.
-        rivals: Rivals of all findings.
-        planned: Sensitivities of planned motions, with the effects of these rivals; each is a block.
-        words: Description of each block.
-
-    Raises:
-        RobotError: No finding has a rival.
+    Calibration errors and sizes of effects are fitted again, with what the earlier motions say of them. The
+    sensitivities of planned motions have the effects of these rivals; each is a block with its words.
+    RobotError if no finding has a rival.
     """
     group = choose_rivals(rivals)
     settings = [_settings(one) for one in group]

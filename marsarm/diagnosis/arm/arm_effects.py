@@ -211,36 +211,20 @@ def list_locations(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
 
 
 def locate(effect: str, place: str) -> str:
-    """Return the location of an effect: its place without axis and direction.
-
-    Args:
-        effect: Name of the effect.
-        place: Its place, such as "arm3.x", "elbow.positive" or "tool.drill".
-    """
+    """Return the location of an effect: its place without axis and direction, as "arm3" of "arm3.x"."""
     return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
 
 
 def family_of(kind: type[Effect]) -> StrEnum:
-    """Return the family of an effect that a diagnosis can name.
-
-    Args:
-        kind: Class of the effect.
-
-    Raises:
-        StopIteration: It has none, which is a bug; a test holds the table to the catalogue.
-    """
+    """Return the family of an effect that a diagnosis can name; a test holds the table to the catalogue."""
     return next(family for family, kinds in FAMILIES.items() if kind in kinds)
 
 
 def effects_of_params(params: Params, drawing: Params) -> tuple[Effect, ...]:
-    """Return the effects whose perfect calibration gives these flight parameters.
+    """Return the effects whose perfect calibration gives the parameters of an arm, by those of its drawing.
 
     They are frames, springs and masses of the links, frames of the tools, hardstops, backlash, stiffness and
     friction of the joints, constants of the motors and scales of the encoders. A spring has one factor.
-
-    Args:
-        params: Flight parameters of an arm.
-        drawing: Those of its drawing.
     """
     found: list[Effect] = []
     now = drawing

@@ -66,14 +66,9 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
 def load_checked_recordings(
     paths: Sequence[Path], base: Params | None = None, arm: ArmModel | None = None
 ) -> list[Recording]:
-    """Load recordings, and check that they can be compared with a simulator of these parameters.
+    """Load recordings, and check that a simulator of these parameters and drawing can be compared with them.
 
-    Args:
-        base: Flight parameters of the simulator; None for those of the first log.
-        arm: Drawing of the simulator; None for the default one.
-
-    Raises:
-        NotForDiagnosis: One cannot be compared; the message says why.
+    By default the parameters are those of the first log. NotForDiagnosis says why a log cannot be compared.
     """
     recordings = [load_recording(path, arm) for path in paths]
     wrong = refusals(recordings, base or recordings[0].params) if recordings else ()

@@ -69,13 +69,9 @@ def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) ->
 def sample_amplitude(
     one: DetectableEffect, rng: np.random.Generator, multiples: tuple[float, float] = LIMIT_MULTIPLES
 ) -> SampledEffect:
-    """Sample an amplitude log-uniformly, with a random sign, within the bounds.
+    """Sample an amplitude within multiples of the detection limit, log-uniformly, with a random sign.
 
-    All parameters depart from neutral by the same number of typical sizes.
-
-    Args:
-        one: Effect with its detection limit.
-        multiples: Least and greatest amplitude in detection limits.
+    It stays within the bounds. All parameters depart from neutral by the same number of typical sizes.
     """
     times = float(np.exp(rng.uniform(*np.log(multiples))))
     sign = int(rng.choice((-1, 1)))
@@ -120,16 +116,7 @@ def record_blind(
     progress: Progress,
     arm: str = NOMINAL,
 ) -> bool:
-    """Record sessions of an arm with effects; return whether every motion completed.
-
-    Args:
-        folder: Folder of the logs.
-        effects: Effects that are switched on, and numerics.
-        sessions: Sessions of the campaign.
-        seed: Seed of the sensor noise.
-        progress: Called with done, total and step.
-        arm: Name of an arm of its drawing.
-    """
+    """Record sessions of an arm with effects in a folder; return whether every motion completed."""
     built = arm_named(arm).with_effects(effects)
     reference, begun = blind_reference(built, arm), effects_of_run(effects)
     numbers = np.random.default_rng(seed).integers(2**31, size=len(sessions))

@@ -106,15 +106,9 @@ def compute_sensitivities(
 ) -> Sensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 
-    Args:
-        kinds: Names of the effects of the catalogue; None for all.
-        steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
-        arm: Name of an arm of the drawing.
-
-    Raises:
-        NotForDiagnosis: A log cannot be compared.
-        BadRequest: A cached file cannot be read, or the folder cannot be made.
-        BadOutput: A file cannot be written.
+    Kinds are names of effects; None stands for all. Steps are those of the cached logs `steps_of`, or adapted
+    without these. NotForDiagnosis if a log cannot be compared, BadRequest or BadOutput if a cached file
+    or its folder cannot be read or written.
     """
     # absolute, as a worker may be in another folder
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
@@ -209,10 +203,8 @@ def _choose_steps(
     """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
 
     A column with its slope from a nuisance keeps its step: another step would not change that slope.
-    Numerical errors keep theirs too. They are simulated last, as their rests take long.
-
-    Returns:
-        Step of each column, whose share is that of its typical size.
+    Numerical errors keep theirs too. They are simulated last, as their rests take long. A step has the share
+    of the typical size of its column.
     """
     simulator, _ = _part(campaign, True)
     columns = list_columns(simulator)

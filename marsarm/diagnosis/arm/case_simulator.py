@@ -83,10 +83,6 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimula
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
     The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
     later shifts a start by a part of a bin, and its mean current by many noise floors.
-
-    Args:
-        arm: Simulator of the arm under the drive of the case.
-        layout: Layout of the campaign's features, m of them.
     """
     number = {key: k for k, key in enumerate(arm.layout.keys)}
     rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
@@ -139,14 +135,11 @@ class NuisanceFit:
 def fit_nuisances(
     model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
 ) -> tuple[NuisanceFit, FeatureSelection]:
-    """Fit the nuisances alone, and if an effect remains, beside the effect.
+    """Fit the nuisances alone, and if an effect remains, beside the effect; start at nominal nuisances.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
     which effects have to pay for their parameters. Large effects are simulated before: their linear response
     would lose against nuisances beyond any real arm.
-
-    Args:
-        first: Simulator at nominal nuisances.
     """
     whiten = build_full_whitener(model.sensitivities)
     alone = beside = _fit_alone(model, whiten, first, patch)

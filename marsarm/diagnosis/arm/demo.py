@@ -85,13 +85,9 @@ class Demo:
 
 
 def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], None]) -> Demo:
-    """Draw an effect, record an arm with it, diagnose the logs, and compare.
+    """Draw an effect, record an arm with it, publish the digest, diagnose the logs, and compare.
 
-    Args:
-        publish: Called with the digest of the truth before the logs are diagnosed.
-
-    Raises:
-        BadRequest: The request is wrong, or the cache cannot be written.
+    BadRequest if the request is wrong, or the cache cannot be written.
     """
     check_options(request)
     campaign = load_demo_campaign(request, progress)

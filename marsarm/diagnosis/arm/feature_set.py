@@ -142,14 +142,10 @@ def simulate_features(
     options: SimulationOptions,
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """Compute the features that the simulator predicts. Repeats of a motion have those of the first one.
+    """Predict the features, (m,), in the units of their channels.
 
-    Returns:
-        Features in the units of their channels, shape (m,); NaN for motions that are not wanted, and for
-        features that the first of the repeats lacks.
-
-    Raises:
-        PlantDiverged: MuJoCo counted a warning.
+    Repeats of a motion have those of the first one. They are NaN for motions that are not wanted, and where
+    the first repeat lacks them. PlantDiverged if MuJoCo counted a warning.
     """
     known: dict[str, dict[str, float]] = {}
     for one in feature_set.motions:

@@ -155,8 +155,7 @@ class Recording:
 def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
     """Load a log of this project, or an imported one, of an arm of a drawing; None for the default one.
 
-    Raises:
-        NotForDiagnosis: The log lacks data that a comparison needs.
+    NotForDiagnosis if the log lacks data that a comparison needs.
     """
     try:
         log = read_log(path)

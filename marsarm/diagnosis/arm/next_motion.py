@@ -51,11 +51,8 @@ class NextArmMotion:
 def propose_next(request: NextRequest, progress: Progress = no_progress) -> NextArmMotion:
     """Diagnose logs and propose a motion; write no file but caches.
 
-    Raises:
-        BadRequest: The request is wrong.
-        NotForDiagnosis: The logs cannot be diagnosed.
-        RobotError: The diagnosis leaves nothing to tell apart.
-        PlantDiverged: A simulated arm broke.
+    BadRequest and NotForDiagnosis as in `diagnose`, RobotError if nothing is left to tell apart, and
+    PlantDiverged if a simulated arm broke.
     """
     check_options(request)
     job = prepare_diagnosis(DiagnoseRequest(**{name: getattr(request, name) for name in SAME_OPTIONS}))

@@ -28,11 +28,7 @@ class NothingToWrite(Exception):
 
 
 def effects_of_findings(diagnosis: Diagnosis) -> tuple[Effect, ...]:
-    """Return the effects of a diagnosis with their fitted values.
-
-    Raises:
-        NothingToWrite: No effect was found.
-    """
+    """Return the effects of a diagnosis with their fitted values; NothingToWrite if there is none."""
     if not diagnosis.findings:
         raise NothingToWrite("no effect was found, so there is none to switch on")
     return tuple(
@@ -43,9 +39,7 @@ def effects_of_findings(diagnosis: Diagnosis) -> tuple[Effect, ...]:
 def save_patch(diagnosis: Diagnosis, path: Path) -> None:
     """Write the file that switches on the findings, for --effect and for a scenario.
 
-    Raises:
-        NothingToWrite: No effect was found.
-        BadOutput: The file cannot be written.
+    NothingToWrite if no effect was found, BadOutput if the file cannot be written.
     """
     comments = [
         "Findings of a diagnosis; switch them on with --effect and the name of this file.",
@@ -58,8 +52,7 @@ def save_patch(diagnosis: Diagnosis, path: Path) -> None:
 def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
     """Return flight parameters that include the effects, as far as there are parameters for them.
 
-    Raises:
-        NothingToWrite: There is no parameter for any effect, or flight software refuses the values.
+    NothingToWrite if there is no parameter for any effect, or flight software refuses the values.
     """
     params = base
     for effect in effects:
@@ -77,9 +70,7 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
 def save_new_params(diagnosis: Diagnosis, base: Params, drawing: Params, path: Path) -> None:
     """Write the parameter file for --params: all values of `base` and the findings that are not nominal.
 
-    Raises:
-        NothingToWrite: There are no new parameters.
-        BadOutput: The file cannot be written.
+    NothingToWrite if there are no new parameters, BadOutput if the file cannot be written.
     """
     effects = effects_of_findings(diagnosis)
     params = new_params(base, effects)
@@ -100,12 +91,7 @@ def save_diagnosis_files(
 ) -> tuple[str, ...]:
     """Write the files of a request; return a line about each, and a reason if it has no content.
 
-    Args:
-        request: Request with the paths of the files.
-        job: Checked request, with the logs and the flight parameters of the arm.
-
-    Raises:
-        BadOutput: A file cannot be written.
+    The checked request has the logs and the flight parameters. BadOutput if a file cannot be written.
     """
 
     def save_page(path: Path) -> None:

@@ -75,11 +75,7 @@ class PlannedMotion(Record):
 
 
 def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
-    """Yield the motions of the family.
-
-    Args:
-        places: Names of joints that turn alone; all joints if none is among them.
-    """
+    """Yield the motions of the family, of joints that turn alone; of all if no place is a joint."""
     roll_deg, names = float(np.degrees(ROLL_RAD)), [one.name.lower() for one in Joint]
     moving = [one for one in names if one in places] or names
     plans = [

@@ -58,9 +58,7 @@ def record_campaign(
 ) -> list[Path]:
     """Record a log of each session, without the state of the plant; none where the arm does not complete it.
 
-    Args:
-        reference: Joint zeros that flight software starts with.
-        effects: Effects that begin with the run.
+    Flight software starts with the zeros of the reference. The effects begin with the run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -124,9 +122,7 @@ def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
 def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
     """Return the sessions of the campaign that a request asks for.
 
-    Raises:
-        BadRequest: There is none.
-        RobotError: The file of a motion is wrong.
+    BadRequest if there is none, RobotError if the file of a motion is wrong.
     """
     if request.motion is not None:
         return [make_session(read_motion(request.motion), arm.params)]
@@ -155,9 +151,8 @@ UNTRACKED_COST: Final = 2.2
 def record_logs(request: RecordRequest, progress: Progress = no_progress) -> RecordedLogs:
     """Record all sessions, held-out ones in their own folder.
 
-    Raises:
-        BadRequest: The request is wrong, or the arm completes no session with these effects.
-        BadOutput: The folder cannot be written.
+    BadRequest if the request is wrong, or the arm completes no session with these effects; BadOutput if the
+    folder cannot be written.
     """
     check_options(request)
     arm = select_arm(request.arm, request.params, request.mismatch)

@@ -279,14 +279,9 @@ def simulate_open_loop(
     pose_ticks: frozenset[int] = frozenset(),
     ticks: int | None = None,
 ) -> OpenLoopRun:
-    """Simulate an arm with these effects under the recorded drive.
+    """Simulate an arm with these effects under the recorded drive, for some ticks, by default all.
 
-    Args:
-        pose_ticks: Numbers of cycles after which the turret pose is taken.
-        ticks: Number of ticks from the start that are simulated; None for all.
-
-    Raises:
-        PlantDiverged: MuJoCo counted a warning.
+    The turret pose is taken after the cycles `pose_ticks`. PlantDiverged if MuJoCo counted a warning.
     """
     arm = OpenLoopArm(recording.start, order_effects(recording, effects), options)
     readings: list[Sensors] = []

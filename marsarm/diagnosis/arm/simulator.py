@@ -101,11 +101,7 @@ class ArmSimulator:
     ) -> Array:
         """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
 
-        Args:
-            effects: Effects that are switched on beside the patch.
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
+        PlantDiverged if MuJoCo counted a warning.
         """
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
