@@ -50,7 +50,6 @@ class Addresses:
     """Hinges; an index of positions is also one of speeds, as every joint has one degree of freedom."""
     gear: NDArray[np.intp]
     gear_tendons: NDArray[np.intp]
-    """Tendons of the gears."""
     output_tendons: NDArray[np.intp]
     """Tendons of the outputs, with friction and hardstops."""
     actuators: NDArray[np.intp]

@@ -34,7 +34,6 @@ class ArmFiles:
 
     model: ArmModel
     texts: dict[Path, str]
-    """Text of each file."""
 
     @property
     def stale(self) -> tuple[Path, ...]:

@@ -41,7 +41,6 @@ class IkModel:
     gravity_R_m_s2: Array | None
     params: Params
     workspace: Workspace
-    """Workspace of the drawing."""
 
     @property
     def description(self) -> str:

@@ -41,7 +41,6 @@ class PlaceJob:
     expected_s: float
     """Expected duration, for the progress bar."""
     effects: tuple[Effect, ...]
-    """Effects of the request."""
 
 
 def prepare_placement(request: PlaceRequest) -> PlaceJob:

@@ -49,7 +49,6 @@ class RowSelection:
     """Rows that become the messages of a topic, each shape (m,)."""
 
     ticks: Rows
-    """Tick of each message."""
     rows: Rows
     """Index of the row of each message, among the rows with a value."""
     fraction: Cycles | None

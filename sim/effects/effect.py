@@ -118,7 +118,6 @@ class Hardware:
     missed_cycles: int
     """Number of the next cycles in which flight software is not called."""
     sensor_errors: tuple["SensorError", ...]
-    """Active sensor errors."""
     timed: tuple["Timed", ...]
     """Effects that have not begun."""
     each_move: tuple["EachMove", ...]

@@ -144,7 +144,6 @@ class TwistUnderBending(EachCycle):
 
     link: Link
     axis: Literal["y", "z"]
-    """Axis of the bending."""
     share: Annotated[float, ParameterSpec(-0.95, 0.95, unit="1", typical=0.2, neutral=0.0)]
     """Coupling as a share of the geometric mean of the two compliances; at 1 the link would buckle."""
 

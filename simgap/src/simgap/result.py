@@ -157,7 +157,6 @@ class Diagnosis:
     effects: tuple[Effect, ...]
     """The effects of base and findings as fitted, from which a patch is made."""
     sizes: tuple[tuple[float, ...], ...]
-    """Their sizes."""
     rejected: tuple[Rejected, ...] = ()
     method: str = ""
     """How residuals were made, with the filter: sentences for a report."""

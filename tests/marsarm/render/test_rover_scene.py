@@ -1,6 +1,5 @@
 """The scene of a tilted rover, and triangles of shapes."""
 
-
 import mujoco
 import numpy as np
 import pytest

@@ -45,7 +45,6 @@ MAX_REMARKS: Final = 8
 MAX_MOTIONS: Final = 3
 """Names of motions in a line."""
 MAX_DRAWN: Final = 4
-"""Motions that are drawn."""
 JOINT_HEAD: Final = ("joint", "Hz", "+-ms", "missing", "stale", "range [rad]", "left out", "error [mrad]")
 """Columns of a joint: rate, jitter, rows, range of the position, and mean error of the nominal model."""
 RATE_HEAD: Final = (

@@ -208,7 +208,6 @@ class _CommonDelay(Effect):
     at_joints: tuple[JointEffect, ...]
     """The delay of each joint alone; a file of effects needs its class, so a kind of delay names it."""
     period_s: float
-    """Control period."""
     place: str = "all joints"
 
     @property

@@ -302,7 +302,6 @@ class JointEffect(Effect):
 
     place: str
     index: int
-    """Index of the joint in the robot."""
     joint: RobotJoint
     scales: JointScales
     is_base: bool = False

@@ -48,7 +48,6 @@ class MessageFile:
 
     path: Path
     topics: Sequence[str]
-    """All topics of the file."""
     messages: Sequence[Message]
     """Those of the wanted topics."""
     losses: Sequence[str] = ()

@@ -36,7 +36,6 @@ class Choice:
     """Motions that were compared to the end, the best first."""
 
     motions: tuple[int, ...]
-    """Indices of the motions."""
     sigmas: Array
     """Root of T of each pair, the smaller of both orders, (n_motions, n_pairs)."""
     pairs: tuple[tuple[int, int], ...]

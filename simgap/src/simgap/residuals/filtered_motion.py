@@ -45,7 +45,6 @@ class LowPass:
 
     cut_off_Hz: float
     period_s: float
-    """Period of the samples."""
     speed_noise_rad_s: Array
     """Standard deviation of the noise of filtered speeds, (n_joints,)."""
 

@@ -204,7 +204,6 @@ def jackknife_sigma(by_block: Array) -> Array:
 FALSE_ALARM: Final = 0.05
 """Probability of naming any effect on an arm without one."""
 COVERAGE: Final = 0.90
-"""Coverage of the intervals."""
 
 
 @dataclass(frozen=True, slots=True)
