@@ -26,6 +26,7 @@ from marsarm.telemetry.events import (
     record_from_json,
     record_to_json,
 )
+from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import strip_optional
 from sim.arms import arm_named
 
@@ -152,3 +153,8 @@ def test_every_evr_goes_into_a_log(kind: Any, data: Any) -> None:
         evr.message,
         [f.name for f in fields(kind)],
     )
+
+
+def test_a_field_without_a_json_type_is_refused() -> None:
+    with pytest.raises(SchemaError, match="object in a command or EVR"):
+        record_to_json(object())

@@ -53,6 +53,11 @@ def test_a_log_cut_short_is_said_to_be(folder):
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
 
 
+def test_channels_of_a_part(folder):
+    found = run_json(folder, "info", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
+    assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
+
+
 def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
     for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
