@@ -15,16 +15,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from fsw.dictionary.params import digest
+from fsw.dictionary.params import Params, digest
 from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
 from marsarm.telemetry.format import LogNotWritable
 from marsarm.telemetry.recorder import Recorder
-from marsarm.telemetry.robot_description import draw_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
@@ -111,9 +110,7 @@ class RunLog:
     A context manager. Without a path it records nothing.
     """
 
-    def __init__(
-        self, path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel
-    ) -> None:
+    def __init__(self, path: Path | None, header: Mapping[str, str], params: Params) -> None:
         """Open the log; BadRequest if it cannot be opened."""
         self._path, self._last_s = path, 0.0
         self._recorder: Recorder | None = None
@@ -121,7 +118,7 @@ class RunLog:
         """Time [s] and event; empty if the log is complete, else one."""
         if path is not None:
             try:
-                self._recorder = Recorder(path, header, config, scene=draw_scene(world, arm))
+                self._recorder = Recorder(path, header, params)
             except LogNotWritable as error:
                 raise BadRequest(str(error)) from error
 
@@ -293,7 +290,7 @@ def execute(
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
-    with RunLog(files.log, header, loop.config, world, arm) as log:
+    with RunLog(files.log, header, loop.config.params) as log:
         cycles, is_stopping = iter(run), False
         while (record := next(cycles, None)) is not None:
             log.write(record)
