@@ -165,14 +165,11 @@ Result = TypeVar("Result", bound=RunResult)
 Result_co = TypeVar("Result_co", bound=RunResult, covariant=True)
 
 
-class StoppableRun(Protocol[Result_co]):
-    """Run that can be stopped before its end."""
+class Run(Protocol[Result_co]):
+    """Run in the closed loop."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Run cycle by cycle."""
-
-    def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm cycle by cycle, instead of the remaining cycles."""
 
     def result(self) -> Result_co:
         """Return the result; valid after the last cycle."""
@@ -261,7 +258,7 @@ def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execu
 
 
 def execute(
-    run: StoppableRun[Result],
+    run: Run[Result],
     loop: ClosedLoop,
     header: Mapping[str, str],
     files: RunFiles,
@@ -291,8 +288,7 @@ def execute(
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
     with RunLog(files.log, header, loop.config.params) as log:
-        cycles, is_stopping = iter(run), False
-        while (record := next(cycles, None)) is not None:
+        for record in run:
             log.write(record)
             if record.tick % FRAME_CYCLES == 0:
                 activity = record.outputs.joint.mode.name.lower().replace("_", " ")
@@ -303,8 +299,6 @@ def execute(
                 view.watch(record)
             if is_for_picture(record):
                 drawn.best = loop.plant.data.qpos.copy()
-            if log.events and files.when_disk_full == "stop" and not is_stopping:
-                cycles, is_stopping = run.stopping(), True
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure

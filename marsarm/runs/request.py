@@ -16,10 +16,6 @@ from marsarm.common.options import (
 )
 from simgap.common.options import Option, Vector
 
-WhenDiskFull = Literal["go-on", "stop"]
-"""Reaction of a run if its log can no longer be written."""
-
-
 ViewOption = Annotated[
     bool,
     Option(
@@ -57,9 +53,6 @@ class RunFiles:
         Path | None, Option("Write a page that plays the run.", "FILE.html", suffixes=(".html",))
     ] = None
     view: ViewOption = False
-    when_disk_full: Annotated[
-        WhenDiskFull, Option("Reaction of the run if its log can no longer be written.", "go-on|stop")
-    ] = "go-on"
 
 
 NO_FILES: Final = RunFiles()
