@@ -26,7 +26,7 @@ from sim.arms import BuiltArm
 from sim.frames import p_R_from_N, random_surface
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
+from sim.sequence import Outcome, observe_cycles, run_sequence
 from sim.setting import Surface, World
 from sim.world import params_in_world
 
@@ -109,10 +109,6 @@ class PlacementRun:
     def __iter__(self) -> Iterator[CycleRecord]:
         """Run the commands."""
         self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
-
-    def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm in place of the remaining commands."""
-        self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         for evr in record.outputs.evrs:

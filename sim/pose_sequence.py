@@ -1,20 +1,19 @@
-"""Pose sequences in free air: estimated and true rest positions, and random poses.
+"""Moves in free air: runs that end at rest, random poses, and quasi-static moves.
 
 Quasi-static moves compute the rest without time steps, from equilibria of motors, gears and springs. Flight
 software plans the move. Motors follow it, and the gears pull the outputs along.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
+from fsw.dictionary.commands import BacklashMode, Command
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.evrs import CommandCompleted, Severity
-from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, bound_gear, bound_loads, clip_to_backlash
 from fsw.estimate.joints import uninitialised_estimate
 from fsw.estimate.reference import Reference
@@ -30,7 +29,6 @@ from sim.frames import PRIMARY, Workspace, approach_from, p_R_from_N, random_tar
 from sim.loop import ClosedLoop, Setup
 from sim.record import MoveDisturbance, frame_body
 from sim.sequence import run_sequence
-from sim.setting import World
 
 WAKE_S: Final = 1.0
 """Time before the first move, in which flight software measures gravity."""
@@ -65,84 +63,9 @@ def _run_idle(loop: ClosedLoop, duration_s: float) -> None:
         loop.cycle()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestState:
-    """Arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
-
-    pose_rad: Array
-    output_rad: Array
-    """True value."""
-    gear_rad: Array
-    """True output less motor angle."""
-    half_backlash_rad: Array
-    """True value."""
-    motor_rad: Array
-    """Estimate, as are all fields below but the last two."""
-    side: Array
-    believed_gear_rad: Array
-    uncertainty_rad: Array
-    load_Nm: Array
-    gravity_R_m_s2: Array
-    backlash_shift_m: Array
-    """Shift of the drill from outputs elsewhere in their backlash than the set-points assume."""
-    p_RoTo_R_m: Array
-    """True position of the drill."""
-
-    @property
-    def true_side(self) -> Array:
-        """Return +1 or -1 for an output on a flank, 0 between, shape (5,)."""
-        side: Array = np.sign(self.gear_rad) * (np.abs(self.gear_rad) > 0.95 * self.half_backlash_rad)
-        return side
-
-
 def describe_no_way(arm: BuiltArm, pose_rad: Array, problem: str) -> str:
     """Say that an arm did not come to a pose, shape (5,), and why."""
     return f"{arm.name}: no way to {np.degrees(pose_rad).round(1)} deg: {problem}"
-
-
-def visit_poses(
-    arm: BuiltArm,
-    reference: Reference,
-    world: World,
-    poses: Sequence[Array],
-    backlash: BacklashMode,
-    seed: int,
-) -> Iterator[RestState]:
-    """Move the arm to each pose, output angles of shape (5,) [rad], from the ready pose on.
-
-    Args:
-        reference: Reference in the memory of flight software.
-        world: World of the run; only its gravity acts.
-        backlash: Compensation of the backlash in every move.
-
-    Raises:
-        RuntimeError: a move was not completed.
-    """
-    loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
-    for pose in poses:
-        problem = run_and_rest(loop, MoveJoints(joints5(pose), backlash))
-        if problem is not None:
-            raise RuntimeError(describe_no_way(arm, pose, problem))
-        yield _rest_state(loop, pose)
-
-
-def _rest_state(loop: ClosedLoop, pose_rad: Array) -> RestState:
-    plant, state = loop.plant, loop.state
-    joints, truth, tool = state.joints, plant.truth(), loop.config.farthest_tool
-    return RestState(
-        pose_rad=pose_rad,
-        output_rad=truth.output_rad,
-        gear_rad=truth.output_rad - truth.motor_rad,
-        half_backlash_rad=plant.half_backlash_rad,
-        motor_rad=joints.motor_rad,
-        side=joints.side,
-        believed_gear_rad=joints.output_rad - joints.motor_rad,
-        uncertainty_rad=joints.uncertainty_rad,
-        load_Nm=state.load.torque_Nm,
-        gravity_R_m_s2=joints.gravity_R_m_s2,
-        backlash_shift_m=plant.tool_shift(tool, plant.backlash_rad() - state.planned_backlash_rad),
-        p_RoTo_R_m=truth.p_RoTo_R_m[plant.tools.index(tool)],
-    )
 
 
 def random_poses(config: Config, rng: np.random.Generator, count: int) -> list[Array]:

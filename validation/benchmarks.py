@@ -24,7 +24,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 import sim.loop
-from fsw.config import CYCLE_HZ, configure
+from fsw.config import CYCLE_HZ
 from fsw.cycle import step
 from fsw.dictionary.commands import CalibrateAll
 from fsw.estimate.reference import Reference
@@ -140,7 +140,7 @@ def recording() -> dict[str, Any]:
     write_s = list[float]()
     before, began_s = _children_s(), time.process_time()
     with TemporaryDirectory() as folder:
-        recorder = Recorder(Path(folder) / "run.mcap", {}, loop.config)
+        recorder = Recorder(Path(folder) / "run.mcap", {}, loop.config.params)
         ends_s = time.process_time() - began_s
         write = time_calls(recorder.write, write_s, time.process_time)
         truth_s.clear()
@@ -195,8 +195,7 @@ def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
 
 def record_log(path: Path, cycles: int, chunk_cycles: int = CHUNK_CYCLES) -> Path:
     """Write a complete log of this many cycles."""
-    config = configure(arm_named("nominal").params)
-    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_cycles) as recorder:
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, chunk_cycles=chunk_cycles) as recorder:
         for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):
             recorder.write(replace(record, tick=tick))
     return path

@@ -35,7 +35,6 @@ LEFT_OUT: Final = {
     "export ": MACHINES,
     "ray ": MACHINES,
     "marsarm monte-carlo --case mars --arms 10000 --results mars.jsonl --cluster": MACHINES,
-    "rerun ": "needs the extra viewers",
     "marsarm view run.mcap": "serves until it is interrupted",
     "marsarm place --tool mahli --view": "serves until it is interrupted",
 }

@@ -69,7 +69,7 @@ def run_scenario_on(
     loop = ClosedLoop(scenario_setup(scenario, arm, reference, seed))
     run = ScenarioRun(loop, scenario)
     header = run_header(loop, name, seed, {}, scenario.commands)
-    with nullcontext() if log is None else Recorder(log, header, loop.config) as recorder:
+    with nullcontext() if log is None else Recorder(log, header, loop.config.params) as recorder:
         for record in run:
             if recorder is not None:
                 recorder.write(record)

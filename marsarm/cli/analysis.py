@@ -159,7 +159,6 @@ def dictionary(
         ),
     ] = None,
     as_json: JsonOption = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print it as a Markdown page.")] = False,
     effects: Annotated[
         bool, typer.Option("--effects", help="List the effects of the plant: meaning, places and parameters.")
     ] = False,
@@ -172,22 +171,17 @@ def dictionary(
     Example: marsarm dictionary 'joints.elbow.*'
     """
     with report_user_errors(as_json):
-        if as_json and markdown:
-            raise BadRequest("dictionary: --json and --markdown exclude each other; give one of the two")
-        if effects and (markdown or pattern is not None):
-            raise BadRequest("dictionary: --effects lists all effects, with no GLOB and no --markdown")
+        if effects and pattern is not None:
+            raise BadRequest("dictionary: --effects lists all effects; give no GLOB with it")
     if effects:
         from marsarm.dictionary.tables import effects_json, effects_table
 
         print_result({"effects": effects_json()}, as_json, effects_table)
         return
     from marsarm.dictionary.entries import build_dictionary, filter_dictionary
-    from marsarm.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
+    from marsarm.dictionary.tables import dictionary_json, dictionary_tables
 
     with report_user_errors(as_json):
         whole = build_dictionary()
         part = whole if pattern is None else filter_dictionary(whole, pattern)
-    if markdown:
-        print(dictionary_markdown(part), end="")
-    else:
-        print_result(dictionary_json(part), as_json, lambda: dictionary_tables(part))
+    print_result(dictionary_json(part), as_json, lambda: dictionary_tables(part))

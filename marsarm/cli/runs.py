@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb
 
@@ -12,9 +11,6 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
     import marsarm.common.options
     import marsarm.runs.request
 
-AllOption = Annotated[
-    bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
-]
 PlanOption = Annotated[
     bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
 ]
@@ -59,10 +55,7 @@ def place(request: "marsarm.runs.request.PlaceRequest", progress: Progress) -> V
 
 @verb
 def hardstop(
-    request: "marsarm.runs.request.HardstopRequest",
-    progress: Progress,
-    all_joints: AllOption = False,
-    plan: PlanOption = False,
+    request: "marsarm.runs.request.HardstopRequest", progress: Progress, plan: PlanOption = False
 ) -> VerbResult:
     """Run joints against their negative hardstops and set the encoder zeros there.
 
@@ -73,16 +66,12 @@ def hardstop(
     from marsarm.runs.hardstop import hardstop, plan_stops, save_hardstop_figure
     from marsarm.runs.report import hardstop_document, hardstop_parts, plan_document, plan_parts
 
-    if all_joints and request.joint is not None:
-        raise BadRequest(
-            f"all: --joint {request.joint} asks for one joint, --all for all; give one of the two"
-        )
     if plan:
         plans = plan_stops(request)
         return shown(plan_document(plans), plan_parts(plans))
     report = hardstop(request, progress)
-    problem = None if request.picture is None else save_hardstop_figure(report.runs, request.picture)
-    is_done = report.outcome == "done"
+    problem = None if request.picture is None else save_hardstop_figure(report.result, request.picture)
+    is_done = report.result.outcome == "done"
     document = hardstop_document(report, problem)
     return shown(document, hardstop_parts(report, problem), is_done, view=report.view)
 

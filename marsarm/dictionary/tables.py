@@ -1,4 +1,4 @@
-"""Output of the verb `dictionary`: tables, Markdown and JSON documents of channels and of effects."""
+"""Output of the verb `dictionary`: tables and JSON documents of channels and of effects."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -118,30 +118,6 @@ def dictionary_tables(dictionary: Dictionary) -> None:
     if dictionary.parameters:
         console.rule("parameters", align="left")
         console.print(_table(dictionary.parameters))
-
-
-def dictionary_markdown(dictionary: Dictionary) -> str:
-    """Return the dictionary as a Markdown page."""
-    return "\n".join(_markdown(dictionary)) + "\n"
-
-
-def _markdown(dictionary: Dictionary) -> Iterator[str]:
-    yield "# Dictionary"
-    for title, entries in _sections(dictionary):
-        yield f"\n## {title.capitalize()}"
-        for entry in entries:
-            yield f"\n### {_heading(entry)}\n{_sentence(entry)}"
-            if entry.fields:
-                yield from _markdown_table(entry.fields)
-    if dictionary.parameters:
-        yield "\n## Parameters"
-        yield from _markdown_table(dictionary.parameters)
-
-
-def _markdown_table(fields: Iterable[FieldDefinition]) -> Iterator[str]:
-    yield f"\n| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
-    for one in fields:
-        yield "| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in _cells(one)) + " |"
 
 
 def _sections(dictionary: Dictionary) -> Iterator[tuple[str, tuple[Definition, ...]]]:

@@ -1,18 +1,15 @@
-"""Files of batches: read targets from tables, and write their results part by part."""
+"""Files of batches: read targets, and write their results part by part."""
 
 import json
 import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, Protocol
+from typing import IO, Any, BinaryIO, Final
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
-from pyarrow import parquet
 
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
@@ -22,29 +19,17 @@ from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.files.log_file import open_whole
 
-POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
-APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
 ARRAYS: Final = ("position_m", "approach")
-NAMES: Final = {
-    ".npz": tuple(tuple(f"{array}[{k}]" for k in range(3)) for array in ARRAYS),
-    ".parquet": (POSITION_COLUMNS, APPROACH_COLUMNS),
-}
-"""Columns of a file of targets by its suffix: of the positions, and of the approaches."""
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:
-    """Read the targets of a file; BadRequest if it, an array, a column or a target is missing or wrong.
-
-    An .npz file holds arrays `position_m` and `approach`, shape (n, 3). A Parquet file has one column for
-    each component.
-    """
+    """Read the targets of an .npz file; BadRequest if it, an array or a target is missing or wrong."""
     if path.suffix.lower() not in BATCH_SUFFIXES:
-        raise BadRequest(f"batch {path}: its name must end in {' or '.join(BATCH_SUFFIXES)}")
-    names = NAMES[path.suffix.lower()]
+        raise BadRequest(f"batch {path}: its name must end in {BATCH_SUFFIXES[0]}")
+    names = [[f"{array}[{k}]" for k in range(3)] for array in ARRAYS]
     try:
         log = open_whole(path)
-        there = [one.name for one in log.describe()]
-        _check_columns(path, there, names)
+        _check_arrays(path, [one.name for one in log.describe()], names)
         values = [[log.numbers(name).value for name in three] for three in names]
     except RobotError as error:
         raise BadRequest(f"batch {error}") from error
@@ -53,28 +38,25 @@ def read_targets(path: Path, frame: str) -> IkTargets:
         raise BadRequest(
             f"batch {path}: there are {position.shape[1]} positions and {approach.shape[1]} approaches"
         )
-    labels = ARRAYS if path.suffix.lower() == ".npz" else [", ".join(three) for three in names]
 
     def naming(row: int) -> tuple[str, str]:
         where = f"batch {path}: row {row} (the first is 0): "
-        return where + labels[0], where + labels[1]
+        return where + ARRAYS[0], where + ARRAYS[1]
 
     return make_targets(position, approach, frame, naming)
 
 
-def _check_columns(path: Path, there: Sequence[str], names: Sequence[Sequence[str]]) -> None:
+def _check_arrays(path: Path, there: Sequence[str], names: Sequence[Sequence[str]]) -> None:
     """Check that all components are there, and no fourth one of an array."""
     missing = [name for three in names for name in three if name not in there]
     if missing or any(f"{array}[3]" in there for array in ARRAYS):
-        form = ", each of shape (n, 3)" if names == NAMES[".npz"] else ""
-        wanted = ARRAYS if form else (*POSITION_COLUMNS, *APPROACH_COLUMNS)
         raise BadRequest(
-            f"batch {path}: it must hold {', '.join(wanted)}{form}; it has {', '.join(there[:20])}"
+            f"batch {path}: it must hold {', '.join(ARRAYS)}, each of shape (n, 3); "
+            f"it has {', '.join(there[:20])}"
         )
 
 
 NO_JOINT: Final = -1
-NAME_TYPE: Final = pa.dictionary(pa.int8(), pa.string())
 
 FIELDS: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
     "output_rad": (np.float64, (8, 5)),
@@ -86,26 +68,16 @@ FIELDS: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
 """Arrays (n, 8, ...) of an .npz file: type, and shape of the results of one target."""
 
 
-class BatchWriter(Protocol):
-    """Protocol of writers that take the results of a batch part by part."""
-
-    def add(self, result: IkResult) -> None:
-        """Write the results of the next targets, shape (8, n)."""
-
-
 @contextmanager
-def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
-    """Open a writer by suffix; the file appears if the block completes, BadOutput if it cannot be written."""
+def open_writer(path: Path, about: dict[str, Any]) -> Iterator["NpzWriter"]:
+    """Open a writer; the file appears if the block completes, BadOutput if it cannot be written."""
     with atomic_write(path, "out") as file, ExitStack() as stack:
-        if path.suffix.lower() == ".npz":
-            spools: dict[str, IO[bytes]] = {}
-            for name in FIELDS:
-                spools[name] = stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
-            spooled = NpzWriter(spools)
-            yield spooled
-            spooled.pack(file, about)
-        else:
-            yield stack.enter_context(closing(ParquetWriter(file, about)))
+        spools: dict[str, IO[bytes]] = {}
+        for name in FIELDS:
+            spools[name] = stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
+        writer = NpzWriter(spools)
+        yield writer
+        writer.pack(file, about)
 
 
 class NpzWriter:
@@ -164,58 +136,3 @@ class NpzWriter:
 def _entry(name: str) -> zipfile.ZipInfo:
     """Create an entry without time stamp, so that equal results give equal bytes."""
     return zipfile.ZipInfo(f"{name}.npy")
-
-
-class ParquetWriter:
-    """Writer of a Parquet file with one row group for each part of the batch."""
-
-    def __init__(self, file: BinaryIO, about: dict[str, Any]) -> None:
-        schema = pa.schema(
-            [
-                ("target", pa.int64()),
-                ("branch", NAME_TYPE),
-                ("verdict", NAME_TYPE),
-                *((f"{joint}_rad", pa.float64()) for joint in JOINT_NAMES),
-                ("limiting_joint", NAME_TYPE),
-                ("beyond_limit_rad", pa.float64()),
-                ("out_of_reach_m", pa.float64()),
-                ("forward_error", pa.float64()),
-            ],
-            metadata={"about": json.dumps(about)},
-        )
-        self._schema = schema
-        self._writer = parquet.ParquetWriter(file, schema, write_page_checksum=True)
-        self._next = 0
-
-    def add(self, result: IkResult) -> None:
-        """Write the results of the next targets, shape (8, n); values that do not apply are null."""
-        count = result.verdict.shape[1]
-        target, slot = np.indices((count, len(BRANCHES))).reshape(2, -1)
-        verdict, excess = result.verdict[slot, target], result.excess[slot, target]
-        outside, unreachable = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
-        columns = [
-            pa.array(self._next + target),
-            _name_column(slot, BRANCHES),
-            _name_column(verdict, VERDICT_NAMES),
-            *(_number_column(angle[slot, target]) for angle in result.output_rad),
-            _name_column(result.joint[slot, target], JOINT_NAMES, ~outside),
-            _number_column(np.where(outside, excess, np.nan)),
-            _number_column(np.where(unreachable, excess, np.nan)),
-            _number_column(result.error[slot, target]),
-        ]
-        self._writer.write_table(pa.table(columns, schema=self._schema))
-        self._next += count
-
-    def close(self) -> None:
-        """Write the footer of the file."""
-        self._writer.close()
-
-
-def _name_column(
-    numbers: NDArray[np.int64], names: list[str] | tuple[str, ...], absent: NDArray[np.bool_] | None = None
-) -> Any:
-    return pa.DictionaryArray.from_arrays(pa.array(numbers.astype(np.int8), mask=absent), list(names))
-
-
-def _number_column(values: NDArray[np.float64]) -> Any:
-    return pa.array(values, from_pandas=True)  # NaN is null

@@ -8,7 +8,7 @@ from marsarm.common.options import ARM_HELP, MismatchOption, ParamsOption, Pitch
 from simgap.common.options import ClusterOption, Option, Vector
 
 MOST_SAMPLES: Final = 1_000_000
-BATCH_SUFFIXES: Final = (".npz", ".parquet")
+BATCH_SUFFIXES: Final = (".npz",)
 BatchWorkersOption = Annotated[
     int, Option("Number of processes that solve a batch; they pay from 100,000 targets on.", within=(1, 1000))
 ]
@@ -65,17 +65,16 @@ class IkRequest:
     batch: Annotated[
         Path | None,
         Option(
-            "File of targets: .npz with position_m and approach (n, 3), or .parquet with position_x_m, "
-            "position_y_m, position_z_m, approach_x, approach_y, approach_z.",
-            "FILE",
+            "File of targets: .npz with position_m and approach, (n, 3) each.",
+            "FILE.npz",
             is_read=True,
         ),
     ] = None
     out: Annotated[
         Path | None,
         Option(
-            "File for their solutions, .npz or .parquet; an existing file is replaced.",
-            "FILE",
+            "File for their solutions; an existing file is replaced.",
+            "FILE.npz",
             suffixes=BATCH_SUFFIXES,
         ),
     ] = None

@@ -15,16 +15,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from fsw.dictionary.params import digest
+from fsw.dictionary.params import Params, digest
 from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
 from marsarm.telemetry.format import LogNotWritable
 from marsarm.telemetry.recorder import Recorder
-from marsarm.telemetry.robot_description import draw_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
@@ -111,9 +110,7 @@ class RunLog:
     A context manager. Without a path it records nothing.
     """
 
-    def __init__(
-        self, path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel
-    ) -> None:
+    def __init__(self, path: Path | None, header: Mapping[str, str], params: Params) -> None:
         """Open the log; BadRequest if it cannot be opened."""
         self._path, self._last_s = path, 0.0
         self._recorder: Recorder | None = None
@@ -121,7 +118,7 @@ class RunLog:
         """Time [s] and event; empty if the log is complete, else one."""
         if path is not None:
             try:
-                self._recorder = Recorder(path, header, config, scene=draw_scene(world, arm))
+                self._recorder = Recorder(path, header, params)
             except LogNotWritable as error:
                 raise BadRequest(str(error)) from error
 
@@ -168,14 +165,11 @@ Result = TypeVar("Result", bound=RunResult)
 Result_co = TypeVar("Result_co", bound=RunResult, covariant=True)
 
 
-class StoppableRun(Protocol[Result_co]):
-    """Run that can be stopped before its end."""
+class Run(Protocol[Result_co]):
+    """Run in the closed loop."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Run cycle by cycle."""
-
-    def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm cycle by cycle, instead of the remaining cycles."""
 
     def result(self) -> Result_co:
         """Return the result; valid after the last cycle."""
@@ -264,7 +258,7 @@ def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execu
 
 
 def execute(
-    run: StoppableRun[Result],
+    run: Run[Result],
     loop: ClosedLoop,
     header: Mapping[str, str],
     files: RunFiles,
@@ -280,7 +274,7 @@ def execute(
     Args:
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
-        arm: Drawing of the arm, for log, picture and movie.
+        arm: Drawing of the arm, for picture and movie.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
@@ -293,9 +287,8 @@ def execute(
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
-    with RunLog(files.log, header, loop.config, world, arm) as log:
-        cycles, is_stopping = iter(run), False
-        while (record := next(cycles, None)) is not None:
+    with RunLog(files.log, header, loop.config.params) as log:
+        for record in run:
             log.write(record)
             if record.tick % FRAME_CYCLES == 0:
                 activity = record.outputs.joint.mode.name.lower().replace("_", " ")
@@ -306,8 +299,6 @@ def execute(
                 view.watch(record)
             if is_for_picture(record):
                 drawn.best = loop.plant.data.qpos.copy()
-            if log.events and files.when_disk_full == "stop" and not is_stopping:
-                cycles, is_stopping = run.stopping(), True
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure

@@ -1,6 +1,5 @@
-"""Hardstop initialisation of one joint or of all, once or repeatedly, and the plan of its poses."""
+"""Hardstop initialisation of one joint or of all, and the plan of its poses."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import degrees
@@ -31,11 +30,8 @@ from sim.initialisation import (
     InitialisationResult,
     InitialisationRun,
     prepare_homing,
-    prepare_random_homing,
 )
 from sim.loop import ClosedLoop, Setup
-from sim.record import CycleRecord
-from sim.sequence import Outcome
 from sim.setting import WARM_C, World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
@@ -70,27 +66,22 @@ EXPECTED_S: Final = 1030.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopReport:
-    """Runs of a request."""
+    """Run of a request."""
 
     request: HardstopRequest
-    runs: tuple[InitialisationResult, ...]
-    """One run for every repetition and joint, or one run of all joints."""
+    result: InitialisationResult
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
     view: "RecordedRun | None" = None
-    """Viewer that shows the runs, if one was asked for."""
-
-    @property
-    def outcome(self) -> Outcome:
-        """Outcome of the last run; a run that fails is the last."""
-        return self.runs[-1].outcome
+    """Viewer that shows the run, if one was asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopJob:
     """Checked request."""
 
-    joints: tuple[Joint, ...]
+    joint: Joint | None
+    """Joint that finds its hardstop; None for all."""
     arm: BuiltArm
     world: World
     start_rad: Joints5 | None
@@ -102,29 +93,27 @@ def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> Hard
     job = prepare_hardstop(request)
     title = f"hardstops of arm {job.arm.name}"
     with open_view(RunFiles(view=request.view), title, job.world, job.arm, job.effects) as view:
-        runs = tuple(_iter_runs(request, job, progress, view))
+        result = _run_homing(request, job, progress, view)
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, runs, poses, view)
+    return HardstopReport(request, result, poses, view)
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     """Check a request before anything moves or is written, BadRequest if it is wrong, and build its job."""
     check_options(request)
-    if request.temperature_C is not None and request.repeat > 1:
-        raise BadRequest("temperature: is another in each of several repetitions; give no --temperature")
     temperature_C = WARM_C if request.temperature_C is None else request.temperature_C
     if not COLDEST_C <= temperature_C <= WARMEST_C:
         raise BadRequest(
             f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
         )
-    if request.start_deg is not None and (request.joint is None or request.repeat > 1):
-        raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
+    if request.start_deg is not None and request.joint is None:
+        raise BadRequest("start: is for one joint; give --joint")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
     arm = fit_effects(arm, effects)
     return HardstopJob(
-        joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
+        joint=None if request.joint is None else _parse_joint(request.joint),
         arm=arm if request.turret else _remove_turret(arm, request),
         world=world,
         start_rad=None if request.start_deg is None else _parse_start(arm, request.start_deg),
@@ -159,57 +148,35 @@ def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
     return joints5(start)
 
 
-def _iter_runs(
+def _run_homing(
     request: HardstopRequest, job: HardstopJob, progress: Progress, view: "RecordedRun | None"
-) -> Iterator[InitialisationResult]:
-    """Carry out one run after the other until one fails."""
-    if request.joint is None and request.repeat == 1:
-        yield _run_all_joints(request, job, progress, view)
-        return
-    total = request.repeat * len(job.joints)
-    for k in range(total):
-        repetition, joint = k // len(job.joints), job.joints[k % len(job.joints)]
-        progress(k, total, joint.name.lower())
-        if job.start_rad is not None:
-            setup = Setup(job.arm, job.world, job.start_rad, request.seed, effects=job.effects)
-            run = InitialisationRun(ClosedLoop(setup), Calibrate(joint))
-        elif request.repeat == 1:
-            run = prepare_homing(job.arm, joint, job.world, request.seed, job.effects)
-        else:
-            run = prepare_random_homing(job.arm, joint, job.world, request.seed + repetition)
-        for _ in _watched(run, view):
-            pass
-        result = run.result()
-        if result.failure is not None:
-            raise result.failure
-        yield result
-        if result.outcome is not Outcome.DONE:
-            return
-
-
-def _watched(run: InitialisationRun, view: "RecordedRun | None") -> Iterator[CycleRecord]:
-    """Run all cycles, and show each in the viewer if there is one."""
-    run.loop.with_truth = view is not None
+) -> InitialisationResult:
+    """Home one joint or all, and show each cycle in the viewer if there is one."""
+    run = _prepare_run(request, job)
+    loop = run.loop
+    loop.with_truth = view is not None
+    if job.joint is not None:
+        progress(0, 1, job.joint.name.lower())
     for record in run:
         if view is not None:
             view.watch(record)
-        yield record
-
-
-def _run_all_joints(
-    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "RecordedRun | None"
-) -> InitialisationResult:
-    start_rad = job.arm.params.hardstop.start_rad
-    loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
-    run = InitialisationRun(loop, CalibrateAll())
-    for record in _watched(run, view):
-        if record.tick % CYCLE_HZ == 0:
+        if job.joint is None and record.tick % CYCLE_HZ == 0:
             homing = loop.state.move.homing if loop.state.move is not None else None
             activity = "moving" if homing is None else homing.joint.name.lower()
             progress(record.tick / CYCLE_HZ, EXPECTED_S, activity)
     if loop.failure is not None:
         raise loop.failure
     return run.result()
+
+
+def _prepare_run(request: HardstopRequest, job: HardstopJob) -> InitialisationRun:
+    if job.joint is not None and job.start_rad is None:
+        return prepare_homing(job.arm, job.joint, job.world, request.seed, job.effects)
+    command = CalibrateAll() if job.joint is None else Calibrate(job.joint)
+    start_rad = job.start_rad or job.arm.params.hardstop.start_rad
+    return InitialisationRun(
+        ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects)), command
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +196,6 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
         "--joint": request.joint is not None,
         "--start": request.start_deg is not None,
         "--picture": request.picture is not None,
-        "--repeat": request.repeat > 1,
         "--no-turret": not request.turret,
     }
     given = [name for name, is_given in of_motion.items() if is_given]
@@ -253,9 +219,9 @@ def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
     return StopPlan(place, arm.params, loads, sweep_clearance(arm.params, space))
 
 
-def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
-    """Save the figure of each joint's first run as PNG, BadOutput if that fails; return why there is none."""
-    samples_by_joint = _samples_by_joint(runs)
+def save_hardstop_figure(run: InitialisationResult, path: Path) -> str | None:
+    """Save the figure of each joint as PNG, BadOutput if that fails; return why there is none."""
+    samples_by_joint = _samples_by_joint(run)
     rows = max(len(samples_by_joint), 1)
 
     def draw(figure: Any) -> None:
@@ -270,12 +236,12 @@ def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> st
     return save_figure(path, (15, 1.2 + 3.4 * rows), 90, draw)
 
 
-def _samples_by_joint(runs: Sequence[InitialisationResult]) -> dict[Joint, list[HomingSample]]:
-    """Select the last homing attempt of each joint in its first run, without most of the approach."""
+def _samples_by_joint(run: InitialisationResult) -> dict[Joint, list[HomingSample]]:
+    """Select the last homing attempt of each joint, without most of the approach."""
     selected: dict[Joint, list[HomingSample]] = {}
     for joint in HARDSTOP_ORDER:
-        samples = next((found for found in (_last_attempt(run, joint) for run in runs) if found), None)
-        if samples is not None:
+        samples = _last_attempt(run, joint)
+        if samples:
             at_stop = [s.time_s for s in samples if s.stage > HomingStage.COARSE]
             first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
             selected[joint] = [s for s in samples if s.time_s >= first_s]

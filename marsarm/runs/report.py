@@ -5,8 +5,6 @@ from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated, Severity
 from marsarm.telemetry.events import json_fields
@@ -20,7 +18,6 @@ if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joint
     from marsarm.runs.place import PlaceReport
     from marsarm.runs.request import RunFiles
     from marsarm.runs.scenario import RunReport
-    from sim.initialisation import HardstopResult
     from sim.placement import PlacementError
     from sim.scenario.data import Scenario
     from sim.scenario.judge import CheckResult
@@ -208,65 +205,55 @@ def _in_display_unit(check: "CheckResult") -> tuple[float, float, float, str]:
 
 
 def hardstop_document(report: "HardstopReport", picture_problem: str | None = None) -> dict[str, Any]:
-    """Collect the runs; `picture_problem` is the reason why there is no picture."""
-    request = report.request
-    same = ("arm", "scene", "turret", "repeat", "seed")
+    """Collect the run; `picture_problem` is the reason why there is no picture."""
+    request, result = report.request, report.result
+    same = ("arm", "scene", "turret", "seed")
     return {
-        "outcome": report.outcome,
+        "outcome": result.outcome,
         **{name: getattr(request, name) for name in same},
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "temperature_C": request.temperature_C,
         "joints": {joint.name.lower(): _joint_document(report, joint) for joint in _joints(report)},
-        "max_current_ratio": max(float(run.max_current_ratio.max()) for run in report.runs),
-        "duration_s": sum(run.duration_s for run in report.runs),
-        "evrs": [evr_document(*one) for one in report.runs[-1].evrs],
+        "max_current_ratio": float(result.max_current_ratio.max()),
+        "duration_s": result.duration_s,
+        "evrs": [evr_document(*one) for one in result.evrs],
         "picture": None if picture_problem is not None else request.picture,
         "picture_problem": picture_problem,
     }
 
 
 def hardstop_parts(report: "HardstopReport", picture_problem: str | None = None) -> list[str | ReportTable]:
-    """Show the hardstop errors, and the events of failed runs."""
-    request, is_repeated = report.request, report.request.repeat > 1
-    spread = ("3 sigma mrad",) if is_repeated else ()
-    head = ("joint", "zero error mrad", *spread, "without wind-up mrad", "half backlash error mrad")
-    head = (*head, "load N m", "most on stop N m")
-    rows = [_joint_cells(joint, _joint_document(report, joint), is_repeated) for joint in _joints(report)]
-    title = f"Hardstops of {request.arm} on {request.scene}: {report.outcome.value}"
-    events = [] if is_repeated and report.outcome == "done" else _shown_events(report)
+    """Show the hardstop errors, and the events of calibration and warnings."""
+    request, result = report.request, report.result
+    head = ("joint", "zero error mrad", "without wind-up mrad", "half backlash error mrad", "load N m")
+    rows = [_joint_cells(joint, _joint_document(report, joint)) for joint in _joints(report)]
+    title = f"Hardstops of {request.arm} on {request.scene}: {result.outcome.value}"
+    events = [
+        f"{time_s:8.2f} s  {evr.message}"
+        for time_s, evr in result.evrs
+        if isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO
+    ]
     picture = None if request.picture is None else picture_problem or request.picture
     return [
-        ReportTable(head, rows, title),
+        ReportTable((*head, "most on stop N m"), rows, title),
         "errors are against the true hardstop of this arm, which flight software cannot see",
         *events,
         *file_lines({"picture": picture}),
     ]
 
 
-def _joint_cells(joint: Joint, row: dict[str, Any], is_repeated: bool) -> tuple[str, ...]:
+def _joint_cells(joint: Joint, row: dict[str, Any]) -> tuple[str, ...]:
     name = joint.name.lower()
-    if row["found"] == 0:
+    if not row["found"]:
         return name, "not found"
     return (
         name,
         f"{row['zero_error_mrad']:+.3f}",
-        *((f"{row['zero_error_3_sigma_mrad']:.3f}",) if is_repeated else ()),
         f"{row['uncorrected_error_mrad']:+.3f}",
         f"{row['half_backlash_error_mrad']:+.3f}",
         f"{row['load_Nm']:.1f}",
         f"{row['max_torque_Nm']:.0f}",
     )
-
-
-def _shown_events(report: "HardstopReport") -> list[str]:
-    """List the events of the last of several runs; else those of calibration and warnings."""
-    is_repeated = report.request.repeat > 1
-    return [
-        f"{time_s:8.2f} s  {evr.message}"
-        for run in (report.runs[-1:] if is_repeated else report.runs)
-        for time_s, evr in run.evrs
-        if is_repeated or isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO
-    ]
 
 
 def plan_document(plans: "Sequence[StopPlan]") -> dict[str, Any]:
@@ -316,29 +303,17 @@ def _joints(report: "HardstopReport") -> list[Joint]:
 
 
 def _joint_document(report: "HardstopReport", joint: Joint) -> dict[str, Any]:
-    """Compute means and spreads over the repetitions, from the last hardstop that each run found."""
-    stops_by_run = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
-    stops = [of_run[-1] for of_run in stops_by_run if of_run]
+    """Collect the last hardstop that a joint found."""
+    stops = [stop for stop in report.result.stops if stop.joint is joint]
     if not stops:
-        return {"found": 0}
-    error = 1e3 * np.array([stop.zero_error_rad for stop in stops])
-    uncorrected = 1e3 * np.array([stop.uncorrected_error_rad for stop in stops])
+        return {"found": False}
+    last = stops[-1]
     return {
-        "found": len(stops),
-        "zero_error_mrad": float(error.mean()),
-        "zero_error_3_sigma_mrad": _three_sigma(error),
-        "uncorrected_error_mrad": float(uncorrected.mean()),
-        "uncorrected_error_3_sigma_mrad": _three_sigma(uncorrected),
-        "half_backlash_error_mrad": 1e3 * _mean(stops, "half_backlash_error_rad"),
-        "load_Nm": _mean(stops, "load_Nm"),
-        "max_torque_Nm": max(float(run.max_torque_Nm[joint]) for run in report.runs),
+        "found": True,
+        "zero_error_mrad": 1e3 * last.zero_error_rad,
+        "uncorrected_error_mrad": 1e3 * last.uncorrected_error_rad,
+        "half_backlash_error_mrad": 1e3 * last.half_backlash_error_rad,
+        "load_Nm": last.load_Nm,
+        "max_torque_Nm": float(report.result.max_torque_Nm[joint]),
         "planned_pose_deg": [degrees(angle) for angle in report.poses_rad[joint]],
     }
-
-
-def _mean(stops: "list[HardstopResult]", name: str) -> float:
-    return float(np.mean([getattr(stop, name) for stop in stops]))
-
-
-def _three_sigma(values: np.ndarray) -> float | None:
-    return 3 * float(values.std(ddof=1)) if values.size > 1 else None

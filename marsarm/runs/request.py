@@ -16,11 +16,6 @@ from marsarm.common.options import (
 )
 from simgap.common.options import Option, Vector
 
-MOST_REPEATS: Final = 1000
-WhenDiskFull = Literal["go-on", "stop"]
-"""Reaction of a run if its log can no longer be written."""
-
-
 ViewOption = Annotated[
     bool,
     Option(
@@ -58,9 +53,6 @@ class RunFiles:
         Path | None, Option("Write a page that plays the run.", "FILE.html", suffixes=(".html",))
     ] = None
     view: ViewOption = False
-    when_disk_full: Annotated[
-        WhenDiskFull, Option("Reaction of the run if its log can no longer be written.", "go-on|stop")
-    ] = "go-on"
 
 
 NO_FILES: Final = RunFiles()
@@ -133,15 +125,6 @@ class HardstopRequest:
     joint: Annotated[
         str | None, Option("azimuth, elevation, elbow, wrist or turret; all if not given.", "NAME")
     ] = None
-    repeat: Annotated[
-        int,
-        Option(
-            "Number of repetitions. Each begins near the hardstop, with its own temperature (-55 to "
-            "10 degC), friction, noise and pose.",
-            "N",
-            within=(1, MOST_REPEATS),
-        ),
-    ] = 1
     arm: ArmOption = "nominal"
     scene: Annotated[Literal["mars", "earth"], Option("mars or earth.", "mars|earth")] = "mars"
     tilt_roll_deg: RollOption = 0.0

@@ -6,13 +6,13 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
 from types import NoneType
-from typing import Any, Final, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from fsw.dictionary.arguments import MAX_FLOAT
 from fsw.dictionary.commands import Command
-from fsw.dictionary.evrs import Evr, Severity
+from fsw.dictionary.evrs import Evr
 from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 
@@ -142,18 +142,6 @@ def _check_choice(words: tuple[str, ...], value: Any, place: str) -> str:
     return str(value)
 
 
-LOG_LEVELS: Final = {
-    Severity.DIAGNOSTIC: 10,
-    Severity.ACTIVITY_LO: 20,
-    Severity.ACTIVITY_HI: 20,
-    Severity.COMMAND: 20,
-    Severity.WARNING_LO: 30,
-    Severity.WARNING_HI: 40,
-    Severity.FATAL: 50,
-}
-"""Levels of rcl_interfaces/Log: debug, info, warning, error, fatal."""
-
-
 @dataclass(frozen=True, slots=True)
 class LogEntry:
     """Base of the messages without a fixed layout; their fields are integers and strings."""
@@ -239,9 +227,3 @@ def evr_entry(tick: int, evr: Evr) -> EvrEntry:
 def command_entry(tick: int, command: Command) -> CommandEntry:
     """Return the log entry of a command."""
     return CommandEntry(tick, type(command).__name__, json.dumps(json_fields(command)))
-
-
-def rosout_message(time_ns: int, evr: Evr) -> bytes:
-    """Encode an EVR as rcl_interfaces/Log, for the log panels of other tools."""
-    out = CdrWriter().add("I", *divmod(time_ns, 1_000_000_000)).add("B", LOG_LEVELS[evr.severity])
-    return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

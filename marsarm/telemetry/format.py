@@ -22,8 +22,6 @@ CHUNK_CYCLES: Final = 64
 
 FORMAT: Final = "2"
 """Version of the format; a reader refuses others."""
-UNREADABLE_VERSIONS: Final = ("0.1.", "0.2.")
-"""Versions of marsarm whose logs have the same format, but other names; a reader refuses them."""
 
 FORMAT_RECORD: Final = "marsarm.format"
 HEADER_RECORD: Final = "marsarm.header"
@@ -39,8 +37,6 @@ CHANNELS_KEY: Final = "channels"
 LAYOUT_KEY: Final = "layout"
 TRUTH_KEY: Final = "truth"
 TRUTH_TEXT: Final = "the plant's own state; flight software never sees it"
-DERIVED_KEY: Final = "derived"
-"""Key of the metadata of a channel that was computed from other channels, for other tools."""
 EVR_TOPIC: Final = "/evr"
 COMMAND_TOPIC: Final = "/command"
 SENSOR_TOPIC: Final = "/sensors"
@@ -51,9 +47,6 @@ def version_problem(metadata: Mapping[str, Mapping[str, str]]) -> str:
     form = metadata.get(FORMAT_RECORD, {"version": FORMAT}).get("version")
     if form != FORMAT:
         return f"log format {form}; this marsarm reads format {FORMAT}"
-    writer = metadata.get(HEADER_RECORD, {}).get(WRITER_KEY, "")
-    if writer.startswith(UNREADABLE_VERSIONS):
-        return f"a log of marsarm {writer[:3]}, which reads it; this marsarm reads logs of 0.3 and later"
     return ""
 
 

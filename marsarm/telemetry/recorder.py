@@ -24,14 +24,13 @@ import mujoco
 import numpy as np
 from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
 
-from fsw.config import Config
 from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params, digest
 from fsw.estimate.reference import Reference
 from fsw.executive.context import known_names
-from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
+from marsarm.telemetry.events import command_entry, evr_entry, record_to_json
 from marsarm.telemetry.format import (
     CHUNK_CYCLES,
     COMMAND_TOPIC,
@@ -42,10 +41,8 @@ from marsarm.telemetry.format import (
     end_metadata,
 )
 from marsarm.telemetry.log_writer import ChunkWriter, Packer
-from marsarm.telemetry.robot_description import DrawnScene
-from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
-from marsarm.telemetry.topics import PACKET_TOPICS, ROSOUT_TOPIC, TopicSpec, begin_log, topic_specs
+from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, topic_specs
 from sim.arms import UnknownArm, arm_named, nominal_params
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
@@ -196,34 +193,27 @@ class Recorder:
         self,
         path: Path | str,
         header: Mapping[str, str],
-        config: Config | None = None,
-        chunk_cycles: int = CHUNK_CYCLES,
-        scene: DrawnScene | None = None,
         params: Params | None = None,
+        chunk_cycles: int = CHUNK_CYCLES,
     ) -> None:
         """Replace the file at `path` by a log with header and channels.
 
         Args:
             header: Versions, digests, seed and more, as `run_header` returns them.
-            config: Configuration of the arm, to record messages for other tools too; None for none.
+            params: Flight parameters, whose tools and switches messages have; None for the default arm's.
             chunk_cycles: Cycles in a chunk; a killed run loses less than a chunk.
-            scene: Visible shapes of the run, which viewers draw; None for none. It needs `config`.
-            params: Flight parameters, whose tools and switches messages have; None for those of `config`, or
-                of the default arm.
 
         Raises:
             LogNotWritable: no log can be written at this path; a previous file is unchanged.
         """
         self.path = Path(path)
-        known = params or (nominal_params() if config is None else config.params)
-        channels = topic_specs(arm_names(known))
+        channels = topic_specs(arm_names(params or nominal_params()))
         self._ids = {one.topic: one.id for one in channels}
         self._packers = [
             (one.id, attrgetter(path := PACKET_TOPICS[one.topic].path), Packer(path, one.layout))
             for one in channels
             if one.layout is not None
         ]
-        self._encoder = None if config is None else RosEncoder(config, scene)
         self._last_tick = -1
         self._process = os.getpid()
         self._log = create_log(self.path, header, channels, chunk_cycles)
@@ -252,7 +242,7 @@ class Recorder:
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
-        messages = [*self._messages(record, time_ns)]
+        messages = [*self._messages(record)]
         with defer_interrupts:
             self._last_tick = record.tick
             self._log.add(time_ns, messages)
@@ -278,8 +268,8 @@ class Recorder:
     ) -> None:
         self.close("" if error is None else describe_interruption(error))
 
-    def _messages(self, record: CycleRecord, time_ns: int) -> Iterator[tuple[int, bytes]]:
-        """Yield channel and body of the commands, then of the packets, and of what follows them."""
+    def _messages(self, record: CycleRecord) -> Iterator[tuple[int, bytes]]:
+        """Yield channel and body of the commands, then of the packets, then of the EVRs."""
         ids = self._ids
         for command in record.commands:
             yield ids[COMMAND_TOPIC], command_entry(record.tick, command).encode()
@@ -289,10 +279,6 @@ class Recorder:
                 yield channel, packer.pack(packet)
         for evr in record.outputs.evrs:
             yield ids[EVR_TOPIC], evr_entry(record.tick, evr).encode()
-            yield ids[ROSOUT_TOPIC], rosout_message(time_ns, evr)
-        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
-            for name, body in self._encoder.messages(time_ns, record):
-                yield ids[name], body
 
 
 def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:
@@ -312,7 +298,7 @@ def record_commands(
     added = [effect for effect in (*setup.arm.effects, *setup.effects) if effect not in drawn]
     about = {"world": record_to_json(setup.world)}
     header = run_header(loop, setup.arm.name, setup.seed, about, commands, added)
-    with Recorder(Path(path), header, loop.config) as recorder:
+    with Recorder(path, header, loop.config.params) as recorder:
 
         def observe(record: CycleRecord) -> bool:
             recorder.write(record)

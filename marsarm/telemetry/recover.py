@@ -90,7 +90,7 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     if not chunks:
         raise LogNotReadable(bad, NOTHING)
     specs = _find_specs(metadata.get(HEADER_RECORD, {}), chunks)
-    if not any(one.is_flight for one in specs):
+    if not specs:
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
     found, duplicates = _messages([plain for _, _, plain in chunks])
     if not found:
@@ -163,10 +163,10 @@ def _reaches_end(data: bytes, at: int) -> bool:
 def _find_specs(
     header: Mapping[str, str], chunks: Sequence[tuple[Chunk, int, bytes]]
 ) -> tuple[TopicSpec, ...]:
-    """Return the channels from the header; if it is lost, from the records in the chunks."""
+    """Return the channels that a reader takes, from the header or, if it is lost, from the chunks."""
     try:
         if header:
-            return decode_topics(header)
+            return tuple(one for one in decode_topics(header) if one.is_flight)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         for chunk, _, plain in chunks:
@@ -176,7 +176,8 @@ def _find_specs(
                         schemas[record.id] = record
                     if isinstance(record, Channel):
                         channels[record.id] = record
-        return tuple(spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
+        specs = (spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
+        return tuple(one for one in specs if one.is_flight)
     except PARSE_ERRORS:
         return ()
 

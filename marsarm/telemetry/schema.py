@@ -343,8 +343,3 @@ class CdrWriter:
         padding = -len(self.data) % 4
         self.data += struct.pack(f"<{padding}xI", len(content)) + content
         return self
-
-    def header(self, time_ns: int, frame: str) -> Self:
-        """Add a std_msgs/Header."""
-        seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-        return self.add("I", seconds, nanoseconds).text(frame)

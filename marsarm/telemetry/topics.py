@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from fnmatch import fnmatchcase
-from importlib import resources
 from io import FileIO
 from itertools import count
 from typing import Any, BinaryIO, Final, get_origin, get_type_hints
@@ -16,7 +15,6 @@ from marsarm.telemetry.format import (
     CHANNELS_KEY,
     CHUNK_CYCLES,
     COMMAND_TOPIC,
-    DERIVED_KEY,
     EVR_TOPIC,
     LAYOUT_KEY,
     TRUTH_KEY,
@@ -26,29 +24,6 @@ from marsarm.telemetry.format import (
 from marsarm.telemetry.log_writer import ChunkWriter
 from marsarm.telemetry.schema import ArmNames, Layout, packet_layout, ros_definition, strip_optional
 from sim.record import CycleRecord
-
-SEPARATOR: Final = "=" * 80 + "\nMSG: "
-ROS_TYPES: Final[dict[str, str]] = {
-    part.partition("\n")[0]: part.partition("\n")[2]
-    for part in resources.files(__package__).joinpath("ros2.msg").read_text().split(SEPARATOR)[1:]
-}
-"""Definitions of the messages of ROS 2 for other tools, and of the types that they use, by name."""
-
-
-def nested_types(text: str) -> list[str]:
-    """List the types that a definition uses, each after the types that use it."""
-    found: list[str] = []
-    for line in text.splitlines():
-        part = line.split()[0].removesuffix("[]")
-        if part in ROS_TYPES:
-            found += [part, *nested_types(ROS_TYPES[part])]
-    return list(dict.fromkeys(found))
-
-
-def ros_schema(name: str) -> bytes:
-    """Return the definition of a message with all types that it uses, as a ros2msg schema."""
-    text = ROS_TYPES[name]
-    return "".join([text, *(f"{SEPARATOR}{part}\n{ROS_TYPES[part]}" for part in nested_types(text))]).encode()
 
 
 def channel_name(topic: str, field: str) -> str:
@@ -94,31 +69,6 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
 
 # The tick, the only plain field of CycleRecord, has no topic: it is the log time of every message.
 PACKET_TOPICS: Final = {topic.name: topic for topic in topics_in(CycleRecord)}
-JOINT_STATES_TOPIC: Final = "/joint_states"
-TF_TOPIC: Final = "/tf"
-TF_STATIC_TOPIC: Final = "/tf_static"
-MARKERS_TOPIC: Final = "/arm_markers"
-ROBOT_DESCRIPTION_TOPIC: Final = "/robot_description"
-"""Topic where Foxglove, Lichtblick and Rerun look for a URDF."""
-ROSOUT_TOPIC: Final = "/rosout"
-DERIVED_TOPICS: Final = {
-    JOINT_STATES_TOPIC: (
-        "sensor_msgs/msg/JointState",
-        "from /joint and /sensors: outputs as believed, torques from currents",
-    ),
-    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "from /joint: outputs as believed, links rigid"),
-    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "from the parameters"),
-    MARKERS_TOPIC: (
-        "visualization_msgs/msg/MarkerArray",
-        "from the parameters: shapes of the collision check",
-    ),
-    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "from /evr"),
-    ROBOT_DESCRIPTION_TOPIC: (
-        "std_msgs/msg/String",
-        "from the parameters, and the scene of the run as it is drawn",
-    ),
-}
-"""Schema and source of each derived channel."""
 ENTRIES: Final[dict[str, type[LogEntry]]] = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}
 
 
@@ -133,22 +83,17 @@ class TopicSpec:
     layout: Layout | None = None
     is_truth: bool = False
     """True for the plant's own state."""
-    derived: str = ""
-    """From what a channel for other tools was computed; empty for the others."""
 
     @property
     def metadata(self) -> dict[str, str]:
         """Metadata in the record of the channel."""
         layout = {} if self.layout is None else {LAYOUT_KEY: self.layout.to_json()}
-        truth = {TRUTH_KEY: TRUTH_TEXT} if self.is_truth else {}
-        return layout | truth | ({DERIVED_KEY: self.derived} if self.derived else {})
+        return layout | ({TRUTH_KEY: TRUTH_TEXT} if self.is_truth else {})
 
     @property
     def is_flight(self) -> bool:
-        """True if a reader takes it: not of another program, nor computed from other channels."""
-        if self.topic in ENTRIES:
-            return True
-        return self.layout is not None and not self.derived
+        """True if a reader takes it; older logs also have channels for other tools."""
+        return self.topic in ENTRIES or self.layout is not None
 
 
 def layout_spec(
@@ -160,7 +105,7 @@ def layout_spec(
 
 
 def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
-    """Return all channels of an arm with these tools and switches, flight channels first."""
+    """Return all channels of an arm with these tools and switches."""
     number = count(1)
     packets = [
         layout_spec(
@@ -177,11 +122,7 @@ def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
         TopicSpec(next(number), topic, f"marsarm/msg/{entry.__name__}", entry.ros_definition())
         for topic, entry in ENTRIES.items()
     ]
-    derived = [
-        TopicSpec(next(number), topic, schema, ros_schema(schema), derived=source)
-        for topic, (schema, source) in DERIVED_TOPICS.items()
-    ]
-    return (*packets, *lines, *derived)
+    return (*packets, *lines)
 
 
 def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
@@ -193,7 +134,6 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
                 "schema": one.schema,
                 "layout": None if one.layout is None else json.loads(one.layout.to_json()),
                 "truth": one.is_truth,
-                "derived": bool(one.derived),
             }
             for one in channels
         }
@@ -211,22 +151,18 @@ def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
 
 def _decode_topic(topic: str, about: Mapping[str, Any]) -> TopicSpec:
     layout = None if about["layout"] is None else Layout.from_json(json.dumps(about["layout"]))
-    schema, derived = str(about["schema"]), DERIVED_TOPICS[topic][1] if about["derived"] else ""
-    if derived:
-        text = ros_schema(schema)
-    elif topic in ENTRIES:
+    if topic in ENTRIES:
         text = ENTRIES[topic].ros_definition()
     else:
         text = ros_definition(None, layout.ros_text if layout else "")
-    return TopicSpec(int(about["id"]), topic, schema, text, layout, bool(about["truth"]), derived)
+    return TopicSpec(int(about["id"]), topic, str(about["schema"]), text, layout, bool(about["truth"]))
 
 
 def spec_of_channel(channel: Channel, schema: Schema) -> TopicSpec:
     """Return the specification of a channel from its records; errors as in `decode_topics`."""
     about = channel.metadata
     layout = Layout.from_json(about[LAYOUT_KEY]) if LAYOUT_KEY in about else None
-    is_truth, derived = TRUTH_KEY in about, about.get(DERIVED_KEY, "")
-    return TopicSpec(channel.id, channel.topic, schema.name, schema.data, layout, is_truth, derived)
+    return TopicSpec(channel.id, channel.topic, schema.name, schema.data, layout, TRUTH_KEY in about)
 
 
 def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:

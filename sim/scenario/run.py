@@ -32,7 +32,7 @@ from sim.scenario.judge import (
     note_snapshot,
     take_snapshot,
 )
-from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
+from sim.sequence import Outcome, observe_cycles, run_sequence
 from sim.setting import World
 
 TYPICAL_COMMAND_S: Final = 200.0
@@ -102,10 +102,6 @@ class ScenarioRun:
             record = self._loop.cycle((MoveJoints(NO_MOTION, relative=True),))
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
             yield record
-
-    def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm in place of the remaining commands, and yield every cycle."""
-        self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._watch)
 
     def progress_at(self, time_s: float) -> tuple[float, int]:
         """Estimate how many commands are done, with a fraction for the present one, and return their number.

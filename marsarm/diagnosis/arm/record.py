@@ -80,7 +80,7 @@ def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, see
     rng = np.random.default_rng([seed, 7])
     header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
     rows: list[tuple[int, Pose, Array]] = []
-    with Recorder(path, header, params=loop.config.params) as recorder:
+    with Recorder(path, header, loop.config.params) as recorder:
         for moment in run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:

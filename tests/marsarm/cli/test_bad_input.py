@@ -107,8 +107,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     version = b"version\x01\0\0\0" + FORMAT.encode()
     (folder / "later.mcap").write_bytes(data.replace(version, version[:-1] + b"9"))
-    with Recorder(folder / "old.mcap", {"marsarm": "0.2.0"}) as recorder:
-        recorder.write(cycle_at(0))
     (folder / "full").mkdir()
     (folder / "full" / "a.txt").write_text("something")
     return folder
@@ -129,7 +127,6 @@ CASES = {
     "place --normal 0 0 0": "has no direction",
     "place --tilt-roll nan": "is not finite",
     "place --seed -1": "seed: -1 is below 0",
-    "hardstop --repeat 0": "repeat: 0 is not within 1 .. 1000",
     "hardstop --temperature -300": "temperature: -300",
     "hardstop --joint elbow --start 1e9 0 0 0 0": "start: joint azimuth",
     "ik --position nan 0 0 --approach 0 0 1": "not three finite numbers",
@@ -156,16 +153,14 @@ CASES = {
     "ik": "position and approach: give both",
     "ik --out b.npz --position 2 0 0 --approach 0 0 1": "batch and out: give both",
     "ik --batch cut.npz --out b.npz --position 2 0 0 --approach 0 0 1": "give one or the other",
-    "hardstop --start 0 0 0 0 0": "start: is for one joint, once",
+    "hardstop --start 0 0 0 0 0": "start: is for one joint",
     "place --params good.toml --log ./good.toml": "the file of params",
     "place --params link.mcap --log good.toml": "the file of params",
     "place --picture a.png --movie folder.mcap/../a.png": "the file of picture",
     "monte-carlo --results a.jsonl --report a.jsonl": "this is the file of",
-    "hardstop --all --joint elbow": "give one of the two",
     "hardstop --plan --picture elbow.png": "leave out --picture, or --plan",
     "calibrate": "give --arm ARM",
     "calibrate --data few.csv --verify 3": "give no --data",
-    "dictionary --json --markdown": "exclude each other",
     "place --log a.mcap --movie a.mcap": "this is the file of log too",
     "log import few.csv empty.toml few.csv": "this is the file of table too",
     "log import few.csv empty.toml out.txt": "OUT out.txt: its name must end in .mcap",
@@ -209,7 +204,6 @@ CASES = {
     "run beyond_run.toml": "beyond_run.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
     "run far_run.toml": "far_run.toml: command 2, PLACE_TOOL: apxs: the target: ",
     "run tilted_run.toml": "command 1, SET_TILT: the IMU reads gravity 0.1745 rad from there, at most",
-    "run short_run.toml --when-disk-full cry": "'cry' is not known; there are",
     "run empty.toml": "command: is missing",
     "run bad_command.toml": "'FLY' is not known",
     "place --effect no_effect.toml": "type: is missing",
@@ -225,8 +219,6 @@ CASES = {
     "log info flipped.mcap": "a chunk does not match its CRC",
     "log info later.mcap --json": "log format 9",
     "log recover later.mcap good.mcap": "log format 9",
-    "log info old.mcap": "marsarm 0.2, which reads it; this marsarm reads logs of 0.3",
-    "log recover old.mcap good.mcap": "a log of marsarm 0.2, which reads it",
     "log info run.mcap /joint.motor_rad[5]": "has no channel /joint.motor_rad[5]",
     "log info pipe.mcap": "is not a regular file",
     "replay loop.mcap": "cannot be read (Too many levels of symbolic links)",

@@ -1,10 +1,7 @@
 """Small batch of targets, as files and as results."""
 
 import numpy as np
-import pyarrow as pa
-from pyarrow import parquet
 
-from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS
 from marsarm.ik.request import IkRequest, ModelRequest
 from marsarm.ik.solve import build_ik_model, solve
 from marsarm.ik.targets import IkTargets
@@ -15,12 +12,8 @@ A = np.array([[0.0, 0.0, 1.0], [0.5, 0.1, 0.8], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0]
 
 
 def save(path, position_m=P_M, approach=A) -> None:
-    """Write a batch of either kind."""
-    if path.suffix == ".npz":
-        np.savez(path, position_m=position_m, approach=approach)
-    else:
-        names, columns = (*POSITION_COLUMNS, *APPROACH_COLUMNS), (*position_m.T, *approach.T)
-        parquet.write_table(pa.table(dict(zip(names, columns, strict=True))), path)
+    """Write a batch."""
+    np.savez(path, position_m=position_m, approach=approach)
 
 
 def solved(batch, out, **model):

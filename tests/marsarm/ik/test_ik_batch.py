@@ -11,26 +11,22 @@ import zipfile
 from contextlib import suppress
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
-from fsw.kinematics.transforms import select_targets
-from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
+from marsarm.ik.batch import read_targets
 from marsarm.ik.solve import BATCH_SIZE
-from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES
+from marsarm.ik.targets import VERDICT_NAMES
 from sim.frames import approach_from, random_targets
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.ik.batch import P_M, A, expected, save, solved
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
-def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
-    save(tmp_path / f"in{suffix}")
-    solved(tmp_path / f"in{suffix}", tmp_path / "out.npz", tool="mahli", tilt_roll_deg=10.0)
+def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path):
+    save(tmp_path / "in.npz")
+    solved(tmp_path / "in.npz", tmp_path / "out.npz", tool="mahli", tilt_roll_deg=10.0)
     answers = expected(tool="mahli", tilt_roll_deg=10.0)
     with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
         angles = answers.output_rad.transpose(2, 1, 0)
@@ -44,24 +40,6 @@ def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
         assert np.all(file["excess"][outside] > 0.0)
         assert file["forward_error"][file["verdict"] == BranchVerdict.VALID].max() < 1e-8
         assert json.loads(str(file["about"]))["tilt_roll_deg"] == 10.0
-
-
-@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
-def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
-    save(tmp_path / f"in{suffix}")
-    solved(tmp_path / f"in{suffix}", tmp_path / "out.parquet", compensate="off")
-    answers = expected(compensate="off")
-    rows = parquet.read_table(tmp_path / "out.parquet").to_pylist()
-    assert len(rows) == answers.verdict.size
-    for row in rows:
-        slot = BRANCHES.index(row["branch"])
-        one = select_targets(answers, row["target"])
-        angles = np.array([row[f"{joint}_rad"] for joint in JOINT_NAMES], dtype=float)
-        assert row["verdict"] == VERDICT_NAMES[one.verdict[slot]]
-        assert np.allclose(angles, one.output_rad[:, slot], atol=1e-9, equal_nan=True)
-        assert (row["limiting_joint"] is not None) == (row["verdict"] == "outside_limits")
-        assert (row["beyond_limit_rad"] is not None) == (row["verdict"] == "outside_limits")
-        assert (row["out_of_reach_m"] is not None) == (row["verdict"] == "out_of_reach")
 
 
 def test_targets_beyond_one_part_are_answered_as_if_they_were_alone(tmp_path):
@@ -78,16 +56,15 @@ def test_targets_beyond_one_part_are_answered_as_if_they_were_alone(tmp_path):
 
 def test_the_same_targets_give_the_same_bytes(tmp_path):
     save(tmp_path / "in.npz")
-    for suffix in (".npz", ".parquet"):
-        first, second = tmp_path / f"first{suffix}", tmp_path / f"second{suffix}"
-        solved(tmp_path / "in.npz", first)
-        solved(tmp_path / "in.npz", second)
-        assert first.read_bytes() == second.read_bytes()
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    solved(tmp_path / "in.npz", first)
+    solved(tmp_path / "in.npz", second)
+    assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_summary_for_programs_and_for_people(tmp_path):
     save(tmp_path / "in.npz")
-    words = ("ik", "--batch", "in.npz", "--out", "out.parquet", "--tool", "portion")
+    words = ("ik", "--batch", "in.npz", "--out", "out.npz", "--tool", "portion")
     done = marsarm(tmp_path, *words, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
@@ -97,7 +74,7 @@ def test_a_summary_for_programs_and_for_people(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.npz", document["out"]]
     done = marsarm(tmp_path, *words)  # replaces what was there
     assert done.returncode == 0, done.stderr
-    for word in ("4 targets", "shoulder-out elbow-up wrist-up", "outside limits", "out.parquet"):
+    for word in ("4 targets", "shoulder-out elbow-up wrist-up", "outside limits", "out.npz"):
         assert word in done.stdout
 
 
@@ -116,16 +93,6 @@ def changed(values, row, component, value):
     return values
 
 
-def one_without(name):
-    columns = {column: P_M[:, 0] for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if column != name}
-    return pa.table(columns)
-
-
-def one_with(name, values):
-    columns = {column: np.ones(4) for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS)}
-    return pa.table(columns | {name: values})
-
-
 ARRAYS = {
     "NaN position": (changed(P_M, 2, 1, np.nan), A, "row 2 (the first is 0): position_m: 9 nan 0"),
     "infinite approach": (P_M, changed(A, 1, 0, np.inf), "row 1 (the first is 0): approach: inf"),
@@ -139,31 +106,14 @@ ARRAYS = {
     "text": (P_M.astype(str), A, "needs numbers"),
     "complex": (P_M + 1j, A, "array 'position_m' is complex128"),
 }
-TABLES = {
-    "a column missing": (
-        one_without("approach_y"),
-        "it must hold position_x_m, position_y_m",
-    ),
-    "text": (one_with("position_x_m", ["1"] * 4), "column 'position_x_m' has '1' in row 1"),
-    "lists": (one_with("approach_z", [[1.0]] * 4), "approach_z[0]"),
-    "null": (one_with("position_z_m", [1.0, None, 1.0, 1.0]), "row 1 (the first is 0): position_x_m"),
-    "zero approach": (
-        pa.table(dict.fromkeys(POSITION_COLUMNS, np.ones(2)) | dict.fromkeys(APPROACH_COLUMNS, np.zeros(2))),
-        "approach_x, approach_y, approach_z: 0 0 0 has no direction",
-    ),
-}
 
 
-@pytest.mark.parametrize("case", [*ARRAYS, *(f"column: {name}" for name in TABLES)])
+@pytest.mark.parametrize("case", ARRAYS)
 def test_bad_numbers_are_named_with_their_row_and_nothing_is_written(tmp_path, case):
-    if case in ARRAYS:
-        path, (*arrays, said) = tmp_path / "in.npz", ARRAYS[case]
-        save(path, *arrays)
-    else:
-        path, (table, said) = tmp_path / "in.parquet", TABLES[case.removeprefix("column: ")]
-        parquet.write_table(table, path)
+    path, (*arrays, said) = tmp_path / "in.npz", ARRAYS[case]
+    save(path, *arrays)
     with pytest.raises(BadRequest) as refused:
-        solved(path, tmp_path / f"out{path.suffix}")
+        solved(path, tmp_path / "out.npz")
     assert said in str(refused.value)
     assert list(tmp_path.iterdir()) == [path]
 
@@ -203,7 +153,7 @@ FOREIGN = {
         other_names,
         "each of shape (n, 3); it has position[",
     ),
-    "another kind": ("in.csv", lambda path: path.touch(), "its name must end in .npz or .parquet"),
+    "another kind": ("in.csv", lambda path: path.touch(), "its name must end in .npz"),
 }
 
 
@@ -216,9 +166,8 @@ def test_a_foreign_file_is_refused(tmp_path, case):
     assert said in str(refused.value)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
-def test_a_file_that_is_torn_or_overwritten_anywhere_is_refused_or_read_but_never_crashes(tmp_path, suffix):
-    path = tmp_path / f"in{suffix}"
+def test_a_file_that_is_torn_or_overwritten_anywhere_is_refused_or_read_but_never_crashes(tmp_path):
+    path = tmp_path / "in.npz"
     save(path)
     whole = path.read_bytes()
     for at in np.linspace(0, len(whole) - 1, 60).astype(int):

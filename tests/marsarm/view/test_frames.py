@@ -127,7 +127,7 @@ def logged(tmp_path):
     def prepare(arm, effects=(), changes=()):
         loop = start_loop(arm, TILTED)
         header = run_header(loop, arm.name, 0, {}, COMMANDS, effects, TILTED)
-        with Recorder(tmp_path / "run.mcap", header | dict(changes), loop.config) as recorder:
+        with Recorder(tmp_path / "run.mcap", header | dict(changes), loop.config.params) as recorder:
             for record in islice(records_of(loop), 64):
                 recorder.write(record)
         return watch_log(tmp_path / "run.mcap")
