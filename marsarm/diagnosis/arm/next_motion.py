@@ -14,23 +14,19 @@ from marsarm.diagnosis.arm.diagnose_logs import (
 )
 from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, make_session, motion_text
 from marsarm.diagnosis.arm.record import record_campaign
-from marsarm.diagnosis.arm.request import DiagnoseRequest, NextRequest
+from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.next_motion import propose_motion
 from marsarm.diagnosis.selection import FeatureEffect
 from sim.arms import BuiltArm
 from sim.initialisation import true_reference
 from simgap.common.files import cache_folder, file_sha256, json_sha256
-from simgap.common.options import check_options, command_text
+from simgap.common.options import command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress, part_of
 from simgap.next_motion.proposal import Proposal
 from simgap.next_motion.rivals import choose_rivals
 from simgap.report.next_motion import save_next_files
 
-SAME_OPTIONS: Final = (
-    *("logs", "held_out", "arm", "params", "mismatch", "campaign", "effects", "seed", "workers", "cluster"),
-)
-"""Options that are those of the diagnosis."""
 DIAGNOSED: Final = 0.4
 """Share of the time that the diagnosis takes, for the progress, if the campaign is not cached."""
 RECORDED: Final = 0.5
@@ -54,8 +50,7 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     BadRequest and NotForDiagnosis as in `diagnose`, RobotError if nothing is left to tell apart, and
     PlantDiverged if a simulated arm broke.
     """
-    check_options(request)
-    job = prepare_diagnosis(DiagnoseRequest(**{name: getattr(request, name) for name in SAME_OPTIONS}))
+    job = prepare_diagnosis(request)
     case = diagnose_logs(job, part_of(progress, 0.0, DIAGNOSED))
     assert case.model is not None
     group = choose_rivals(case.diagnosis.rivals)
