@@ -9,11 +9,10 @@ from typer.testing import CliRunner
 
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.case import CaseDiagnosis
-from marsarm.diagnosis.arm.next_motion import NextArmMotion, save_files
+from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
 from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import NextRequest
-from marsarm.diagnosis.next_motion import propose_motion
 from sim.arms import arm_named
 from sim.diagnosis_campaign import run_session, start_session
 from sim.initialisation import true_reference
