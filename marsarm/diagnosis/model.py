@@ -77,8 +77,12 @@ class DiagnosisModel:
 
     @property
     def lack_of_fit_limit(self) -> float:
-        """The -log10 p from which on remaining structure counts."""
-        return lack_of_fit_limit(self.groups)
+        """The -log10 p from which on structure counts.
+
+        All tests together have their part of the probability of a false alarm (Bonferroni).
+        """
+        tests = 2 * len(self.groups) + 1
+        return float(-np.log10(FALSE_ALARM / KINDS_OF_TEST / tests))
 
     @property
     def left_out(self) -> frozenset[int]:
@@ -218,12 +222,3 @@ def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
     norm = np.linalg.norm(all_of, axis=0)
     small = norm <= MIN_DIRECTION_SHARE * np.maximum(np.linalg.norm(layout.condition, axis=0), 1.0).max()
     return np.asarray(all_of * np.where(small, 0.0, 1.0 / np.where(small, 1.0, norm)))
-
-
-def lack_of_fit_limit(groups: tuple[FeatureGroup, ...]) -> float:
-    """Return the -log10 p from which on structure counts.
-
-    All tests together have their part of the probability of a false alarm (Bonferroni).
-    """
-    tests = 2 * len(groups) + 1
-    return float(-np.log10(FALSE_ALARM / KINDS_OF_TEST / tests))

@@ -6,7 +6,7 @@ its simulator begins at the arm of the flight parameters: those of a calibrated 
 more than any effect.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -20,10 +20,10 @@ from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
+from marsarm.diagnosis.problem import LOG_UNIT, Nuisance
 from sim.arm_model.load import ArmModel
 from sim.effects import environment, gears, geometry, joints, sensors, structure
-from sim.effects.catalogue import catalogue, effect_name
+from sim.effects.catalogue import effect_name
 from sim.effects.effect import Effect, joint_of, link_of
 from sim.effects.environment import Numerics
 from sim.effects.gears import OutputFriction
@@ -198,16 +198,6 @@ def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, l
 
 def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) -> Effect:
     return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
-
-
-def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[StrEnum, ...]:
-    """List the families of hypotheses."""
-    return tuple(family_of(catalogue()[one.effect]) for one in hypotheses)
-
-
-def list_locations(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names."""
-    return tuple(locate(one.effect, one.place) for one in hypotheses)
 
 
 def locate(effect: str, place: str) -> str:

@@ -16,7 +16,7 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
-from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
+from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
@@ -79,7 +79,8 @@ def load_campaign_model(
     """
     share = len(logs) / (len(logs) + len(held_out))
     fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
-    made = build_model(fitted, list_families(fitted.hypotheses), list_locations(fitted.hypotheses))
+    families = [family_of(catalogue()[one.effect]) for one in fitted.hypotheses]
+    made = build_model(fitted, families, [locate(one.effect, one.place) for one in fitted.hypotheses])
     if not held_out:
         return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
@@ -123,10 +124,6 @@ def _screw_rows(keys: Sequence[str]) -> Ints:
     return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))
 
 
-class TooLittleMotion(NotForDiagnosis):
-    """Case that lacks most of the campaign; the message names the missing motions."""
-
-
 @dataclass(frozen=True, slots=True)
 class CaseDiagnosis:
     """Diagnosis of a case, with traces for its page."""
@@ -134,8 +131,6 @@ class CaseDiagnosis:
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Features of the fitted motions, measured and predicted without and with the findings."""
-    patch: tuple[Effect, ...] = ()
-    """Effects of the simulator that the findings are beside: the given ones, and the fitted nuisances."""
     model: DiagnosisModel | None = None
     """Model of the features that were fitted."""
 
@@ -155,10 +150,10 @@ def diagnose_case(
         patch: Effects that are switched on in the simulator from the start.
 
     Raises:
-        TooLittleMotion: Most motions of the campaign are missing.
+        NotForDiagnosis: Most motions of the campaign are missing.
     """
     if not recordings:
-        raise TooLittleMotion("there is no log that a diagnosis could be made of")
+        raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     arm, floor_notes = _case_simulator(recordings, campaign, patch)
     first = build_case_simulator(arm, campaign.model.sensitivities.layout)
@@ -184,7 +179,7 @@ def diagnose_case(
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
     traces = tuple(_make_traces(fit.simulator, found))
-    return CaseDiagnosis(diagnosis, traces, fit.simulator.arm.patch, model)
+    return CaseDiagnosis(diagnosis, traces, model)
 
 
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
@@ -245,13 +240,13 @@ def _judge_held_out(
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
 
     Raises:
-        TooLittleMotion: Nothing of the motion can be compared with the campaign.
+        NotForDiagnosis: Nothing of the motion can be compared with the campaign.
     """
     arm, _ = _case_simulator(recordings, campaign, fit.simulator.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
-        raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
+        raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
     change = case.simulate(found.values)
     if not np.all(np.isfinite(change)):
         return ()
@@ -269,7 +264,7 @@ def _find_missing(case: CaseSimulator, campaign: CampaignModel) -> tuple[str, ..
     """Return a remark on the sessions of the campaign that a case lacks.
 
     Raises:
-        TooLittleMotion: It lacks most.
+        NotForDiagnosis: It lacks most.
     """
     layout = campaign.model.sensitivities.layout
     every, shared = (
@@ -277,7 +272,7 @@ def _find_missing(case: CaseSimulator, campaign: CampaignModel) -> tuple[str, ..
     )
     names = ", ".join(sorted(every - shared))
     if case.rows.size < MIN_FEATURE_SHARE * layout.size:
-        raise TooLittleMotion(
+        raise NotForDiagnosis(
             f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
             f"they lack the motions: {names}"
         )

@@ -16,7 +16,7 @@ from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, Logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
-from marsarm.diagnosis.arm.request import DiagnoseRequest
+from marsarm.diagnosis.arm.request import LogsRequest
 from marsarm.diagnosis.arm.simulator import list_candidates
 from sim.arm_model.load import ArmModel
 from sim.arms import arm_named
@@ -66,7 +66,7 @@ def drawing(job: DiagnoseJob) -> ArmModel:
     return arm_named(job.arm).model
 
 
-def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
+def prepare_diagnosis(request: LogsRequest) -> DiagnoseJob:
     """Check all of a request that needs no log, list the logs of folders, and build the job.
 
     Raises:
@@ -137,7 +137,7 @@ def _parse_effects(names: str) -> tuple[str, ...]:
     return tuple(name for name in catalogue() if name in wanted)
 
 
-def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> CaseDiagnosis:
+def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiagnosis:
     """Check a request and diagnose its logs; write no file but the cache.
 
     Raises:

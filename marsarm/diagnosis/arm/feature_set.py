@@ -18,6 +18,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import (
+    ASSUMED_SIGMA,
     CHANNELS,
     RESOLVER,
     ROTATION,
@@ -25,7 +26,6 @@ from marsarm.diagnosis.arm.features import (
     Feature,
     MotionFeatures,
     SensorColumns,
-    assumed_sigma,
     evaluate_features,
     list_motion_features,
 )
@@ -295,7 +295,7 @@ class NoiseFloor:
 def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
     """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
     features, values = feature_set.list_features(), measure_features(feature_set)
-    sigma = np.array([assumed_sigma(feature) for feature in features])
+    sigma = np.array([ASSUMED_SIGMA[feature.channel] for feature in features])
     sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
     known: dict[tuple[str, str], int] = {}
     pairs: list[tuple[int, int]] = []

@@ -161,11 +161,6 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
     return np.concatenate(values)
 
 
-def assumed_sigma(feature: Feature) -> float:
-    """Return the nominal sensor noise of a feature, for use without repeats."""
-    return ASSUMED_SIGMA[feature.channel]
-
-
 def _compared_bins(
     recording: Recording, segment: Segment, channel: int, touch: int
 ) -> list[tuple[int, int, int]]:

@@ -9,8 +9,8 @@ from simgap.common.options import ClusterOption, Option, ReportOption, WorkersOp
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnoseRequest:
-    """Request for a diagnosis."""
+class LogsRequest:
+    """Logs of a diagnosis, and the arm that they are compared with."""
 
     logs: Annotated[
         tuple[Path, ...],
@@ -45,6 +45,12 @@ class DiagnoseRequest:
     seed: SeedOption = 0
     workers: WorkersOption = None
     cluster: ClusterOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseRequest(LogsRequest):
+    """Request for a diagnosis."""
+
     patch: Annotated[
         Path | None, Option("Write the identified effects, for --effect.", "FILE.toml", suffixes=(".toml",))
     ] = None
@@ -65,26 +71,9 @@ class DemoRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class NextRequest:
+class NextRequest(LogsRequest):
     """Request for the next motion."""
 
-    logs: Annotated[
-        tuple[Path, ...],
-        Option("Logs of the diagnosis, or folders: all .mcap files in them.", "LOG...", is_argument=True),
-    ]
-    held_out: Annotated[
-        tuple[Path, ...], Option("Logs that the diagnosis does not fit; repeatable.", "LOG")
-    ] = ()
-    arm: ArmOption = "nominal"
-    params: ParamsOption = None
-    mismatch: MismatchOption = False
-    campaign: Annotated[
-        Path | None, Option("Folder with logs of the campaign that these repeat, with its cache.", "DIR")
-    ] = None
-    effects: EffectsOption = ()
-    seed: SeedOption = 0
-    workers: WorkersOption = None
-    cluster: ClusterOption = None
     out: Annotated[
         Path | None,
         Option("Write the motion, for `gap record --motion`.", "FILE.toml", suffixes=(".toml",)),

@@ -288,20 +288,14 @@ def simulate_open_loop(
     poses: dict[int, Pose] = {}
     for reading in arm.readings(recording.drives[:ticks]):
         if len(readings) in pose_ticks:
-            poses[len(readings)] = _turret(arm)
+            arm.plant.truth()  # updates the kinematics
+            poses[len(readings)] = turret_pose(arm.plant)
         readings.append(reading)
     return OpenLoopRun(tuple(readings), poses)
 
 
-@lru_cache(maxsize=64)
-def simulate_open_loop_cached(
-    recording: Recording,
-    effects: tuple[Effect, ...],
-    options: SimulationOptions,
-    ticks: int,
-) -> OpenLoopRun:
-    """Simulate as `simulate_open_loop`, and cache runs that several effects share."""
-    return simulate_open_loop(recording, effects, options, ticks=ticks)
+simulate_open_loop_cached = lru_cache(maxsize=64)(simulate_open_loop)
+"""The same, and runs that several effects share are kept."""
 
 
 def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -314,8 +308,3 @@ def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effe
 def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
     """Stack readings by field, ticks first."""
     return {name: np.array([getattr(one, name) for one in readings]) for name in SENSOR_FIELDS}
-
-
-def _turret(arm: OpenLoopArm) -> Pose:
-    arm.plant.truth()  # updates the kinematics
-    return turret_pose(arm.plant)

@@ -6,7 +6,7 @@ import pytest
 
 from helpers.marks import slow_but
 from simgap.report.sentences import level, verdict_word
-from tests.marsarm.diagnosis.worlds import found, indices, modelled, select_and_diagnose, sized, world
+from tests.marsarm.diagnosis.worlds import indices, modelled, select_and_diagnose, sized, world
 
 
 def _diagnose(made, campaign, rng, t=None, extra=None):
@@ -70,7 +70,7 @@ def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(mad
 def test_a_nonlinear_effect_is_fitted(rng, times):
     """Within the simulated steps the parabola suffices; beyond them the simulator is needed."""
     bent = world(bent=0.8)
-    campaign = modelled(found(bent))
+    campaign = modelled(bent)
     y = bent.measured(rng, (bent.owner == 4) * times)
     stepped, curved = (
         select_and_diagnose(campaign, y, seed=1, simulate=one) for one in (bent.simulate, None)

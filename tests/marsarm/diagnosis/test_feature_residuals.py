@@ -8,10 +8,9 @@ import pytest
 from marsarm.diagnosis.normal_equations import build_full_whitener
 from marsarm.diagnosis.problem import EffectValues
 from marsarm.diagnosis.selection import FeatureResiduals, list_feature_effects, select_simulated
-from tests.marsarm.diagnosis.worlds import found, modelled, world
+from tests.marsarm.diagnosis.worlds import modelled, world
 
-WORLD = world(bent=0.3)
-SENSITIVITIES = found(WORLD)
+WORLD = SENSITIVITIES = world(bent=0.3)
 MODEL = modelled(SENSITIVITIES)
 EFFECTS = list_feature_effects(MODEL)
 WHITEN = build_full_whitener(SENSITIVITIES)

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from marsarm.diagnosis.model import alias_cosines, detection_limits, equivalence_classes, noncentrality
 from marsarm.diagnosis.normal_equations import build_full_whitener, fit_linear, form_normal_equations
-from tests.marsarm.diagnosis.worlds import found, world
+from tests.marsarm.diagnosis.worlds import world
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def _deviance(V, S, y, t):
 
 
 def test_a_fit_is_generalised_least_squares(small, rng):
-    equations, V = form_normal_equations(found(small)), _dense(small)
+    equations, V = form_normal_equations(small), _dense(small)
     y = small.measured(rng)
     case = equations.whiten(y)
     S = small.effect[:, np.isin(small.owner, (1, 3))]
@@ -50,7 +50,7 @@ def test_a_fit_is_generalised_least_squares(small, rng):
 
 def test_the_full_whitener_leaves_white_noise(small):
     """W V W' is the identity, with V the covariance by noise and all nuisances."""
-    W = build_full_whitener(found(small))(np.eye(small.layout.size))
+    W = build_full_whitener(small)(np.eye(small.layout.size))
     np.testing.assert_allclose(W @ _dense(small) @ W.T, np.eye(small.layout.size), atol=1e-6)
 
 
@@ -63,7 +63,7 @@ def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
 
 
 def test_what_nuisances_imitate_is_not_seen(small):
-    kept = found(small)
+    kept = small
     free = tuple(replace(n, sigma=1e6, random_per_block=False) for n in kept.nuisances)
     effect = kept.effect.copy()
     effect[:, 0] = kept.nuisance[:, 3]

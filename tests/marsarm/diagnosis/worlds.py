@@ -16,23 +16,15 @@ CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
 REGIMES = ("rest", "slow", "reversal")
 
 
-@dataclass(frozen=True)
-class World:
-    """Simulator: linear, or with a share `bent` of the square of each amplitude."""
-
-    layout: FeatureLayout
-    hypotheses: tuple[Hypothesis, ...]
-    nuisances: tuple[Nuisance, ...]
-    effect: np.ndarray
-    owner: np.ndarray
-    nuisance: np.ndarray
-    bent: float = 0.0
+@dataclass(frozen=True, slots=True, eq=False)
+class World(Sensitivities):
+    """Simulator that is what its sensitivities say, also beyond their reach."""
 
     def simulate(self, settings):
         t = np.zeros(self.owner.size)
         for hypothesis, values in settings.items():
             t[self.owner == self.hypotheses.index(hypothesis)] = hypothesis.departures(values)
-        return self.effect @ (t + self.bent * t**2)
+        return self.effect @ t + self.curve @ t**2
 
     def measured(self, rng, t=None, extra=None, robot=None):
         """Return the residual of a case: amplitudes t (k,) in typical sizes, random nuisances, and noise.
@@ -42,7 +34,7 @@ class World:
         layout, same = self.layout, rng if robot is None else np.random.default_rng(robot)
         value = layout.sigma * rng.standard_normal(layout.size)
         if t is not None:
-            value += self.effect @ (t + self.bent * t**2)
+            value += self.effect @ t + self.curve @ t**2
         if extra is not None:
             value += extra
         for index, nuisance in enumerate(self.nuisances):
@@ -57,7 +49,8 @@ class World:
 def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4, two=2, scatter=2, bent=0.0):
     """Build places with three channels each; effects are smooth in the conditions.
 
-    The last `alike` effects are nearly copies of others; `two` effects have two parameters.
+    The last `alike` effects are nearly copies of others; `two` effects have two parameters. A share `bent` of
+    each effect grows with the square of its amplitude.
     """
     rng = np.random.default_rng(seed)
     block = np.sort(np.arange(m) % blocks)
@@ -94,15 +87,10 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     N = sigma[:, None] * (basis @ rng.normal(size=(basis.shape[1], nuisances))) * 0.2
     N *= rng.random((places, nuisances))[place] < 0.4
     uncertain = tuple(Nuisance(f"n{i}", "u", 0.1 * (1 + i % 7), i < scatter) for i in range(nuisances))
-    return World(layout, tuple(hypotheses), uncertain, np.array(columns).T, np.array(owner), N, bent)
-
-
-def found(made):
-    """Return the sensitivities of a robot, whose parabolas are known."""
-    return Sensitivities(
-        made.layout, made.hypotheses, made.nuisances, made.effect, made.bent * made.effect,
-        np.ones(made.owner.size), made.owner, made.nuisance,
-    )  # fmt: skip
+    effect = np.array(columns).T
+    return World(
+        layout, tuple(hypotheses), uncertain, effect, bent * effect, np.ones(len(owner)), np.array(owner), N
+    )
 
 
 def modelled(sensitivities) -> DiagnosisModel:

@@ -9,7 +9,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import case_simulator
-from marsarm.diagnosis.arm.case import CampaignModel, TooLittleMotion, diagnose_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
@@ -91,15 +91,11 @@ def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
 
     They are resimulated: with the effect in them, the response would be that of twice the effect.
     """
-    here = diagnose_case(*long_link, against, 0)
-    said = here.diagnosis
+    said = diagnose_case(*long_link, against, 0).diagnosis
     assert is_named(said, "link-length", 5e-3)
     tool = tool_error(said)
     assert tool.base == pytest.approx(5e-3, abs=5e-4)
     assert tool.explained < 2.0 * tool.noise_floor
-    shifts = [e.screw[3:] for e in here.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
-    assert shifts
-    assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
 
 
 def test_with_the_patch_on_nothing_is_left(
@@ -140,7 +136,7 @@ def test_an_effect_of_another_arm_is_named(tmp_path: Path) -> None:
 
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
     few = [load_recording(path) for path in nominal[0][:1]]
-    with pytest.raises(TooLittleMotion, match=r"poses-level-2, poses-rolled-1"):
+    with pytest.raises(NotForDiagnosis, match=r"poses-level-2, poses-rolled-1"):
         diagnose_case(few, [], against, 0)
 
 
