@@ -48,6 +48,8 @@ LOG: Final = "run.mcap"
 """Log that a command of minutes writes."""
 SLOW: Final = ("simgap diagnose servo/robot.toml servo/log.csv --held-out",)
 """Beginnings of commands that the slow tests run, too. The campaign runs the others, which take minutes."""
+ANSWERS_NO: Final = ("marsarm replay run.mcap --params softer.toml --json",)
+"""Commands that end with status 3, as their page says; the others end with 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +144,6 @@ def campaign(context: Context) -> Document:
         for k, step in enumerate(steps):
             context.progress(k, len(steps), step.text.partition("\n")[0])
             done = run_step(step, folder)
-            if done.returncode != 0:
+            if done.returncode != (3 if step.text in ANSWERS_NO else 0):
                 failed.append({"page": step.page, "text": step.text, "said": done.stderr[-1000:]})
     return {"steps": len(steps), "failed": failed, "in_bounds": not failed}

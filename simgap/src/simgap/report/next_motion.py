@@ -147,10 +147,10 @@ def save_next_page(made: Proposal, path: Path, origin: Origin | None) -> None:
 
 def _legend(rivals: Sequence[str]) -> str:
     items = (
-        f'<span style="color:{colour}">&#9644;</span> {html.escape(one)}'
+        f'<span><i class="swatch" style="color:{colour}"></i>{html.escape(one)}</span> '
         for one, colour in zip(rivals, COLOURS, strict=False)
     )
-    return f"<p>{'&emsp;'.join(items)}</p>"
+    return f'<p class="legend">{"".join(items)}</p>'
 
 
 def draw_bands(one: Curve) -> str:
@@ -169,11 +169,10 @@ def draw_bands(one: Curve) -> str:
         shapes.append(
             f'<polyline points="{_points(x, middle)}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
         )
-    marks = [(low + share * (high - low)) for share in (0.0, 0.5, 1.0)]
     ticks = [
         f'<text x="{MARGIN - 6}" y="{_scale(np.array([at]), low, high, HEIGHT - 28, 24)[0] + 4:.0f}" '
         f'text-anchor="end">{at:.3g}</text>'
-        for at in marks
+        for at in (low, 0.0, high)
     ]
     title = html.escape(f"{one.signal} [{unit}]")
     times = (

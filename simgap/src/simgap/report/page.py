@@ -92,7 +92,7 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
         heading("How far the error shrinks"),
         paragraph(f"Mean error by joint on {judged}. {mark} the noise floor."),
         *([paragraph(diagnosis.method)] if diagnosis.method else []),
-        f"<p>{legend}</p>",
+        f'<p class="legend">{legend}</p>',
         f'<div class="bars">{"".join(_error_bars(one, len(kinds) > 1) for one in diagnosis.errors)}</div>',
     ]
 
