@@ -63,7 +63,7 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
     return {
         "seed": seed,
         "poses": campaign.count,
-        "outliers": list(found.rejection.outliers),
+        "outliers": list(found.outliers),
         "refused": refused,
         "before_rms_mm": 1e3 * rms_m(before),
         "held_out_rms_mm": 1e3 * rms_m(held),

@@ -17,7 +17,7 @@ from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose
 from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters, move_zeros_to_hardstops
 from marsarm.calibration.campaign_data import Campaign
-from marsarm.calibration.consensus import OutlierRejection, reject_outliers
+from marsarm.calibration.consensus import reject_outliers
 from marsarm.calibration.residual_model import residual_model
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
@@ -47,7 +47,7 @@ class Calibration:
 
     nominal: Params
     campaign: Campaign
-    rejection: OutlierRejection
+    best: Fit
     """Fit to all poses except outliers."""
     hold_out: HoldOutValidation
     """Validation on the held-out poses of a fit to the others."""
@@ -68,9 +68,9 @@ class Calibration:
     """Error screws with calibrated parameters, shape (6, n)."""
 
     @property
-    def best(self) -> Fit:
-        """Return the fit to all poses except outliers."""
-        return self.rejection.fit
+    def outliers(self) -> tuple[int, ...]:
+        """Return the indices of the poses that were left out."""
+        return tuple(np.flatnonzero(~self.best.used).tolist())
 
 
 def calibrate(
@@ -85,27 +85,27 @@ def calibrate(
     everything = np.ones(campaign.count, bool)
     preliminary = _preliminary_fit(parameters, nominal, campaign, everything, with_backlash)
     model = residual_model(nominal, campaign, preliminary, with_backlash)
-    cleaned = reject_outliers(parameters, model, preliminary.values)
+    best = reject_outliers(parameters, model, preliminary.values)
     is_held_out = select_held_out(campaign.group)
     preliminary_part = _preliminary_fit(parameters, nominal, campaign, ~is_held_out, with_backlash)
     part_model = residual_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
-    part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out).fit
-    held_out = is_held_out & cleaned.fit.used
-    at = cleaned.fit.at
+    part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out)
+    held_out = is_held_out & best.used
+    at = best.at
     frames = Linearisation(at.residual, at.jacobian[:, :, FRAME_SCREWS])
     return Calibration(
         nominal=nominal,
         campaign=campaign,
-        rejection=cleaned,
+        best=best,
         hold_out=validate_hold_out(part, part.at.at(held_out)),
         held_out_poses=held_out,
         held_out_error=part_model.errors(part.values)[:, held_out],
-        identifiability=assess_identifiability(parameters, at, cleaned.fit.used),
-        frame_identifiability=assess_identifiability(parameters[FRAME_SCREWS], frames, cleaned.fit.used),
+        identifiability=assess_identifiability(parameters, at, best.used),
+        frame_identifiability=assess_identifiability(parameters[FRAME_SCREWS], frames, best.used),
         preliminary=preliminary,
         unknown=model.unknown,
         before=model.errors(np.zeros(len(parameters))),
-        after=model.errors(cleaned.fit.values),
+        after=model.errors(best.values),
     )
 
 
@@ -163,7 +163,7 @@ def data_sha256(campaign: Campaign) -> str:
 def provenance(found: Calibration) -> tuple[str, ...]:
     """Describe the origin of the parameters, one sentence a line; no date, so that files are reproducible."""
     campaign, best = found.campaign, found.best
-    left_out = ", ".join(map(str, found.rejection.outliers)) or "none"
+    left_out = ", ".join(map(str, found.outliers)) or "none"
     groups, held = np.unique(campaign.group).size, found.held_out_error
     return (
         f"Flight parameters of {campaign.arm_name}, calibrated; those that are not here are nominal.",

@@ -140,29 +140,13 @@ class TooManyOutliers(BadRequest):
     """Error: more poses are outliers than are allowed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OutlierRejection:
-    """Fit without its outliers."""
-
-    fit: Fit
-    distance: Array
-    """Squared distance of each pose from the prediction by the others, over its variance, shape (n,)."""
-    limit: Array
-    """Limit of this distance, shape (n,)."""
-
-    @property
-    def outliers(self) -> tuple[int, ...]:
-        """Return the indices of the poses that were left out."""
-        return tuple(int(pose) for pose in np.flatnonzero(~self.fit.used))
-
-
 def reject_outliers(
     parameters: Sequence[FitParameter],
     model: ResidualModel,
     start: Array | None = None,
     used: Flags | None = None,
     false_alarm: float = FALSE_ALARM,
-) -> OutlierRejection:
+) -> Fit:
     """Fit, leave out the worst pose beyond the limit, and repeat until all remaining poses agree.
 
     Poses that agree with the last fit are included again. If all poses have more noise than stated, the
@@ -180,7 +164,7 @@ def reject_outliers(
     selected = found.used
     count = int(np.count_nonzero(selected))
     while True:
-        share, limit = _share_of_limit(found, false_alarm / count)
+        share = _share_of_limit(found, false_alarm / count)
         worst = int(np.argmax(np.where(found.used, share, -np.inf)))
         if share[worst] <= 1.0:
             break
@@ -194,16 +178,16 @@ def reject_outliers(
     restored = selected & ~found.used & (share <= 1.0)
     if restored.any():
         found = fit(parameters, model, found.values, found.used | restored)
-    return OutlierRejection(found, leave_one_out_distance(found), limit)
+    return found
 
 
-def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:
-    """Compute the distance of each pose as a share of its limit, and the limit.
+def _share_of_limit(fitted: Fit, false_alarm: float) -> Array:
+    """Compute the squared distance of each pose from its prediction by the others, over its limit, (n,).
 
     Poses with fewer informative components have a lower limit.
     """
     components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
     distance = leave_one_out_distance(fitted)
     typical = float(np.median((distance / chi2.median(components))[fitted.used]))
-    limit = chi2.isf(false_alarm, components) * max(1.0, typical)
-    return distance / limit, limit
+    limit: Array = chi2.isf(false_alarm, components) * max(1.0, typical)
+    return distance / limit

@@ -42,7 +42,7 @@ def calibration_document(report: CalibrateReport) -> dict[str, Any]:
     return {
         "arm": found.campaign.arm_name,
         "poses": found.campaign.count,
-        "outliers": found.rejection.outliers,
+        "outliers": found.outliers,
         "data_sha256": data_sha256(found.campaign),
         "params_sha256": digest(report.params),
         "position_error_m": {
@@ -118,7 +118,7 @@ def _unidentifiable(found: Calibration) -> list[str]:
 def _summary_table(found: Calibration) -> ReportTable:
     best, frames = found.best, found.frame_identifiability
     errors = {"before": found.before, "after": found.after[:, best.used], "held out": found.held_out_error}
-    outliers = ", ".join(map(str, found.rejection.outliers)) or "none"
+    outliers = ", ".join(map(str, found.outliers)) or "none"
     rows = [("poses", f"{found.campaign.count}; left out as outliers: {outliers}")]
     for name, error in errors.items():
         most_mm = 1e3 * _error_statistics(error)["max"]

@@ -96,5 +96,5 @@ def test_wrong_poses_are_left_out_and_named():
     for pose, axis, off_m in ((20, 0, 2e-3), (77, 1, -3e-3), (140, 2, 5e-3)):
         X.p[axis, pose] += off_m
     found = calibrate(NOMINAL, replace(clean, measured=MeasuredPoses(X, clean.measured.covariance)))
-    assert set(found.rejection.outliers) == {20, 77, 140}
+    assert set(found.outliers) == {20, 77, 140}
     np.testing.assert_allclose(rms_m(found.after[:, found.best.used]), rms_m(calibration().after), rtol=0.5)

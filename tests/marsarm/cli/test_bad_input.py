@@ -242,7 +242,6 @@ CASES = {
     "calibrate --data cut.parquet": "cannot be read: Parquet file size",
     "calibrate --data utf16.csv": "is not text in UTF-8; save it as UTF-8",
     "ik --batch cut.npz --out b.npz": "is no NumPy .npz file",
-    "ik --batch cut.parquet --out b.npz": "cannot be read: Parquet file size",
     "log import few.csv empty.toml out.mcap": "channels: is missing",
     # outputs
     "view none.mcap": "none.mcap",
