@@ -1,7 +1,5 @@
 """Effects of the user's own: the example of the page, and files that are refused in one sentence."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -57,12 +55,6 @@ def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
     )
     with pytest.raises(RobotError, match="Mine at 'base': torque_Nm acts at a joint; give it one of"):
         load_effects(write(tmp_path, text), ARM, LOGS)
-
-
-def test_the_page_shows_the_example():
-    page = repository_file("docs/robot-effects.md").read_text(encoding="utf-8")
-    example = repository_file(EXAMPLE).read_text(encoding="utf-8")
-    assert re.findall(r"```python\n(.*?)```", page, re.DOTALL) == [example]
 
 
 def test_a_function_of_the_file_chooses_the_places(tmp_path):

@@ -14,19 +14,19 @@ from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import TOOLS
 
-PAGE = Path(__file__).parents[3] / "docs" / "effects.md"
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
 def dent(tmp_path: Path) -> Path:
-    """Write the example of the documentation to a file."""
+    """Copy the example of the documentation."""
     file = tmp_path / "dent.py"
-    file.write_text(re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1])
+    file.write_text((ROOT / "examples" / "own_effect.py").read_text())
     return file
 
 
 def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -> None:
-    option = re.search(r"--effect dent\.py:(Dent\S*)", PAGE.read_text())[1]
+    option = re.search(r"own_effect\.py:(Dent\S*)", (ROOT / "docs" / "effects.md").read_text())[1]
     effect = parse_effect_text(f"{dent}:{option}", TOOLS)
     assert isinstance(effect, Effect)
     assert (effect.joint, effect.torque_Nm, effect.width_rad) == (Joint.ELBOW, 10.0, 0.02)
@@ -40,10 +40,10 @@ def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -
 
 
 def test_it_comes_back_from_what_is_written_of_it_and_is_read_anew_when_its_file_is_written_anew(dent):
-    written = f"{dent}:Dent:elbow:torque_Nm=15"
+    written = f"{dent}:Dent:elbow:torque_Nm=15.0,angle_rad=0.5"
     effect = parse_effect_text(written, TOOLS)
     assert "dent" not in catalogue()
-    assert effect_text(effect).startswith(f"{written}.0")
+    assert effect_text(effect).startswith(written)
     assert parse_effect_text(effect_text(effect), TOOLS) == effect
     assert effect.width_rad == 0.02
     dent.write_text(dent.read_text().replace("= 0.02", "= 0.03"))
