@@ -30,6 +30,7 @@ from simgap.effects.effect import Effect
 from simgap.effects.forces import ConstantTorque, CoulombFriction, LoadFriction, StribeckFriction
 from simgap.effects.transmission import Backlash
 from simgap.logs import JointLog, Motion, Signal
+from simgap.residuals.residuals import residuals_by_motion
 from simgap.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals
 from simgap.robot import ControlMode, Robot
 from simgap.simulation.compiled import Models
@@ -173,6 +174,17 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
         )
 
 
+def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all() -> None:
+    effects, sizes = candidates()
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
+    n = len(model.motions)
+    own = np.array([np.roll(sizes, k, axis=0)[:n] for k in range(2)])
+    together = residuals_by_motion(model, effects, own)
+    for candidate, rows in zip(own, together, strict=True):
+        alike = model.residuals(effects, candidate)
+        assert np.array_equal(rows, alike[model.motion_of, np.arange(rows.size)])
+
+
 STEADY: list[Effect] = [
     *(at_swing(kind, pendulum()) for kind in (GainError, CommandDelay, MeasurementDelay, ConstantTorque)),
     Backlash("swing", 0, encoder_is_at_output=False, typical=0.01, highest=0.1),
@@ -193,6 +205,13 @@ def test_many_periods_in_one_call_give_the_bits_of_single_ones(
     monkeypatch.setattr("simgap.simulation.simulation.SPAN", 1)
     assert np.array_equal(together, model.residuals(STEADY, sizes))
     capfd.readouterr()  # MuJoCo itself prints a warning on the gain of 1e300
+
+
+def test_samples_that_are_not_kept_have_no_residual() -> None:
+    keep = TIME_s < 1.0
+    log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 1))
+    model = SimulationResiduals(pendulum(), [log], keep={("m", "swing"): keep}, n_threads=1)
+    assert model.time_s.max() < 1.0
 
 
 def test_windows_begin_at_measured_positions_and_speeds() -> None:

@@ -78,6 +78,11 @@ def test_times_count_from_the_start_of_the_motion(tmp_path, robot):
     )
 
 
+def test_two_columns_together_name_a_motion(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ('["motion"]', '["motion", "gain"]')))
+    assert [one.name for one in load(robot, write_parquet(tmp_path)).motions] == ["slow 2", "fast 3"]
+
+
 def test_motions_that_repeat_one_another_share_a_text(tmp_path):
     robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"')))
     path = write_parquet(tmp_path, again=["x"] * 7)
@@ -283,6 +288,11 @@ def names(motions):
 def test_the_default_split_counts(tmp_path):
     found = logs(tmp_path)
     assert (names(found.fit), names(found.judged)) == (["slow"], ["fast"])
+
+
+def test_another_split_may_be_named(tmp_path):
+    found = logs(tmp_path, split="second")
+    assert (names(found.fit), names(found.judged)) == (["fast"], ["slow"])
 
 
 def test_motions_may_be_held_out_by_motion_condition_or_file(tmp_path):
