@@ -188,11 +188,7 @@ def worsens_another(context: Context, present: FittedModel, candidate: Candidate
 
 
 def cross_validate(context: Context, fits: Sequence[JointFit]) -> Array:
-    """Predict the residuals of each motion by a fit without its fold.
-
-    Returns:
-        Each residual when its motion was left out, over the scale of its joint, (n_rows,); 0 without a fit.
-    """
+    """Predict residuals without the fold of their motion, over their scales, (n_rows,); 0 without a fit."""
     found = np.zeros(context.model.joint_of.size)
     for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
         found[fit.rows] = left_out

@@ -27,11 +27,9 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_si
     """Test whether the change that an effect makes is due to noise; return the p-value.
 
     The errors are CR2 (Bell and McCaffrey 2002): those of a cluster are enlarged by as much as the fit has
-    followed it, and the degrees of freedom fall where few clusters decide. The change is that of the best
-    sizes: Hotelling's distribution allows for their choice.
-
-    Args:
-        basis: Orthonormal changes by the base parameters, (n_rows, n_base), without a unit.
+    followed it. The degrees of freedom fall where few clusters decide. The change is that of the best sizes:
+    Hotelling's distribution allows for their choice. The columns of `basis`, (n_rows, n_base), are
+    orthonormal changes by the base parameters.
     """
     length = float(np.linalg.norm(change))
     if length == 0.0:
@@ -68,10 +66,7 @@ def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers,
     """Test as `wald_p` where the noise is known to be the same at all times, as motions that repeat show.
 
     All residuals then tell the noise, also of an effect that acts in few samples. Its correlation counts by
-    the sums over clusters.
-
-    Args:
-        n_base: Number of base parameters that the residuals have followed.
+    the sums over clusters. The residuals have followed `n_base` base parameters.
     """
     length = float(np.linalg.norm(change))
     sums = np.bincount(cluster)
@@ -106,10 +101,8 @@ def count_distinct(directions: Sequence[Array]) -> float:
     """Count how many independent tests as many false alarms would raise as tests of these directions.
 
     Tests of effects that look alike, such as a payload and a heavier link, are right or wrong together. The
-    count is that of Li and Ji (2005), from the eigenvalues of the correlations.
-
-    Returns:
-        Number from 1 to that of the directions which are not 0; 0 if there is none.
+    count is that of Li and Ji (2005), from the eigenvalues of the correlations. It is from 1 to the number of
+    directions that are not 0; 0 if there is none.
     """
     lengths = [float(np.linalg.norm(one)) for one in directions]
     unit = [one / length for one, length in zip(directions, lengths, strict=True) if length > 0.0]
@@ -133,13 +126,9 @@ def alternative_p(
     cluster to cluster. All models are refitted to them, along their derivatives. The better model is the best
     of several, so the advantage of the best one counts in each draw.
 
-    Args:
-        other: Residuals of the model, (n_rows,), and an orthonormal basis of the changes that its sizes make,
-            (n_rows, n_sizes), without a unit.
-        rivals: The same of all models that might have been found, (n_rows,) and (n_rows, n_sizes), without a
-            unit, with the same weights, better one first.
-        noise_std: Standard deviation of the noise in the same unit, if it is known; it is then drawn instead
-            of the signs.
+    A model has residuals, (n_rows,), and an orthonormal basis of the changes by its sizes, (n_rows, n_sizes).
+    Rivals are all models that might have been found, the better one first, with the same weights. A known
+    `noise_std`, in the same unit, is drawn instead of the signs.
     """
     theirs, their_basis = other
     if noise_std:

@@ -68,11 +68,9 @@ class Meter:
             self.advance("going on", 0)
 
     def begin_round(self, expected: int, after: float) -> None:
-        """Begin a round of screening and refits.
+        """Begin a round of screening and refits: expected candidates, and rounds expected after it.
 
-        Args:
-            expected: Candidates that it should take; later rounds are scaled by what earlier ones took.
-            after: Rounds that are expected after it.
+        Later rounds are scaled by what earlier ones took.
         """
         if self._expected:
             self._ended_done += self._done - self._begin
@@ -109,9 +107,8 @@ class Checkpoint:
     def __init__(self, folder: Path | None = None, effects: Sequence[Effect] = ()) -> None:
         """Name the folder, and delete steps of others beside it that nobody wants any more.
 
-        Args:
-            folder: Folder of this diagnosis, STEPS with the digest of its inputs; None: nothing is kept.
-            effects: All effects that compete; a step names them by their keys.
+        The folder is STEPS with the digest of the inputs; None: nothing is kept. All effects that compete are
+        given, because a step names them by their keys.
         """
         self._folder, self._number, self._is_full = folder, 0, False
         self._effects = {effect.key: effect for effect in effects}
@@ -135,11 +132,10 @@ class Checkpoint:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def step(self, meter: Meter, name: str, work: Callable[[], T]) -> T:
-        """Return the result of the next step: as it was kept, or by carrying it out.
+        """Return the result of the next step, as it was kept or by carrying it out.
 
-        Args:
-            meter: Progress, which goes on from where it was after the step.
-            work: Carries out the step; its result consists of effects, arrays and records of them.
+        It consists of effects, arrays and records of them. The meter goes on from where it was after the
+        step.
         """
         number, self._number = self._number, self._number + 1
         if self._folder is None:
@@ -177,10 +173,9 @@ class Checkpoint:
 
 
 def pack(value: object, arrays: list[Array]) -> Any:
-    """Make a JSON document of a result.
+    """Make a JSON document of numbers, texts, arrays, effects, and records, lists and tuples of them.
 
     Args:
-        value: Numbers, texts, arrays, effects, and records, lists and tuples of them.
         arrays: Gets the arrays of the result, (...) of any units; the document has their places.
     """
     if isinstance(value, Effect):
@@ -203,14 +198,11 @@ def pack(value: object, arrays: list[Array]) -> Any:
 def unpack(
     document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect], package: str = "simgap"
 ) -> Any:
-    """Make the result of a document: the inverse of `pack`.
+    """Make the result of a document, the inverse of `pack`; KeyError if an effect or a record is not there.
 
     Args:
         arrays: Arrays of the result, (...) of any units.
         package: Name of the package whose records the result has.
-
-    Raises:
-        KeyError: The document names an effect or a record that is not there.
     """
     if isinstance(document, list):
         return [unpack(one, arrays, effects, package) for one in document]
@@ -245,11 +237,7 @@ def digest_inputs(
     effects: Sequence[Effect],
     seed: int,
 ) -> str | None:
-    """Return the digest of all that the steps of a diagnosis depend on.
-
-    Returns:
-        SHA-256 as hexadecimal text; None if an effect has no file, so that its code is not known.
-    """
+    """Return the hexadecimal SHA-256 of what steps depend on; None if the code of an effect is unknown."""
     try:
         digest = hashlib.sha256()
         for part in _inputs(robot, motions, usable, effects, seed):

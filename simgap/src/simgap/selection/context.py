@@ -101,11 +101,7 @@ def start_context(
     meter: Meter,
     checkpoint: Checkpoint | None = None,
 ) -> Context:
-    """Make a context, with scales of 1 and nothing shared: base and catalogue in a union, motions in folds.
-
-    Args:
-        catalogue: Effects that compete; those that are also in the base are left out.
-    """
+    """Make a context with scales of 1, no folds and nothing shared; what is in the base does not compete."""
     known = {effect.key for effect in base}
     others = tuple(effect for effect in catalogue if effect.key not in known)
     union = Union((*base, *others))
@@ -132,10 +128,8 @@ def start_context(
 def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str]) -> Integers:
     """List the joint, or ALL_JOINTS, at which each size is judged, (n_sizes,).
 
-    Where a robot has one joint, effects at bodies are fitted with it.
-
-    Args:
-        everywhere: Keys of effects at a joint that are judged at all joints, because they move others too.
+    Where a robot has one joint, effects at bodies are fitted with it. Effects whose keys are in `everywhere`
+    are judged at all joints, because they move others than their own too.
     """
     places = [
         0
@@ -159,11 +153,7 @@ def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
 def resume_step(
     step: Callable[Concatenate[Context, P], T], context: Context, *args: P.args, **kwargs: P.kwargs
 ) -> T:
-    """Return what an earlier run with the same inputs found in a step; else carry it out and keep it.
-
-    Args:
-        step: Function of the context, whose result `checkpoint.pack` can keep.
-    """
+    """Return what an earlier run with the same inputs found in a step; else carry it out and `pack` it."""
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
@@ -199,7 +189,6 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     """Return the residuals of some motions, (n_models, n), with models that were found on others.
 
     Args:
-        model: Residuals of the motions.
         sizes: Those of the union in their units, (n_sizes,) for each model.
     """
     union, points = context.union, np.array(sizes)

@@ -41,13 +41,7 @@ class Fitting:
         sharing: Sharing,
         report: Callable[[int], None] | None = None,
     ) -> None:
-        """Prepare the starts.
-
-        Args:
-            scales: Scales of the residuals, (n_joints,), in the unit of the model.
-            sharing: Joints whose hypotheses may share a candidate.
-            report: Called with the number of candidates after each call of the model.
-        """
+        """Prepare the starts; `report` gets the number of candidates after each call of the model."""
         self.model = model
         self._evaluate = _Evaluator(model, union, sharing, report)
         self.descents = [Descent(model, union, one, scales, sharing) for one in hypotheses]
@@ -106,16 +100,10 @@ def evaluate_points(
     sharing: Sharing,
     report: Callable[[int], None] | None = None,
 ) -> list[Array]:
-    """Simulate single points, those of different joints in one candidate if they may share it.
+    """Simulate points in as few candidates as possible; return residuals of the joint of each, (n_rows,).
 
-    Args:
-        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
-            (n_motions, n_sizes).
-        sharing: Joints whose points may share a candidate.
-        report: Called with the number of candidates after each call of the model.
-
-    Returns:
-        Residuals of its joint for each point, (n_rows,).
+    Sizes are all (n_sizes,), or all (n_motions, n_sizes). Points of different joints share a candidate where
+    `sharing` lets them. `report` gets the number of candidates after each call of the model.
     """
     (found,) = _Evaluator(model, union, sharing, report)([list(points)])
     return found

@@ -35,8 +35,7 @@ MIN_MOTIONS: Final = 4
 def fit_base(context: Context) -> tuple[Context, FittedModel]:
     """Fit the base parameters of each joint: the reference, then scales and noise follow from earlier fits.
 
-    Returns:
-        The context with scales and noise, residuals whitened where the noise is known; and the base model.
+    Return also the context with scales and noise, its residuals whitened where the noise is known.
     """
     raw, union = context.model, context.union
     sizes = np.zeros(len(union.sizes))
@@ -130,12 +129,10 @@ def add_effects(
 
 
 def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel, tuple[Score, ...]] | None:
-    """Replace findings at several joints by one that all joints have in common, if it does as much.
+    """Replace findings at several joints by one that all joints have in common; None if none does as much.
 
     One effect that does as much as several is the simpler explanation. Each starts where the findings are.
-
-    Returns:
-        The model with the best one, and the others with their sizes; None if none does as much.
+    Those that are not the best are returned with their sizes.
     """
     common = [one for one in context.catalogue if len(one.parts) > 1]
     keys = {part.place + one.key.removeprefix(one.place) for one in common for part in one.parts}
@@ -169,10 +166,8 @@ def recut_blocks(
     """Cut the blocks of each joint by the memory of what its best effect leaves.
 
     Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
-    the misfit would be so few that a fit without one of them extrapolates.
-
-    Returns:
-        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
+    the misfit would be so few that a fit without one extrapolates. The model is judged by the new blocks and
+    folds; nothing changes where motions are whole.
     """
     if not isinstance(context.model, Blocks) or not shortlist:
         return context, present
@@ -200,11 +195,7 @@ def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Int
 def start_fit(
     context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[JointFit] = ()
 ) -> Hypothesis:
-    """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
-
-    Args:
-        known: Fits of the same residual model at sizes that are near.
-    """
+    """Return the hypothesis of base and effects at a joint, with derivatives of near fits of this model."""
     columns = free_columns(context, effects, joint)
     slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
     for fit in known:
@@ -221,9 +212,7 @@ def fit_joints(
     """Fit base and effects of every joint; all joints together if an effect is judged at all of them.
 
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
-
-    Args:
-        known: Fits of the same residual model at sizes that are near.
+    Known fits are of the same residual model, at sizes that are near.
     """
     joints = [*range(len(context.model.joints))]
     if any(context.joint_of(one) == ALL_JOINTS for one in effects):

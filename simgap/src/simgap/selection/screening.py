@@ -118,13 +118,9 @@ def score_effect(
 ) -> tuple[Score, Array, Array]:
     """Hold the changes that an effect makes against the residual of the present model.
 
-    Args:
-        changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
-            the fit.
-
-    Returns:
-        The score of the best trial; its change and what it leaves, (n_rows,) each, without a unit. With
-        several points, all are those of their best linear combination.
+    Each trial has the changes of the residuals at its points, (n_rows, n_points), in the unit of the fit.
+    Return the score of the best trial, the largest change, and what the best one leaves. Both are (n_rows,)
+    without a unit. With several points, all are those of their best linear combination.
     """
     energy = float(white.residual @ white.residual)
     best: tuple[float, Array, Array] | None = None
@@ -173,11 +169,8 @@ def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:
 def adjust(share: float, n_sizes: int, n_independent: int) -> float:
     """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
 
-    Args:
-        n_independent: Number of independent samples: blocks as long as the correlation time.
-
-    Returns:
-        The share, reduced; minus infinity if sizes are as many as samples.
+    Independent samples are blocks as long as the correlation time. The result is minus infinity if sizes are
+    as many as these.
     """
     free = n_independent - 1 - n_sizes
     return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
@@ -191,11 +184,7 @@ def refit_p(
     scales: Array,
     is_stationary: bool,
 ) -> float:
-    """Test whether a fit without an effect is worse by chance: p-value of `stationary_p` or `wald_p`.
-
-    Args:
-        is_stationary: True if repeats show the noise.
-    """
+    """Return the p-value of a fit without effect: `stationary_p` if repeats show the noise, else `wald_p`."""
     base = []
     for fit in fits:
         rest = ~np.isin(fit.columns, own)
@@ -220,8 +209,7 @@ AT_ONCE: Final = 32
 def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect]) -> Context:
     """Measure which joints effects move, and choose what shares simulations and what is judged at all joints.
 
-    Args:
-        effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
+    Effects of the base decide which joints share; all do where no base is.
     """
     union, model = context.union, context.model
     base = {effect.key for effect in context.base}
@@ -249,13 +237,10 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
 
 
 def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Integers, Array]]) -> Array:
-    """Measure how much effects of typical size move each joint, in the motions in which joints move most.
+    """Measure RMS changes of joints by effects of typical size, over the scales, (n_effects, n_joints).
 
-    Args:
-        columns: For each effect the columns of its sizes and its typical sizes, (n_own,), in their units.
-
-    Returns:
-        RMS changes over the scales, (n_effects, n_joints), without a unit.
+    They count in motions in which joints move most. Each effect has the columns of its sizes and its typical
+    sizes, (n_own,), in their units.
     """
     model, n_joints = context.model.select(list_fastest_motions(context.model)), len(context.scales)
     count = np.maximum(np.bincount(model.joint_of, minlength=n_joints), 1)

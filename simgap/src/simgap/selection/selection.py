@@ -92,11 +92,9 @@ def select_effects(
     meter: Meter | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Selection:
-    """Find the effects that motions need beyond the base parameters.
+    """Find the effects that motions need beyond the base: nuisance parameters with priors, in every model.
 
-    Args:
-        base: Effects that every model has: nuisance parameters with priors.
-        n_kinds: Kinds of residual in which effects are looked for, which share the probability of chance.
+    All `n_kinds` kinds of residual in which effects are looked for share the probability of chance.
     """
     context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
     if not context.catalogue:
@@ -135,15 +133,10 @@ def list_again(
     shortlist: Sequence[Score],
     finalists: Sequence[Score],
 ) -> list[Score]:
-    """List effects that helped in the round before, but that the screen has not found again.
+    """List effects of open joints that helped in the round before, but that the screen has not found again.
 
-    Where the present model is far from the motions, the screen ranks worse than a refit.
-
-    Args:
-        finalists: Effects of the round before, with their sizes and the share that they removed.
-
-    Returns:
-        Effects of open joints that are not in the present model; each starts at its sizes of that round.
+    Where the present model is far from the motions, the screen ranks worse than a refit. Finalists have the
+    sizes of that round, at which each starts, and the share that they removed. None is in the present model.
     """
     known = {one.effect.key for one in shortlist} | {effect.key for effect in present.effects}
     again = []
@@ -166,10 +159,9 @@ def _list_competitors(context: Context, winner: Candidate, refitted: dict[str, S
 def screen(
     context: Context, present: FittedModel, open_joints: set[int], rounds_after: float
 ) -> tuple[list[Score], float]:
-    """Simulate every effect at a few sizes, and keep the best of each place.
+    """Simulate every effect at a few sizes, and keep the SHORTLIST best of each joint, and of all bodies.
 
-    Returns:
-        At most SHORTLIST scores of a joint, and as many of all bodies; and how many effects are distinct.
+    Return also how many effects are distinct.
     """
     taken = {effect.key for effect in present.effects}
     groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
@@ -222,11 +214,7 @@ def screen(
 
 
 def list_best(ranked: Sequence[Score]) -> list[Score]:
-    """List the scores of the SHORTLIST best effects, each with its variations: a refit tells them apart.
-
-    Args:
-        ranked: Scores, the best first.
-    """
+    """List the first SHORTLIST effects of a ranking with their variations: a refit tells them apart."""
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
@@ -243,11 +231,9 @@ def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Arr
 def find_winners(
     context: Context, present: FittedModel, shortlist: Sequence[Score]
 ) -> tuple[list[Candidate], list[Score]]:
-    """Refit the shortlist, and choose what is accepted.
+    """Refit the shortlist, and choose what is accepted; return also what competes with it, with its sizes.
 
-    Returns:
-        Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
-        end and, with a gain of 0, the others that are hopeful.
+    This is all that was refitted to the end and, with a gain of 0, the others that are hopeful.
     """
     effects = [score.effect for score in shortlist]
     fitting = start_fitting(context, [start_refit(context, present, score) for score in shortlist], "refit")
@@ -272,11 +258,7 @@ def list_hopeful(
     fits: Sequence[Descent],
     share: float,
 ) -> list[int]:
-    """List fits that explain a share of what an accepted effect has to, and of the best of their joint.
-
-    Returns:
-        Their places in the list of the fits, the best first.
-    """
+    """List places, best first, of fits that explain a share of what is needed and of their joint's best."""
     without, rows_of = (
         gather_residuals(present.fits, context.model.joint_of.size),
         {one.joint: one.rows for one in fits},
@@ -349,9 +331,7 @@ def drop_needless(
 ) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
-    Returns:
-        The model with those that it needs; and the effects that were left out together with the model
-        without them, each effect once.
+    Return also what was left out together, with the model without it, each effect once.
     """
     while True:
         failed: list[tuple[float, Effect]] = []
@@ -377,9 +357,8 @@ def drop_needless(
 def find_log_chance(context: Context, fits: Sequence[JointFit], effect: Effect, without: Array) -> float:
     """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
 
-    Returns:
-        Probability by a Wald test, or that of a decrease of known noise, times the number of distinct effects
-        that compete (Bonferroni). The noise counts as stationary where repeats show it.
+    It is that of a Wald test, or of a decrease of known noise, times the number of distinct effects that
+    compete (Bonferroni). The noise counts as stationary where repeats show it.
     """
     own, std = context.union.columns([effect]), context.model.noise_std
     if std:

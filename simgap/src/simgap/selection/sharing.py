@@ -65,11 +65,7 @@ class Sharing:
         return alone + [[k for k in slot if k is not None] for slot in slots]
 
     def merge(self, points: Sequence[Point]) -> Array:
-        """Put the sizes of points at different joints into one candidate.
-
-        Returns:
-            Sizes of the union in their units, in the shape of the points.
-        """
+        """Put the sizes of points at different joints into one candidate, in the shape of the points."""
         merged = points[0][1].copy()
         for joint, sizes in points[1:]:
             mine = self.joint_of_column == joint
@@ -92,15 +88,9 @@ def find_sharing(
 ) -> Sharing:
     """Put joints into groups whose base parameters scarcely move one another.
 
-    Args:
-        joints: Joint of each effect, index.
-        columns: Columns of the sizes of each effect, (n_own,), indices.
-        decides: Flags, true for effects that decide the groups, (n_effects,).
-        reach: Changes by `measure_reach`, (n_effects, n_joints), without a unit.
-        joint_of_column: Joint of each size, (n_sizes,), index or ALL_JOINTS.
-
-    Returns:
-        The groups, and the columns of effects that nevertheless move another joint of their group.
+    Each effect has the index of its joint, the columns of its sizes, (n_own,), and changes by
+    `measure_reach`, (n_effects, n_joints). Flags, (n_effects,), tell which effects decide the groups. Columns
+    of effects that nevertheless move another joint of their group are `reaching`.
     """
     n_joints = reach.shape[1]
     coupling = np.zeros((n_joints, n_joints))

@@ -115,12 +115,9 @@ def find_set(
     own: JointFit,
     rivals: Sequence[tuple[Effect, JointFit]],
 ) -> ConfidenceSet:
-    """Exclude effects that fit too badly to be the cause of a finding.
+    """Exclude effects that fit too badly to be the cause of a finding, whose fit is `own`.
 
-    Args:
-        own: Fit of the finding.
-        rivals: Effects that were fitted in place of the findings that are left out, each with its fit; the
-            one that explains most first.
+    Rivals were fitted in place of the findings that are left out; the one that explains most comes first.
     """
     joints = list(joints_of(context, effect))
     rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
@@ -213,14 +210,11 @@ def _join(fits: Sequence[JointFit], n_rows: int) -> tuple[Array, Array]:
 
 
 def size_intervals(context: Context, fit: JointFit) -> Array:
-    """Return intervals of the free sizes of a fit that hold for residuals with autocorrelation.
+    """Return intervals of free sizes, (n_free, 2) in their units, that hold for autocorrelated residuals.
 
     The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
     in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
     Where the noise is known, it is that of least squares, and the quantile is normal.
-
-    Returns:
-        Low and high ends, (n_free, 2), in the units of the sizes.
     """
     _, half = _estimate(context, fit)
     at = fit.sizes[fit.columns]
@@ -274,17 +268,15 @@ def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array)
 def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_bins: int = 10) -> float:
     """Measure the share of a residual that follows a variable.
 
-    Means of the residual in bins of the variable predict each group from the others, and are held against
-    the mean of the others. A bin that no other group reaches has that mean.
+    Means of the residual in bins of the variable predict each group from the others, and are held against the
+    mean of the others. A bin that no other group reaches has that mean. The share is that of the sum of
+    squares about the mean, at most 1; it is not positive if the variable predicts nothing.
 
     Args:
         residual: Residuals, (n,), in any unit.
         variable: Variable at each of them, (n,), in any unit.
         group: Motion, or block of a motion, of each of them, (n,), index from 0.
         n_bins: Bins with equal counts.
-
-    Returns:
-        Share of the sum of squares about the mean, at most 1; not positive if the variable predicts nothing.
     """
     if len(residual) < n_bins or np.ptp(variable) == 0.0 or np.ptp(group) == 0:
         return 0.0

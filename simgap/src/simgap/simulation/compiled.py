@@ -129,14 +129,10 @@ def _actuator(joint: str) -> str:
 
 
 def control_laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
-    """Compute the coefficients of the affine actuators.
+    """Compute gain on commands, (n_sims, n_joints), and bias on (1, position, speed), (n_sims, n_joints, 3).
 
-    Args:
-        kp: Stiffness, or torque per unit of the command, (n_sims, n_joints) [N m/rad].
-        kd: Damping, (n_sims, n_joints) [N m s/rad].
-
-    Returns:
-        Gain on the command, (n_sims, n_joints), and bias on (1, position, velocity), (n_sims, n_joints, 3).
+    These are the coefficients of affine actuators. `kp` [N m/rad] is stiffness, or torque per unit of the
+    command, and `kd` [N m s/rad] damping, (n_sims, n_joints) each.
     """
     gain = np.empty_like(kp)
     bias = np.zeros((*kp.shape, 3))
@@ -233,12 +229,7 @@ class Rotors:
             target[one.rows, robot.joints[one.joint].actuator_index, 0] = robot.model.joint(rotor.name).id
 
     def move(self, field: Array, value: Array) -> None:
-        """Move numbers of joints to their rotors.
-
-        Args:
-            field: Field of the model, (n_sims, n_dofs), in the unit of the values; it is written.
-            value: Values of the joints, (n, n_joints), in any unit, of the first n simulations.
-        """
+        """Move values of the first simulations, (n, n_joints), to rotors in a field, (n_sims, n_dofs)."""
         for one in self._places:
             rows = one.rows[one.rows < value.shape[0]]
             field[rows, one.dof] = value[rows, one.joint]
@@ -259,9 +250,7 @@ class Rotors:
     def show(self, qpos: Array, shown_rad: Array) -> None:
         """Write the angles of rotors that have the encoder over those of their joints.
 
-        Args:
-            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
-            shown_rad: Positions of the joints, (..., n_sims, n_joints); it is written.
+        `qpos` [rad] is (..., n_sims, n_qpos); `shown_rad`, (..., n_sims, n_joints), is written.
         """
         for one in self._places:
             if not one.encoder_is_at_output:
@@ -270,10 +259,8 @@ class Rotors:
     def close_loops(self, qpos: Array, qvel: Array, command: Array) -> None:
         """Shift commands so that the loop closes at the encoder at the output, not at the rotor.
 
-        Args:
-            qpos: Positions of the model, (n_sims, n_qpos) [rad].
-            qvel: Speeds of the model, (n_sims, n_dofs) [rad/s].
-            command: Commands of the first n simulations, (n, n_joints) [rad or rad/s]; it is written.
+        `qpos` [rad] is (n_sims, n_qpos), and `qvel` [rad/s] (n_sims, n_dofs). Commands of the first n
+        simulations, (n, n_joints) [rad or rad/s], are written.
         """
         for one in self._places:
             if not one.encoder_is_at_output:

@@ -86,12 +86,7 @@ class Periods:
         effects: Sequence[Acting],
         temperature_degC: Array,
     ) -> None:
-        """Sort the effects by their hooks.
-
-        Args:
-            batch: Batch, with the numbers of `fields` set.
-            temperature_degC: Temperatures, (n_sims, n_joints).
-        """
+        """Sort the effects by hooks; the batch is set to `fields`, temperatures are (n_sims, n_joints)."""
         self._compiled, self._batch, self._fields = compiled, batch, fields
         self._actuators = Actuators(compiled, batch, fields)
         self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
@@ -146,9 +141,8 @@ class Periods:
     def show(self, qpos: Array, shown_rad: Array) -> None:
         """Write the angles that encoders see.
 
-        Args:
-            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
-            shown_rad: Angles, (..., n_sims, n_joints) [rad]; those of the first n simulations are written.
+        `qpos` [rad] is (..., n_sims, n_qpos). In `shown_rad`, (..., n_sims, n_joints), the first n
+        simulations are written.
         """
         shown_rad[..., : self.n, :] = qpos[..., : self.n, self._compiled.qpos]
         self._rotors.show(qpos, shown_rad)
@@ -156,8 +150,7 @@ class Periods:
     def control(self, command: Array) -> Array:
         """Return the controls of all steps, (n_sims, n_periods n_steps, n_actuators).
 
-        Args:
-            command: Commands that no effect changes any more, (n_periods, n_sims, n_joints).
+        No effect changes the commands, (n_periods, n_sims, n_joints), any more.
         """
         control = np.zeros((command.shape[1], command.shape[0], self._compiled.robot.model.nu))
         control[..., self._compiled.actuator] = command.swapaxes(0, 1)
@@ -169,11 +162,7 @@ class Periods:
         self._actuators.scale(enabled)
 
     def set_inputs(self, k: int, command: Array) -> None:
-        """Set the inputs of a control period.
-
-        Args:
-            command: Commands, (n, n_joints); effects may change them.
-        """
+        """Set the inputs of control period k; effects may change the commands, (n, n_joints)."""
         if self._has_effects:
             tick = self._tick(k, command)
             for one in self._acts:

@@ -70,11 +70,7 @@ class Simulation:
         n_candidates: int,
         n_threads: int,
     ) -> None:
-        """Set models, commands and starts.
-
-        Args:
-            n_threads: Most threads.
-        """
+        """Set models, commands and starts; no more than `n_threads` threads are used."""
         self._compiled = models.compiled([one.effect for one in effects])
         self._robot = self._compiled.robot
         self._order = sorted(range(len(windows)), key=lambda w: -windows[w].n_ticks)
@@ -285,11 +281,9 @@ class Engine:
     def __init__(
         self, models: Models, effects: Sequence[Effect], windows: Sequence[Window], n_threads: int = 0
     ) -> None:
-        """Keep what is common to all candidates.
+        """Keep what is common to all candidates; no result depends on the largest number of threads.
 
-        Args:
-            n_threads: Most threads; 0: as many as this process may use processors. The result does not depend
-                on it.
+        0 threads stand for as many as this process may use processors.
         """
         self.models = models
         self.windows = tuple(windows)
@@ -300,15 +294,13 @@ class Engine:
         self.effects, self._sizes = [one for one, _ in parts], [own for _, own in parts]
 
     def positions(self, sizes: Array) -> Array:
-        """Simulate candidates and sample what the encoders show.
+        """Simulate candidates; return what encoders show, (n_candidates, n_samples) [rad].
+
+        Samples are in the order of windows, joints, times; NaN in windows in which the simulation blew up.
 
         Args:
             sizes: Sizes of all effects one after the other, (n_candidates, n_sizes) or (n_candidates,
                 n_windows, n_sizes), each in its own unit.
-
-        Returns:
-            Positions, (n_candidates, n_samples) [rad], in the order of windows, joints, times; NaN in
-            windows in which the simulation blew up.
         """
         if sizes.ndim == 2:
             sizes = np.repeat(sizes[:, None], len(self.windows), axis=1)

@@ -54,16 +54,11 @@ class Window:
 def cut_windows(
     robot: Robot, motion: Motion, window_s: float | None, spacing_s: float, keep: Usable | None = None
 ) -> list[Window]:
-    """Cut a motion into windows.
+    """Cut a motion into windows; RobotError if a joint has no log, no command, or too few positions.
 
-    A new window begins after a stretch of samples that are not used, if it is longer than LEAD_S.
-
-    Args:
-        window_s: Length of a window [s]; None: until the next stretch that is not used.
-        spacing_s: Least time between two samples of a joint that are kept [s].
-
-    Raises:
-        RobotError: A joint has no log, no command, or too few positions.
+    A new window begins after a stretch of samples that are not used, if it is longer than LEAD_S. Without a
+    length `window_s`, a window lasts until the next such stretch. Samples of a joint that are kept are at
+    least `spacing_s` apart.
     """
     logs = [_checked(motion, joint.name) for joint in robot.joints]
     begin_s = max(log.position.time_s[0] for log in logs)
@@ -153,17 +148,12 @@ def _window(
 
 
 def held_means(signal: Signal, edges_s: Array) -> Array:
-    """Average a signal, which is held between its samples, between successive edges.
+    """Average a signal, held between its samples, between increasing edges, (n + 1,) [s]; return means, (n,).
 
-    The mean over a control period keeps the time of a step of the command exactly: a command that is sampled
-    at the beginning of periods would arrive half a period late.
-
-    Args:
-        signal: Signal; before its first sample it has the value of the first.
-        edges_s: Increasing times at equal distances, (n + 1,) [s].
-
-    Returns:
-        Means, (n,), in the unit of the signal; bits of the value where it does not change in a period.
+    The mean over a control period keeps the time of a step of the command exactly. A command that is sampled
+    at the beginning of periods would arrive half a period late. Edges have equal distances. Before its first
+    sample a signal has the value of the first. Where it does not change in a period, the mean has the bits of
+    its value.
     """
     index = np.clip(np.searchsorted(signal.time_s, edges_s[:-1], side="right") - 1, 0, None)
     means = signal.value[index].astype(float)
@@ -179,12 +169,7 @@ def held_means(signal: Signal, edges_s: Array) -> Array:
 
 
 def local_line(signal: Signal, time_s: float) -> tuple[float, float]:
-    """Fit a straight line to the samples nearest to a time; return value and slope [1/s] there.
-
-    Args:
-        signal: Signal with at least `SLOPE_SAMPLES` samples.
-        time_s: Time [s].
-    """
+    """Fit a line to the nearest of at least SLOPE_SAMPLES samples; return value and slope [1/s] at a time."""
     nearest = np.searchsorted(signal.time_s, time_s)
     first = int(np.clip(nearest - SLOPE_SAMPLES // 2, 0, signal.time_s.size - SLOPE_SAMPLES))
     part = slice(first, first + SLOPE_SAMPLES)
@@ -241,11 +226,7 @@ class Sampling:
     def __init__(
         self, windows: Sequence[Window], order: Sequence[int], late_s: Array, period_s: float
     ) -> None:
-        """Find the control period of each sample.
-
-        Args:
-            late_s: Delays of the samples, (n_windows, n_candidates, n_joints) [s].
-        """
+        """Find the control period of each sample, by its delays, (n_windows, n_candidates, n_joints) [s]."""
         n_candidates = late_s.shape[1]
         counts = np.zeros((len(windows), late_s.shape[2]), dtype=np.int64)
         for w, place in enumerate(order):
@@ -265,11 +246,7 @@ class Sampling:
                 self._series.append(_Series(sims, j, column, index, position - index))
 
     def take(self, path: Array, first: int, last: int) -> None:
-        """Interpolate the samples in some control periods.
-
-        Args:
-            path: Positions at the ends of control periods, (more than last - first, n_sims, n_joints) [rad].
-        """
+        """Interpolate samples in positions at period ends, (over last - first, n_sims, n_joints) [rad]."""
         for one in self._series:
             n_candidates = one.sims.stop - one.sims.start
             for row, index in enumerate(one.index):
