@@ -1,4 +1,4 @@
-"""Moves in free air: runs that end at rest, random poses, and quasi-static moves.
+"""Moves in free air: runs that end at rest, poses of the workspace, and quasi-static moves.
 
 Quasi-static moves compute the rest without time steps, from equilibria of motors, gears and springs. Flight
 software plans the move. Motors follow it, and the gears pull the outputs along.
@@ -34,9 +34,8 @@ WAKE_S: Final = 1.0
 """Time before the first move, in which flight software measures gravity."""
 REST_S: Final = 2.0
 """Time on the brakes before a rest position is measured."""
-MAX_STEP_RAD: Final = 0.02
 SOFT_LIMIT_MARGIN_RAD: Final = 0.02
-"""Least distance of random poses from the soft limits."""
+"""Least distance of drawn poses from the soft limits."""
 
 
 def free_air_loop(setup: Setup) -> ClosedLoop:
@@ -68,30 +67,6 @@ def describe_no_way(arm: BuiltArm, pose_rad: Array, problem: str) -> str:
     return f"{arm.name}: no way to {np.degrees(pose_rad).round(1)} deg: {problem}"
 
 
-def random_poses(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
-    """Draw poses, (5,) [rad], within the limits: in the workspace on any branch, near the last, or back."""
-    poses = [np.array(config.params.poses.ready_rad)]
-    while len(poses) <= count:
-        match rng.integers(10):
-            case 0:
-                poses.append(_random_pose(config, rng))
-            case 1 | 2:
-                tools = config.params.tool_names
-                tool = tools[int(rng.integers(len(tools)))]
-                poses.append(pose_in_workspace(config, rng, tool, BRANCHES))
-            case 3:
-                poses.append(poses[-2] if len(poses) > 1 else poses[-1])
-            case _:
-                step = rng.uniform(-MAX_STEP_RAD, MAX_STEP_RAD, 5) * rng.integers(0, 2, 5)
-                poses.append(_clip_to_limits(config, poses[-1] + step))
-    return poses[1:]
-
-
-def _random_pose(config: Config, rng: np.random.Generator) -> Array:
-    arm = config.arm
-    return rng.uniform(arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)
-
-
 def pose_in_workspace(
     config: Config,
     rng: np.random.Generator,
@@ -110,12 +85,14 @@ def pose_in_workspace(
         first_roots = solutions.verdict[: len(BRANCHES)]
         valid = np.flatnonzero(wanted & (first_roots == BranchVerdict.VALID))
         if valid.size:
-            return _clip_to_limits(config, np.asarray(solutions.output_rad[:, rng.choice(valid)]))
+            low_rad, high_rad = usual_limits_rad(config)
+            return np.clip(solutions.output_rad[:, rng.choice(valid)], low_rad, high_rad)
 
 
-def _clip_to_limits(config: Config, q: Array) -> Array:
+def usual_limits_rad(config: Config) -> tuple[Array, Array]:
+    """Return the least and largest output angles of drawn poses, (5,) each."""
     arm = config.arm
-    return np.clip(q, arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)
+    return arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,14 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.config import configure
+from fsw.config import Config, configure
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import joints5
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.transforms import Array
 from sim.arms import arm_named
 from sim.effects.faults import JointSeized
 from sim.loop import ClosedLoop, Setup
-from sim.pose_sequence import free_air_loop, random_poses, run_and_rest
+from sim.pose_sequence import free_air_loop, pose_in_workspace, run_and_rest, usual_limits_rad
 from sim.setting import World
 from tests.sim import lab
 
@@ -23,6 +25,26 @@ ARM = arm_named("nominal")
 FRICTION_NM = np.array([joint.output_friction_Nm for joint in ARM.params.joints.in_order()])
 TILTED = World("mars", np.radians(15.0), np.radians(-20.0))
 POSES = 6
+MAX_STEP_RAD = 0.02
+
+
+def random_poses(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
+    """Draw poses within the limits: in the workspace on any branch, near the last, or back."""
+    poses, limits_rad = [np.array(config.params.poses.ready_rad)], usual_limits_rad(config)
+    while len(poses) <= count:
+        match rng.integers(10):
+            case 0:
+                poses.append(rng.uniform(*limits_rad))
+            case 1 | 2:
+                tools = config.params.tool_names
+                tool = tools[int(rng.integers(len(tools)))]
+                poses.append(pose_in_workspace(config, rng, tool, BRANCHES))
+            case 3:
+                poses.append(poses[-2] if len(poses) > 1 else poses[-1])
+            case _:
+                step = rng.uniform(-MAX_STEP_RAD, MAX_STEP_RAD, 5) * rng.integers(0, 2, 5)
+                poses.append(np.clip(poses[-1] + step, *limits_rad))
+    return poses[1:]
 
 
 def visit(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[Any]:

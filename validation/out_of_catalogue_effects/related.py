@@ -39,7 +39,10 @@ class ChurningGrease(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class SharedSeal(EachCycle):
-    """Added friction of motor and gear, proportional to the speed of the next joint towards the rover."""
+    """Added friction of motor and gear, proportional to the speed of the next joint towards the rover.
+
+    ValueError if the joint is the first one.
+    """
 
     joint: Joint
     torque_Nm: Torque
@@ -93,7 +96,10 @@ class UnevenMesh(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class TwoJointCable(EachCycle):
-    """Cable across a joint and the next one towards the rover, a spring on the sum of their angles."""
+    """Cable across a joint and the next one towards the rover, a spring on the sum of their angles.
+
+    ValueError if the joint is the first one.
+    """
 
     joint: Joint
     stiffness_Nm_rad: Annotated[float, ParameterSpec(0.0, 500.0, unit="N m/rad", typical=2.0, neutral=0.0)]

@@ -115,7 +115,10 @@ ALONG_Z: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class ScrewingBearing(EachCycle):
-    """Bearing that moves along its axis as its joint turns, like a screw."""
+    """Bearing that moves along its axis as its joint turns, like a screw.
+
+    ValueError if the joint is the last one, whose link has no spring to shift.
+    """
 
     joint: Joint
     pitch_m_rad: Annotated[float, ParameterSpec(-0.03, 0.03, unit="m/rad", typical=3e-4, neutral=0.0)]
