@@ -27,7 +27,7 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Parameter that sets the size of an effect; ValueError if its neutral value lies outside its bounds."""
+    """Parameter that sets the size of an effect."""
 
     name: str
     unit: str
@@ -36,11 +36,7 @@ class Parameter:
     typical: float
     """Typical departure from neutral, not 0."""
     neutral: float
-    """Value at which the effect changes nothing."""
-
-    def __post_init__(self) -> None:
-        if not self.least <= self.neutral <= self.most or self.typical == 0.0:
-            raise ValueError(f"{self.name}: neutral must be within its bounds, and typical must not be 0")
+    """Value at which the effect changes nothing, within the bounds."""
 
     @property
     def departure_range(self) -> tuple[float, float]:
@@ -88,7 +84,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0 and finite.
+    """Uncertain parameter that is not a candidate cause.
 
     A shared nuisance has one value in all blocks: calibration leaves it uncertain. A random nuisance is drawn
     independently in every block: it makes repeats differ.
@@ -101,14 +97,10 @@ class Nuisance:
     random_per_block: bool = False
     """Random nuisance: drawn independently in every block."""
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.sigma < float("inf"):
-            raise ValueError(f"{self.name}: sigma must be above 0 and finite")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureLayout:
-    """Description of m features; ValueError if the arrays do not agree or a number is not finite."""
+    """Description of m features."""
 
     sigma: Array
     """Noise floor: standard deviation between repeats, in the unit of the channel, shape (m,)."""
@@ -132,19 +124,6 @@ class FeatureLayout:
     conditions: tuple[str, ...]
     keys: tuple[str, ...] = ()
     """Keys of the m features, equal in every log of a session: session, motion, channel, number."""
-
-    def __post_init__(self) -> None:
-        m = self.sigma.size
-        if self.condition.shape != (m, len(self.conditions)) or len(self.units) != len(self.channels):
-            raise ValueError(f"condition is {self.condition.shape} for {m} features; {len(self.units)} units")
-        if not (np.all(np.isfinite(self.condition)) and np.all(np.isfinite(self.sigma))):
-            raise ValueError("sigma and condition must be finite")
-        if not np.all(self.sigma > 0.0):
-            raise ValueError("the floor of every feature must be above 0")
-        for what in ("block", "channel", "place", "regime"):
-            index, names = getattr(self, what), getattr(self, f"{what}s")
-            if index.shape != (m,) or (m and not 0 <= index.min() <= index.max() < len(names)):
-                raise ValueError(f"{what} must be {m} indices of its {len(names)} names")
 
     @property
     def size(self) -> int:

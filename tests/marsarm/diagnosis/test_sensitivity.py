@@ -1,11 +1,10 @@
-"""Parameters, hypotheses, features and saved sensitivities; errors name the bad input."""
+"""Saved sensitivities, and parabolas through simulated steps."""
 
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.problem import Nuisance, Parameter
 from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
 from simgap.common.errors import BadRequest
 
@@ -50,10 +49,6 @@ def test_a_file_that_was_damaged_or_is_something_else_is_refused(kept, tmp_path,
         load_sensitivities(path)
 
 
-def test_what_cannot_be_is_refused(made):
-    with pytest.raises(ValueError, match="above 0"):
-        replace(made.layout, sigma=0.0 * made.layout.sigma)
-    with pytest.raises(ValueError, match="within its bounds"):
-        Parameter("x", "m", 0.0, 1.0, 0.5, neutral=2.0)
-    with pytest.raises(ValueError, match="above 0 and finite"):
-        Nuisance("n", "m", np.inf)
+def test_a_robot_that_cannot_be_simulated_has_no_sensitivities(made):
+    with pytest.raises(ValueError, match="must be finite"):
+        replace(made, effect=np.nan * made.effect)
