@@ -17,7 +17,7 @@ from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, clip_to_backlash
 from fsw.estimate.reference import Reference
 from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
-from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew, stack_poses
+from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, record_arrays, skew, stack_poses
 from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
 from sim.arm_check import NoPlan, without_turret
 from sim.arms import BuiltArm
@@ -123,19 +123,12 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignRow:
-    """One pose: state known to flight software and measurement.
-
-    Joint arrays have shape (5,), gravity has shape (3,).
-    """
+    """One pose: state known to flight software and measurement."""
 
     group: int
     branch: str
-    motor_rad: Array
-    backlash_rad: Array
-    friction_Nm: Array
-    side: Array
-    gravity_R_m_s2: Array
-    turret_kg: float
+    believed: BelievedPoses
+    """State at this pose alone, without the axis of the poses."""
     measurement: PoseMeasurement
 
 
@@ -166,15 +159,8 @@ def _misfit(frames: Sequence[FrameFit], sigma_m: Sequence[Array]) -> float:
 
 def stack_rows(arm_name: str, rows: Sequence[CampaignRow]) -> Campaign:
     """Stack rows into a campaign."""
-
-    def stacked(name: str) -> Array:
-        return np.stack([getattr(row, name) for row in rows], axis=-1)
-
-    names = ("motor_rad", "backlash_rad", "friction_Nm", "side", "gravity_R_m_s2")
-    motor, backlash, friction, side, gravity = (stacked(name) for name in names)
-    believed = BelievedPoses(
-        motor, backlash, friction, side, gravity, np.array([row.turret_kg for row in rows])
-    )
+    values = zip(*(record_arrays(row.believed) for row in rows), strict=True)
+    believed = BelievedPoses(*(np.stack(of_all, axis=-1) for of_all in values))
     ground = np.stack([row.measurement.X_WG.p for row in rows], -1)
     return Campaign(
         arm_name=arm_name,
@@ -336,14 +322,12 @@ def _row(
     joints, arm = loop.state.joints, loop.config.arm
     gear = joints.gear_rad[:, LIKELY]
     backlash_rad = clip_to_backlash(joints.reference.half_backlash_rad, gear)
-    return CampaignRow(
-        group=k,
-        branch=branch_name(loop.config, joints.output_rad),
+    believed = BelievedPoses(
         motor_rad=joints.motor_rad,
         backlash_rad=backlash_rad,
         friction_Nm=loop.state.load.torque_Nm - arm.gear_stiffness_Nm_rad * (gear - backlash_rad),
         side=joints.side,
         gravity_R_m_s2=joints.gravity_R_m_s2,
-        turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        measurement=measurement,
+        turret_kg=np.array(np.nan if group.turret_kg is None else group.turret_kg),
     )
+    return CampaignRow(k, branch_name(loop.config, joints.output_rad), believed, measurement)

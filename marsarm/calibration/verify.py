@@ -117,17 +117,15 @@ def _settle_row(scene: _Scene, goal: Array, rng: np.random.Generator) -> Campaig
         measurement = measure_pose(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
     except TooFewTargets:
         return None
-    return CampaignRow(
-        group=scene.k,
-        branch=branch_name(known, found.output_rad),
+    believed = BelievedPoses(
         motor_rad=goal - scene.hardstop_error_rad,
         backlash_rad=side * known.half_backlash_rad,
         friction_Nm=friction_Nm,
         side=np.where(is_certain, side, 0.0),
         gravity_R_m_s2=gravity,
-        turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        measurement=measurement,
+        turret_kg=np.array(np.nan if group.turret_kg is None else group.turret_kg),
     )
+    return CampaignRow(scene.k, branch_name(known, found.output_rad), believed, measurement)
 
 
 def true_params(arm: BuiltArm) -> Params:

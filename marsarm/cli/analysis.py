@@ -6,7 +6,7 @@ import typer
 
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
-from simgap.common.verb import JsonOption, VerbResult, print_result, report_user_errors, shown, verb
+from simgap.common.verb import VerbResult, shown, verb
 
 if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
     import marsarm.accuracy.request
@@ -150,6 +150,7 @@ def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
     return shown(document, [*layout_parts(layout), *lines])
 
 
+@verb
 def dictionary(
     pattern: Annotated[
         str | None,
@@ -158,11 +159,10 @@ def dictionary(
             metavar="GLOB",
         ),
     ] = None,
-    as_json: JsonOption = False,
     effects: Annotated[
         bool, typer.Option("--effects", help="List the effects of the plant: meaning, places and parameters.")
     ] = False,
-) -> None:
+) -> VerbResult:
     """List every command, event report, channel and parameter, with type, unit, limits and meaning.
 
     The list is made from the classes that flight software runs on. Truth channels of the plant are marked. To
@@ -170,18 +170,14 @@ def dictionary(
 
     Example: marsarm dictionary 'joints.elbow.*'
     """
-    with report_user_errors(as_json):
-        if effects and pattern is not None:
-            raise BadRequest("dictionary: --effects lists all effects; give no GLOB with it")
+    if effects and pattern is not None:
+        raise BadRequest("dictionary: --effects lists all effects; give no GLOB with it")
+    from marsarm.dictionary.tables import dictionary_parts, effects_json, effects_parts
+
     if effects:
-        from marsarm.dictionary.tables import effects_json, effects_table
-
-        print_result({"effects": effects_json()}, as_json, effects_table)
-        return
+        return shown({"effects": effects_json()}, effects_parts())
     from marsarm.dictionary.entries import build_dictionary, filter_dictionary
-    from marsarm.dictionary.tables import dictionary_json, dictionary_tables
 
-    with report_user_errors(as_json):
-        whole = build_dictionary()
-        part = whole if pattern is None else filter_dictionary(whole, pattern)
-    print_result(dictionary_json(part), as_json, lambda: dictionary_tables(part))
+    whole = build_dictionary()
+    part = whole if pattern is None else filter_dictionary(whole, pattern)
+    return shown(part, dictionary_parts(part))

@@ -1,13 +1,8 @@
 """Output of the verb `dictionary`: tables and JSON documents of channels and of effects."""
 
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict
+from collections.abc import Iterable
 from typing import Any, Final
-
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from marsarm.dictionary.entries import (
     Definition,
@@ -30,7 +25,7 @@ from sim.effects.catalogue import (
 )
 from sim.effects.effect import Effect
 from sim.scenario.effects import parameter_key
-from simgap.common.console import plain_console
+from simgap.common.report import Emphasis, ReportTable
 
 
 def effects_json() -> list[dict[str, Any]]:
@@ -66,34 +61,28 @@ def _parameter_json(kind: type[Effect], parameter: ParameterField) -> dict[str, 
     }
 
 
-def effects_table() -> None:
-    """Print the catalogue: name and summary, places and timing, and parameters of each effect."""
-    console = plain_console()
+def effects_parts() -> list[Emphasis | str | ReportTable]:
+    """Show the catalogue: name and summary, places and timing, and parameters of each effect."""
+    parts: list[Emphasis | str | ReportTable] = []
     for name, kind in catalogue().items():
-        console.print(f"\n{name}  {effect_summary(kind)}", style="bold")
-        places = place_fields_of(kind)
+        parts.append(Emphasis(f"\n{name}  {effect_summary(kind)}"))
+        places = [f"{one.field} ({', '.join(one.members)})" for one in place_fields_of(kind)]
         if places:
-            texts = [f"{one.field} ({', '.join(one.members)})" for one in places]
-            console.print(f"  at {', '.join(texts)}; {effect_timing(kind)}")
-        parameters = parameters_of(kind)
-        if parameters:
-            console.print(_effect_table(kind, parameters))
+            parts.append(f"  at {', '.join(places)}; {effect_timing(kind)}")
+        if parameters := parameters_of(kind):
+            head = ("parameter", "unit", "limits", "neutral", "typically off by", "default")
+            parts.append(ReportTable(head, [_parameter_cells(kind, one) for one in parameters]))
+    return parts
 
 
-def _effect_table(kind: type[Effect], parameters: tuple[ParameterField, ...]) -> Table:
-    table = Table(show_edge=False, pad_edge=False, box=None)
-    for column in ("  parameter", "unit", "limits", "neutral", "typically off by", "default"):
-        table.add_column(column)
-    for parameter in parameters:
-        spec = parameter.spec
-        cells = ["", "", "", ""]
-        if spec is not None:
-            neutral = "" if spec.neutral is None else f"{spec.neutral:g}"
-            off_by = "" if spec.neutral is None else f"{spec.typical:g}"
-            cells = [spec.unit, f"{spec.low:g} .. {spec.high:g}", neutral, off_by]
-        default = "" if parameter.default is None else str(parameter.default)
-        table.add_row(f"  {parameter_key(kind, parameter.field)}", *cells, default)
-    return table
+def _parameter_cells(kind: type[Effect], parameter: ParameterField) -> tuple[str, ...]:
+    spec, cells = parameter.spec, ["", "", "", ""]
+    if spec is not None:
+        cells = [spec.unit, f"{spec.low:g} .. {spec.high:g}", "", ""]
+        if spec.neutral is not None:
+            cells[2:] = [f"{spec.neutral:g}", f"{spec.typical:g}"]
+    default = "" if parameter.default is None else str(parameter.default)
+    return (parameter_key(kind, parameter.field), *cells, default)
 
 
 COLUMNS: Final = ("name", "type", "unit", "limits", "default", "text")
@@ -101,32 +90,22 @@ FIELD_PATTERN: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
 """Placeholder in the message of an EVR: name of the field and its format."""
 
 
-def dictionary_json(dictionary: Dictionary) -> dict[str, Any]:
-    """Return the dictionary as a JSON document."""
-    return asdict(dictionary)
-
-
-def dictionary_tables(dictionary: Dictionary) -> None:
-    """Print the dictionary by section: heading, sentence and fields of each entry."""
-    console = Console(highlight=False)
-    for title, entries in _sections(dictionary):
-        console.rule(title, align="left")
-        for entry in entries:
-            console.print(f"\n[bold]{escape(_heading(entry))}[/bold]  {escape(_sentence(entry))}")
-            if entry.fields:
-                console.print(_table(entry.fields))
-    if dictionary.parameters:
-        console.rule("parameters", align="left")
-        console.print(_table(dictionary.parameters))
-
-
-def _sections(dictionary: Dictionary) -> Iterator[tuple[str, tuple[Definition, ...]]]:
+def dictionary_parts(dictionary: Dictionary) -> list[Emphasis | str | ReportTable]:
+    """Show the dictionary by section: heading, sentence and fields of each entry."""
     sections: dict[str, tuple[Definition, ...]] = {
         "commands": dictionary.commands,
         "event reports": dictionary.evrs,
         "channels": dictionary.packets,
     }
-    yield from ((title, entries) for title, entries in sections.items() if entries)
+    parts: list[Emphasis | str | ReportTable] = []
+    for title, entries in sections.items():
+        parts += [Emphasis(f"\n{title}")] if entries else []
+        for entry in entries:
+            parts.append(f"\n{_heading(entry)}: {_sentence(entry)}")
+            parts += [_table(entry.fields)] if entry.fields else []
+    if dictionary.parameters:
+        parts += [Emphasis("\nparameters"), _table(dictionary.parameters)]
+    return parts
 
 
 def _heading(entry: Definition) -> str:
@@ -148,15 +127,11 @@ def _sentence(entry: Definition) -> str:
     return f'{text} "{message}"{response}'
 
 
-def _table(fields: Iterable[FieldDefinition]) -> Table:
-    table = Table(show_edge=False, pad_edge=False)
+def _table(fields: Iterable[FieldDefinition]) -> ReportTable:
+    """Make a table of the columns that hold anything."""
     rows = [_cells(one) for one in fields]
     used = [k for k in range(len(COLUMNS)) if any(row[k] for row in rows)]
-    for k in used:
-        table.add_column(COLUMNS[k], overflow="fold")
-    for row in rows:
-        table.add_row(*(escape(row[k]) for k in used))
-    return table
+    return ReportTable([COLUMNS[k] for k in used], [[row[k] for k in used] for row in rows])
 
 
 def _cells(one: FieldDefinition) -> tuple[str, ...]:

@@ -201,7 +201,6 @@ class Differences:
     evrs: tuple[EvrDifference, ...]
     channels: tuple[ChannelDifference, ...]
     channels_compared: int
-    evrs_compared: bool
     not_compared: tuple[str, ...]
     """Sentences about topics and channels that only one run has."""
 
@@ -210,11 +209,6 @@ class Differences:
         """True if all compared values are the same."""
         same_length = self.ticks[0] == self.ticks[1]
         return same_length and not (self.lengths or self.evrs or self.channels)
-
-    @property
-    def nothing_compared(self) -> bool:
-        """True if the runs have neither events nor a channel in common."""
-        return not (self.channels_compared or self.evrs_compared)
 
 
 def compare_behaviours(
@@ -225,18 +219,12 @@ def compare_behaviours(
 ) -> Differences:
     """Compare two runs, in chosen channels, lengths and events; NaN equals NaN.
 
-    Flight software always reports that it has booted. A log without any event therefore has another source,
-    such as an imported table, and topics that it lacks are not compared. The tolerance is that of
-    `array_difference`; integers and flags must be equal.
+    The tolerance is that of `array_difference`; integers and flags must be equal.
     """
-    is_imported = not recorded.evrs and recorded.ticks > 0
-    lacking = [topic for topic in replayed.series if topic not in recorded.series] if is_imported else []
-    topics = [t for t in dict.fromkeys((*recorded.series, *replayed.series)) if t not in lacking]
-    not_compared = [
-        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if is_imported else []))
-    ]
+    topics = list(dict.fromkeys((*recorded.series, *replayed.series)))
     lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
-    channels, compared = [], 0
+    lengths.append(_evr_length_difference(recorded, replayed))
+    not_compared, channels, compared = list[str](), [], 0
     for topic in topics:
         ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
         if ours is None or theirs is None:
@@ -249,15 +237,10 @@ def compare_behaviours(
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
-        lengths=tuple(
-            one
-            for one in (*lengths, None if is_imported else _evr_length_difference(recorded, replayed))
-            if one is not None
-        ),
-        evrs=() if is_imported else evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        lengths=tuple(one for one in lengths if one is not None),
+        evrs=evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
-        evrs_compared=not is_imported,
         not_compared=tuple(not_compared),
     )
 

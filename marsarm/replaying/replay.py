@@ -16,7 +16,6 @@ from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
 from marsarm.replaying.compare import ChannelDifference, Differences, EvrDifference, compare_behaviours
 from marsarm.replaying.inputs import (
-    OUTPUT_TOPICS,
     Behaviour,
     Inputs,
     behaviour_from_log,
@@ -91,11 +90,6 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
         tolerance=0.0 if same else OTHER_PROCESSOR_TOLERANCE,
         chosen=partial(channel_matches, pattern=request.channel),
     )
-    if differences.identical and differences.nothing_compared:
-        raise BadRequest(
-            f"log {request.log}: nothing to compare: flight software ran through its sensors, but the log "
-            f"holds no event and no channel of {', '.join(t.name for t in OUTPUT_TOPICS)} to compare with"
-        )
     changed = tuple(_changed_values(record_to_json(inputs.params), record_to_json(params), ""))
     return ReplayReport(request, dict(log.header), differences, changed, notes, same)
 
@@ -123,9 +117,8 @@ def is_same_processor(log: Log) -> bool:
 
 
 def _check_channel(pattern: str, recorded: Behaviour) -> None:
-    """Refuse a pattern that matches no recorded channel, or, if none is recorded, no output channel."""
+    """Refuse a pattern that matches no recorded channel."""
     channels = [(topic, name) for topic, series in recorded.series.items() for name in series.fields]
-    channels = channels or [(topic.name, name) for topic in OUTPUT_TOPICS for name in topic.field_names]
     if not any(channel_matches(topic, name, pattern) for topic, name in channels):
         names = [channel_name(topic, name) for topic, name in channels]
         raise BadRequest(f"channel: nothing is called {pattern!r}; {did_you_mean(pattern, names)}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field as Bounds
@@ -14,7 +14,6 @@ from pydantic import model_validator
 from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import match_name
 from fsw.estimate.reference import Reference
 from marsarm.telemetry.schema import ROS_NAME, Field, Layout, arm_names, packet_layout, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
@@ -23,7 +22,7 @@ from sim.params import BadParams
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record
 from simgap.files.robot_file import CsvTable, TimeTable
-from simgap.units import UNITS, Unit, find_unit
+from simgap.units import UNITS, Quantity, Unit, find_unit
 
 TICK: Final = "tick"
 """Value of a mapping that stands for the number of the cycle."""
@@ -34,8 +33,7 @@ IMPORT_PREFIX: Final = "/imported/"
 CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
 PLAIN_UNITS: Final = ("bool", "count", "cycle", "1")
 """Units of the log that a mapping need not name, for nothing else could be meant."""
-Value = bool | int | float | str
-Number = float | list[float]
+Number = bool | int | float
 
 
 class GridTime(TimeTable):
@@ -91,13 +89,13 @@ class ChannelTable(Record):
 
     columns: str | list[str] = Bounds(default_factory=list)
     """A column for each number of the channel."""
-    value: Value | list[Value] | None = None
+    value: Number | list[Number] | Literal["tick"] | None = None
     """Constant in place of columns; `tick` is the number of the cycle."""
     unit: str = ""
     """Unit of factor * column + offset."""
-    factor: Number = 1.0
+    factor: float | list[float] = 1.0
     """Multiplies the columns: one number, or one for each."""
-    offset: Number = 0.0
+    offset: float | list[float] = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> "ChannelTable":
@@ -138,34 +136,21 @@ class ChannelTarget:
         """Number of columns."""
         return int(np.prod(self.field.shape or ()))
 
-    @property
-    def columns_text(self) -> str:
-        """Description of the columns, for messages."""
-        if self.field.shape == (len(Joint),):
-            return f"5, one for each joint: {', '.join(joint.name for joint in Joint)}"
-        return f"{self.size}, row by row" if self.size > 1 else "one"
-
-    def member(self, word: str) -> int | None:
-        """Return the value of a member by name or number; case does not matter; None if there is none."""
-        members = self.field.members or {}
-        name = match_name(word, members)
-        by_number = {str(value): value for value in members.values()}
-        return by_number.get(word) if name is None else members[name]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedChannel:
-    """Target, and the columns or the constant that give its values, with their conversion."""
+    """Target, and what gives each of its numbers, a column or a constant, in the unit of the log."""
 
     target: ChannelTarget
     columns: tuple[str, ...]
     """Columns of the table; empty for a constant."""
-    constant: Value | list[Value] | None
+    constant: tuple[float, ...]
+    """Numbers in place of columns; empty for columns and for the number of the cycle."""
     factor: tuple[float, ...]
-    """One for each column; the offset too."""
+    """One for each number; the offset too."""
     offset: tuple[float, ...]
-    unit: Unit | None
-    """Conversion to the unit of the log; None for none."""
+    is_rounded: bool
+    """True if a factor or an offset asks to round whole numbers."""
 
 
 def read_params(path: Path, file: MappingFile) -> Params:
@@ -199,32 +184,43 @@ def stored_reference(table: ReferenceTable | None, params: Params) -> Reference 
 def _map_channel(where: str, name: str, table: ChannelTable) -> MappedChannel:
     columns = (table.columns,) if isinstance(table.columns, str) else tuple(table.columns)
     target = known_targets().get(name) or _custom_target(where, name, table)
-    if columns and len(columns) != target.size:
-        raise RobotError(f"{where}.columns: {len(columns)} given; {name} takes {target.columns_text}")
     if len(set(columns)) < len(columns):
         raise RobotError(f"{where}.columns: one is there twice; each number has a column of its own")
-    scales = {}
-    for key in ("factor", "offset"):
-        given = getattr(table, key)
-        numbers = given if isinstance(given, list) else [given] * target.size
-        if len(numbers) != target.size:
-            raise RobotError(
-                f"{where}.{key}: {len(numbers)} given; {name} takes one for all, or {target.columns_text}"
-            )
-        scales[key] = tuple(map(float, numbers))
-    if target.field.members is not None and (table.unit or (table.factor, table.offset) != (1.0, 0.0)):
-        raise RobotError(f"{where}: is a name or its number; it has no unit, factor or offset")
-    if isinstance(table.value, list) and len(table.value) != target.size:
-        raise RobotError(f"{where}.value: {len(table.value)} given; {name} takes {target.columns_text}")
+    if columns and len(columns) != target.size:
+        raise RobotError(f"{where}.columns: {len(columns)} given; {name} takes {target.size}")
+    if table.value == TICK and target.unit != "cycle":
+        raise RobotError(f"{where}.value: {name} is no number of a cycle; write numbers")
+    factor = _number_each(f"{where}.factor", table.factor, target.size)
+    offset = _number_each(f"{where}.offset", table.offset, target.size)
+    is_rounded = any(one != 1.0 for one in factor) or any(offset)
+    if target.field.members is not None and (table.unit or is_rounded):
+        raise RobotError(f"{where}: is the number of a name; it has no unit, factor or offset")
     unit = _conversion(where, target, table.unit)
-    return MappedChannel(target, columns, table.value, scales["factor"], scales["offset"], unit)
+    return MappedChannel(
+        target=target,
+        columns=columns,
+        constant=()
+        if table.value is None or table.value == TICK
+        else _number_each(f"{where}.value", table.value, target.size),
+        factor=tuple(unit.factor * one for one in factor),
+        offset=tuple(unit.factor * one + unit.offset for one in offset),
+        is_rounded=is_rounded,
+    )
 
 
-def _conversion(where: str, target: ChannelTarget, name: str) -> Unit | None:
-    """Return the conversion of a unit to that of the log; None if they are the same."""
+def _number_each(where: str, given: Any, size: int) -> tuple[float, ...]:
+    """Return a number for each column; RobotError if there are neither one nor as many."""
+    numbers = given if isinstance(given, list) else [given] * size
+    if len(numbers) != size:
+        raise RobotError(f"{where}: {len(numbers)} given; write one for all, or {size}")
+    return tuple(map(float, numbers))
+
+
+def _conversion(where: str, target: ChannelTarget, name: str) -> Unit:
+    """Return the conversion of a unit to that of the log."""
     kept = target.unit
     if kept is None or name == kept or (not name and kept in PLAIN_UNITS):
-        return None
+        return Unit(Quantity.RATIO, 1.0)
     if kept not in UNITS or kept == "count":
         raise RobotError(f"{where}.unit: {name!r} does not fit; {target.name} is kept in {kept}, write that")
     try:

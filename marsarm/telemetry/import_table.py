@@ -16,8 +16,6 @@ from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.import_mapping import (
     IMPORT_PREFIX,
-    TICK,
-    ChannelTarget,
     GridTime,
     MappedChannel,
     MappingFile,
@@ -94,13 +92,11 @@ def convert_table(table: Path, mapping: Path) -> ImportedLog:
     """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
     file = parse_record(MappingFile, read_toml(mapping), mapping)
     params, mapped = read_params(mapping, file), map_channels(mapping, file)
-    numbers = [n for one in mapped if one.target.field.members is None for n in one.columns]
-    texts = [n for one in mapped if one.target.field.members is not None for n in one.columns]
-    if not numbers and not texts:
+    columns = [name for one in mapped for name in one.columns]
+    if not columns:
         raise RobotError(f"{mapping}: channels: none has columns; there is nothing to take from the table")
-    if file.time.column:
-        (texts if file.time.format else numbers).append(file.time.column)
-    log = open_log(table, numbers, texts, file.csv)
+    clock = [file.time.column] if file.time.column else []
+    log = open_log(table, [*columns, *([] if file.time.format else clock)], clock, file.csv)
     groups = [list(some) for _, some in groupby(sorted(mapped, key=_topic_of), key=_topic_of)]
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused, what was stays
         made = [_build_topic(log, file.time, channels, k + 1) for k, channels in enumerate(groups)]
@@ -127,27 +123,11 @@ def _topic_of(channel: MappedChannel) -> str:
     return channel.target.topic
 
 
-def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
-    """Read a column as numbers; a name becomes its number, -1 if it is unknown."""
-    if target.field.members is None:
-        return log.numbers(name)
-    words, index = np.unique(np.char.strip(log.texts(name)), return_inverse=True)
-    known = [target.member(word.removesuffix(".0")) for word in words.tolist()]
-    for word, number in zip(words.tolist(), known, strict=True):
-        if word and number is None:
-            raise RobotError(
-                f"{log.path}: column {name!r}: {word!r:.60} is not known; there are "
-                f"{', '.join(target.field.members)}"
-            )
-    values = np.array([-1 if number is None else number for number in known], np.float64)[index]
-    return Column(values, None if (values >= 0).all() else values >= 0)
-
-
 def _build_topic(
     log: LogFile, time: GridTime, channels: Sequence[MappedChannel], number: int
 ) -> tuple[TopicMessages, RowTimes]:
     """Build the messages of a topic, which becomes the channel with this number."""
-    columns = [[_read(log, one.target, name) for name in one.columns] for one in channels]
+    columns = [[log.numbers(name) for name in one.columns] for one in channels]
     names = [name for one in channels for name in one.columns]
     named = [*zip(names, chain.from_iterable(columns), strict=True)]
     topic = channels[0].target.topic
@@ -165,7 +145,7 @@ def _build_topic(
     data = np.zeros(chosen.ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
     for one, some in zip(channels, columns, strict=True):
-        if one.constant == TICK and one.target.unit == "cycle":
+        if not one.columns and not one.constant:
             data[one.target.field.name] = chosen.ticks
             continue
         held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.field.members else chosen
@@ -207,55 +187,36 @@ def _values(
     times: RowTimes, one: MappedChannel, columns: Sequence[NDArray[np.float64]], rows: Rows
 ) -> NDArray[Any]:
     """Convert the columns of a channel, or its constant, to the type of the log, shape (k, *shape of it)."""
-    target = one.target
-    if not columns:
-        listed = one.constant if isinstance(one.constant, list) else [one.constant] * target.size
-        columns = [np.full(rows.size, _constant(times, target, value)) for value in listed]
+    field, kind = one.target.field, np.dtype(one.target.field.kind)
     parts = []
-    for k, column in enumerate(columns):
-        values = _scale(column, one.factor[k], one.offset[k])
-        if one.unit is not None:
-            values = _scale(values, one.unit.factor, one.unit.offset)
-        what = _fault(target, column, values, one.factor[k] == 1.0 and one.offset[k] == 0.0)
-        if what is not None:
+    for k, read in enumerate(columns or [np.full(rows.size, value) for value in one.constant]):
+        # a step that changes nothing is left out, so that every bit is kept
+        values = read * one.factor[k] if one.factor[k] != 1.0 else read
+        values = values + one.offset[k] if one.offset[k] != 0.0 else values
+        is_bad, why = _misfits(one, read, values)
+        if is_bad.any():
+            row = int(np.argmax(is_bad))
             name = one.columns[k] if one.columns else ""
-            raise times.error_at(what[1], int(rows[what[0]]), name)
-        kind = np.dtype(target.field.kind)
+            raise times.error_at(f"{read[row]:.17g} {why}, for {one.target.name}", int(rows[row]), name)
         parts.append(np.rint(values).astype(kind) if kind.kind == "i" else values.astype(kind))
-    return np.stack(parts, axis=1).reshape(rows.size, *(target.field.shape or ()))
+    return np.stack(parts, axis=1).reshape(rows.size, *(field.shape or ()))
 
 
-def _constant(times: RowTimes, target: ChannelTarget, value: Any) -> float:
-    number = target.member(str(value)) if target.field.members is not None else value
-    if number is None or isinstance(number, str):
-        words = f"one of {', '.join(target.field.members)}" if target.field.members else "a number"
-        raise RobotError(f"channels.{target.name}.value: {value!r:.60} is not {words}")
-    return float(number)
-
-
-def _scale(values: NDArray[np.float64], factor: float, offset: float) -> NDArray[np.float64]:
-    """Scale values; a step that changes nothing is left out, so that every bit is kept."""
-    scaled = values * factor if factor != 1.0 else values
-    return scaled + offset if offset != 0.0 else scaled
-
-
-def _fault(
-    target: ChannelTarget, read: NDArray[np.float64], values: NDArray[np.float64], is_plain: bool
-) -> tuple[int, str] | None:
-    """Return the first value that the channel cannot hold, and why; None if it holds all."""
-    match target.field.kind:
+def _misfits(
+    one: MappedChannel, read: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], str]:
+    """Return which values, (k,), a channel cannot hold, and why."""
+    field = one.target.field
+    if field.members is not None:
+        listed = ", ".join(f"{number} {name}" for name, number in field.members.items())
+        return ~np.isin(values, [*field.members.values()]), f"is none of {listed}"
+    match field.kind:
         case "|b1":
-            bad, why = (values != 0.0) & (values != 1.0), "is neither true nor false, 1 nor 0"
+            return (values != 0.0) & (values != 1.0), "is neither true nor false, 1 nor 0"
         case "<i8":
-            bad = ~(np.abs(values) <= MAX_EXACT_INT) | (is_plain & (values != np.rint(values)))
-            why = "is no whole number that is exact"
-        case _:
-            bad, why = (
-                np.isfinite(read) & ~np.isfinite(values),
-                "is too large for its factor, offset and unit",
-            )
-    found = np.flatnonzero(bad)
-    return (int(found[0]), f"{read[found[0]]:.17g} {why}, for {target.name}") if found.size else None
+            is_broken = np.zeros(values.size, bool) if one.is_rounded else values != np.rint(values)
+            return is_broken | ~(np.abs(values) <= MAX_EXACT_INT), "is no whole number that is exact"
+    return np.isfinite(read) & ~np.isfinite(values), "is too large for its factor, offset and unit"
 
 
 def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:

@@ -5,21 +5,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from marsarm.telemetry.import_mapping import MAX_TICK, GridTime
 from simgap.common.errors import RobotError
 from simgap.files.columns import Column
-from simgap.files.log_file import LogFile
+from simgap.files.log_file import LogFile, read_times
 from simgap.units import UNITS
 
 CYCLE_ROUNDING: Final = 1e-4
 """Share of a cycle by which a row may miss a cycle and still belong to it; stamps of today have 1e-5."""
-RATE_TOLERANCE: Final = 0.02
-"""Relative distance from 64 Hz from which an error is about the rate, not about a row."""
 MAX_MESSAGES: Final = 100_000_000
 Rows = NDArray[np.int64]
 Cycles = NDArray[np.float64]
@@ -64,21 +60,16 @@ def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
         )
     order = np.argsort(time_s, kind="stable") if time.sort else np.arange(time_s.size)
     time_s = time_s[order]
-    is_known = np.isfinite(time_s)
-    since_s = np.where(is_known, time_s, 0.0) - (time_s[0] if is_known[0] else 0.0)
-    times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
-    if not is_known.all():
-        raise times.error_at("has no time; every row needs one", int(np.argmin(is_known)))
+    times = RowTimes(log.path, time.column, order, (time_s - time_s[0]) * CYCLE_HZ)
     if not np.abs(times.cycles).max() < MAX_TICK:
         raise times.error_at(f"the times reach {np.abs(time_s).max():.3g} s; is the unit right?")
     late = np.flatnonzero(np.diff(times.cycles) <= 0)
     if late.size:
         k = int(late[0])
-        before = f"that of row {order[k] + 1}"
-        if times.cycles[k + 1] == times.cycles[k]:
-            raise times.error_at(f"its time is {before} too; give each row its own, or rate_Hz", k + 1)
         raise times.error_at(
-            f"its time is before {before}; sort the table, or write sort = true in [time]", k + 1
+            f"its time is not after that of row {order[k] + 1}; give each row its own, and write sort = true "
+            "in [time] if they are out of order",
+            k + 1,
         )
     return times
 
@@ -90,20 +81,8 @@ def _times_s(log: LogFile, time: GridTime, column: Column) -> Cycles:
         if column.time_s is None:
             raise RobotError(f"{log.path}: has no times of its own; name its time column in time.column")
         return column.time_s
-    if time.format:
-        texts = pc.utf8_trim_whitespace(pa.array(log.texts(time.column)))
-        stamps = pc.strptime(texts, time.format, "s", error_is_null=True)
-        bad = np.flatnonzero(~stamps.is_valid().to_numpy(zero_copy_only=False))
-        if bad.size:
-            row = int(bad[0])
-            raise RobotError(
-                f"{log.path}: row {row + 1}, column {time.column!r}: {texts[row].as_py()!r:.60} is no time "
-                f"as {time.format!r} has it"
-            )
-        return np.asarray(stamps.cast(pa.int64()).to_numpy(), np.float64)
-    clock = log.numbers(time.column)
-    known = clock.value if clock.is_present is None else np.where(clock.is_present, clock.value, np.nan)
-    return known * UNITS[time.unit].factor
+    factor = 1.0 if time.format else UNITS[time.unit].factor
+    return read_times(log, time.column, time.format) * factor
 
 
 def check_grid(times: RowTimes, time: GridTime) -> None:
@@ -111,28 +90,17 @@ def check_grid(times: RowTimes, time: GridTime) -> None:
     if time.grid != "exact":
         return
     ticks = np.rint(times.cycles)
-    distance, skipped = np.abs(times.cycles - ticks), np.diff(ticks) != 1
-    bad = distance[1:] > time.tolerance_cycles
-    if not bad.any() and not skipped.any():
-        return
-    row = int(np.flatnonzero(bad | skipped)[0]) + 1
-    step = float(np.median(np.diff(times.cycles)))
-    if abs(step - 1) > RATE_TOLERANCE:
+    wrong = np.diff(ticks) != 1
+    wrong |= np.abs(times.cycles - ticks)[1:] > time.tolerance_cycles
+    if wrong.any():
+        row = int(np.argmax(wrong)) + 1
         raise times.error_at(
-            f"rows come at {CYCLE_HZ / step:.6g} Hz, the log has {CYCLE_HZ} Hz; if the unit is right, write "
-            'grid = "linear" or "hold" under [time] to resample, or "nearest" to keep the rows as they are'
-        )
-    if skipped[row - 1] and not bad[row - 1]:
-        raise times.error_at(
-            f"{ticks[row] - ticks[row - 1]:.0f} cycles after the row before; under [time] write "
-            'grid = "nearest" to leave the gap, or "hold" or "linear" to bridge it',
+            f"{times.cycles[row] - times.cycles[row - 1]:.6g} cycles of {CYCLE_HZ} Hz after the row before, "
+            f"{times.cycles[row]:.6g} after the first; if the unit is right, write under [time] "
+            'grid = "nearest" to keep the rows as they are, "hold" or "linear" to resample them, or a larger '
+            "tolerance_cycles",
             row,
         )
-    raise times.error_at(
-        f"is {distance[row]:.3g} of a cycle beside the grid of {CYCLE_HZ} Hz, {time.tolerance_cycles:g} is "
-        "allowed; under [time] write a larger tolerance_cycles, or another grid",
-        row,
-    )
 
 
 def pick_rows(times: RowTimes, time: GridTime, rows: Rows) -> RowSelection:

@@ -13,7 +13,6 @@ from sim.effects.catalogue import (
     catalogue,
     effect_classes_in,
     effect_name,
-    effect_place_text,
     parameters_of,
     place_fields_of,
     place_word,
@@ -64,19 +63,11 @@ def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
 
 def effect_text(effect: Effect) -> str:
     """Return the text of an effect, which reads back exactly."""
-    kind = type(effect)
-    name = effect_name(kind)
-    if catalogue().get(name) is not kind:
-        name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
-    place = effect_place_text(
-        kind, {where.field: getattr(effect, where.field) for where in place_fields_of(kind)}
-    )
-    said = []
-    for parameter in parameters_of(kind):
-        value = getattr(effect, parameter.field)
-        if value is not None:
-            key = parameter_key(kind, parameter.field)
-            said.append(f"{key}={list(value) if isinstance(value, tuple) else repr(value)}")
+    table = effect_table(effect)
+    name = table.pop(TYPE_KEY)
+    places = [where.field for where in place_fields_of(type(effect)) if where.field in table]
+    place = ".".join(table.pop(field) for field in places)
+    said = [f"{key}={list(v) if isinstance(v, tuple) else repr(v)}" for key, v in table.items()]
     return ":".join(part for part in (name, place, ",".join(said)) if part)
 
 
@@ -155,15 +146,10 @@ def effect_table(effect: Effect) -> dict[str, Any]:
     name = effect_name(kind)
     if catalogue().get(name) is not kind:
         name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
-    places = {place.field: getattr(effect, place.field) for place in place_fields_of(kind)}
-    words = {field: _place_name(kind, field, value) for field, value in places.items() if value is not None}
-    values = {p.field: getattr(effect, p.field) for p in parameters_of(kind)}
-    numbers = {parameter_key(kind, field): value for field, value in values.items() if value is not None}
-    return {TYPE_KEY: name, **words, **numbers}
-
-
-def _place_name(kind: type[Effect], field: str, value: Any) -> str:
-    return place_word(next(place for place in place_fields_of(kind) if place.field == field), value)
+    values = [(place, getattr(effect, place.field)) for place in place_fields_of(kind)]
+    words = {place.field: place_word(place, value) for place, value in values if value is not None}
+    parameters = ((parameter_key(kind, p.field), getattr(effect, p.field)) for p in parameters_of(kind))
+    return {TYPE_KEY: name, **words, **{key: value for key, value in parameters if value is not None}}
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:

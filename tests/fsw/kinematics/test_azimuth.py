@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.azimuth import solve_azimuths, solve_offset_azimuths
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import to_shoulder_frame
+from fsw.kinematics.closed_form import solve_azimuths, solve_offset_azimuths, to_shoulder_frame
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
 from validation.kinematics import skew_tool

@@ -31,7 +31,7 @@ RUN = CliRunner()
 def out(*words: str, status: int = 0) -> str:
     result = RUN.invoke(app, ["dictionary", *words])
     assert result.exit_code == status, result.output
-    return str(result.output)
+    return str(result.output if status else result.stdout)
 
 
 def test_the_document_has_all_sections_and_nothing_else_is_printed() -> None:

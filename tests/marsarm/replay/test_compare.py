@@ -151,19 +151,6 @@ def test_channels_of_only_one_run_are_reported():
     )
 
 
-def test_an_imported_log_is_compared_in_the_topics_that_it_has():
-    was = behaviour(rad=angles(), evrs=())
-    now = Behaviour(
-        TICKS,
-        {"/tool": TopicSeries(np.arange(2), {"m": np.zeros(2)}), **behaviour(rad=angles()).series},
-        (BOOTED,),
-    )
-    found = compare_behaviours(was, now)
-    assert found.identical
-    assert found.not_compared == ("/tool: not recorded; not compared", "/evr: not recorded; not compared")
-    assert not compare_behaviours(behaviour(rad=angles() + 1, evrs=()), now).identical
-
-
 def kinds(was: list[EvrEntry], now: list[EvrEntry], tolerance: float = 0.0) -> list[tuple]:
     return [(one.kind.value, one.tick, one.name) for one in evr_differences(was, now, tolerance)]
 

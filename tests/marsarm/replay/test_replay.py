@@ -56,28 +56,6 @@ def test_only_channels_that_match_in_either_spelling_are_compared(tmp_path, patt
     assert replayed(tmp_path, channel=pattern).differences.channels_compared == 3
 
 
-def of_sensors_alone(path):
-    return replace(read_log(path), packets={"/sensors": read_log(path)["/sensors"]}, evrs=())
-
-
-def test_without_outputs_there_is_nothing_to_compare(tmp_path, monkeypatch):
-    monkeypatch.setattr("marsarm.replaying.replay.read_log", of_sensors_alone)
-    with pytest.raises(BadRequest, match=r"nothing to compare: .* no event and no channel of /drive"):
-        replayed(tmp_path)
-    with pytest.raises(BadRequest, match="channel: nothing is called 'nonsense'"):
-        replayed(tmp_path, channel="nonsense")
-
-
-def test_a_software_error_is_reported_even_with_nothing_to_compare(tmp_path, monkeypatch):
-    def broken(config, state, sensors, commands):
-        raise KeyError("nobody thought of that")
-
-    monkeypatch.setattr("marsarm.replaying.replay.read_log", of_sensors_alone)
-    monkeypatch.setattr(sim.loop, "step", broken)
-    found = replayed(tmp_path).differences
-    assert (found.identical, found.nothing_compared, found.ticks) == (False, True, (ticks_of(LOG), 1))
-
-
 def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
     def broken(config, state, sensors, commands):
         if state.tick == 100:

@@ -109,7 +109,10 @@ def _console_table(part: ReportTable, title: str) -> Table:
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]
         is_number = k > 0 and all(NUMBER.fullmatch(cell) for cell in cells)
         made.add_column(
-            part.head[k] if part.head else "", justify="right" if is_number else "left", no_wrap=part.is_whole
+            part.head[k] if part.head else "",
+            justify="right" if is_number else "left",
+            no_wrap=part.is_whole,
+            overflow="fold",
         )
     for row in part.rows:
         made.add_row(*row)

@@ -5,8 +5,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
+from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.bag_log import METADATA, open_bag
 from simgap.files.columns import ColumnInfo
@@ -48,6 +51,23 @@ def list_columns(path: Path, csv_table: CsvTable | None = None) -> tuple[ColumnI
 def open_whole(path: Path, csv_table: CsvTable | None = None) -> LogFile:
     """Open a log with all of its columns; RobotError if the file cannot be read, or has no rows."""
     return _open(path, None, (), csv_table or CsvTable())
+
+
+def read_times(log: LogFile, column: str, form: str = "") -> Array:
+    """Read a time column, (n,), of numbers or of texts as `strptime` reads them; RobotError for no time."""
+    if form:
+        texts = pc.utf8_trim_whitespace(pa.array(log.texts(column)))
+        read = pc.strptime(texts, form, "us", error_is_null=True)
+        time_s = pc.divide(read.cast(pa.int64()).cast(pa.float64()), 1e6).to_numpy(zero_copy_only=False)
+    else:
+        clock = log.numbers(column)
+        time_s = clock.value if clock.is_present is None else np.where(clock.is_present, clock.value, np.nan)
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if bad.size:
+        row = int(bad[0])
+        why = f"{texts[row].as_py()!r:.60} is no time as {form!r} has it" if form else "has no time; give one"
+        raise RobotError(f"{log.path}: row {row + 1}, column {column!r}: {why}")
+    return np.asarray(time_s, np.float64)
 
 
 def _open(path: Path, numbers: Sequence[str] | None, texts: Sequence[str], csv_table: CsvTable) -> LogFile:

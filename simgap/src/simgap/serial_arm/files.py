@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 from pydantic import ConfigDict, Field, field_validator, model_validator
 from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record, parse_record, read_toml, toml_text
-from simgap.files.log_file import LogFile, open_log
+from simgap.files.log_file import LogFile, open_log, read_times
 from simgap.files.robot_file import CsvTable, Text
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
 from simgap.serial_arm.model import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
@@ -258,16 +256,7 @@ def _order(log: LogFile, time: TimeColumn | None) -> Integers | None:
     """Return the rows of the file in order of time, (n,); None for the order of the file."""
     if time is None:
         return None
-    if time.format:
-        read = pc.strptime(pa.array(log.texts(time.column)), time.format, "us", error_is_null=True)
-        bad = np.flatnonzero(read.is_null().to_numpy(zero_copy_only=False))
-        at = read.cast(pa.int64()).to_numpy(zero_copy_only=False)
-        wrong = f"no time as {time.format!r} has it"
-    else:
-        at = log.numbers(time.column).value
-        bad, wrong = np.flatnonzero(~np.isfinite(at)), "no time; every row needs one"
-    if bad.size:
-        raise RobotError(f"{log.path}: row {bad[0] + 1}, column {time.column!r}: has {wrong}")
+    at = read_times(log, time.column, time.format)
     late = np.flatnonzero(np.diff(at) < 0)
     if late.size and not time.sort:
         raise RobotError(
