@@ -23,7 +23,7 @@ from typing import Any, Final, TypeVar, get_args
 
 from marsarm.common.pool import Runner, in_order, run_here
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.toml import read_toml
 
 Document = dict[str, Any]
@@ -173,10 +173,10 @@ def brief(context: Context, only: str = "") -> Document:
         raise BadRequest(f"set only: no campaign with a brief form is called {only}")
     os.chdir(ROOT)
     document: Document = {}
-    context.progress(0, len(chosen), chosen[0].name)  # a share in the first report would be an earlier result
+    context.progress(0, GUESS, chosen[0].name)  # a share in the first report would be an earlier result
     with ThreadPoolExecutor(context.workers) as pool:
         for done, ended in enumerate(pool.map(partial(run_brief, seed=context.seed), chosen), 1):
-            context.progress(done, len(chosen), ended.campaign.name)
+            context.progress(done / len(chosen), GUESS, ended.campaign.name)
             print(ended.line(), file=sys.stderr, flush=True)
             document[ended.campaign.name] = ended.line().partition(" ")[2].strip()
             document["in_bounds"] = document.get("in_bounds", True) and ended.status == 0

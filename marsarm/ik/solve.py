@@ -4,9 +4,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.transforms import Array, select_targets
-from marsarm.common.pool import Runner, in_order, select_runner
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from marsarm.ik.request import IkRequest, ModelRequest
 from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
@@ -24,6 +22,9 @@ from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import ReportTable, file_lines
+
+if TYPE_CHECKING:
+    from marsarm.common.pool import Runner
 
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""
@@ -55,8 +56,10 @@ class IkModel:
         level = request.tilt_roll_deg == request.tilt_pitch_deg == 0.0
         return text + f", deflected by the gravity of {request.gravity.title()}" + ("" if level else tilted)
 
-    def solve_in_batches(self, targets: IkTargets, run: Runner, progress: Progress) -> Iterator[IkResult]:
+    def solve_in_batches(self, targets: IkTargets, run: "Runner", progress: Progress) -> Iterator[IkResult]:
         """Solve the inverse kinematics in parts, (8, n) each."""
+        from marsarm.common.pool import in_order  # one target needs no pool
+
         starts = range(0, len(targets), BATCH_SIZE)
         parts = ((self, targets.part(start, BATCH_SIZE)) for start in starts)
         progress(0, len(targets), "solving")
@@ -162,6 +165,7 @@ def _one_target(request: IkRequest) -> IkTargets:
 def _solve_batch(
     request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
+    from marsarm.common.pool import select_runner
     from marsarm.ik.batch import open_writer, read_targets  # pyarrow takes 0.1 s to load
 
     targets = read_targets(batch, request.frame)
@@ -177,6 +181,8 @@ def _solve_batch(
 
 def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
     """Describe how the file was made, so that it can be made again."""
+    from importlib.metadata import version
+
     params = request.model.params
     return {
         "marsarm": version("marsarm"),

@@ -12,7 +12,7 @@ from simgap.assemble import select_sure
 from simgap.compare import list_differences, list_limits, select_differences, tell_apart
 from simgap.effects.effect import Size
 from simgap.effects.variation import Difference
-from simgap.report.document import comparison_lines
+from simgap.report.document import comparison_details, comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import Score, Selection
@@ -106,4 +106,6 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
         "Where: nowhere; one model fits both sets of logs.",
         "What: nothing changed that these logs show.",
     )
-    assert following == "Not seen: changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
+    assert following == "Not seen: smaller changes; the limits of each joint follow."
+    limits = "Beside what was found, changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
+    assert comparison_details(nothing)[-1] == limits

@@ -33,7 +33,7 @@ from sim.plant import PlantDiverged
 from sim.scenario.effects import effect_text
 from simgap import to_document
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, no_progress
 from simgap.common.report import to_json
 from validation.campaigns import Context, Document
 from validation.cases import sealed
@@ -61,8 +61,6 @@ from validation.cases.sealed import CaseScore, SealedTruth
 CAMPAIGN_FOLDER: Final = "campaign"
 DIAGNOSIS_SEED: Final = 1
 """Seed of the diagnosis, independent of the seed of the cases."""
-RECORDING_SHARE: Final = 0.2
-"""Share of the time before the cases in which the campaign is recorded, for the progress."""
 SMALL_SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
 """Sessions of a small run; the last one is held out. At rest only: motions take hours."""
 SMALL_KINDS: Final = ("resolver-bias",)
@@ -97,11 +95,10 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             part = folder / (CAMPAIGN_FOLDER + sealed.PARTIAL_SUFFIX)
             shutil.rmtree(part, ignore_errors=True)
             arm, number = arm_named(self.arm), int(np.random.default_rng([seed, 7]).integers(2**31))
-            recording = part_of(progress, 0.0, RECORDING_SHARE)
             sessions = choose_sessions(self.sessions, self.arm)
-            record_campaign(part, sessions, arm, true_reference(arm), number, recording)
+            record_campaign(part, sessions, arm, true_reference(arm), number, progress)
             part.rename(campaign)
-        model = load_model(campaign, self.kinds, self.arm, run, part_of(progress, RECORDING_SHARE, 1.0)).model
+        model = load_model(campaign, self.kinds, self.arm, run, progress).model
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
         known = list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.

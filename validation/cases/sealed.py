@@ -21,7 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 from marsarm.common.pool import Runner
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
-from simgap.common.progress import Progress, part_of
+from simgap.common.progress import GUESS, Progress
 from simgap.common.toml import describe_first_problem
 from validation.campaigns import Context, Document
 
@@ -32,8 +32,6 @@ CASES_FOLDER: Final = "cases"
 SOLVED_FOLDER: Final = "solved"
 PARTIAL_SUFFIX: Final = ".part"
 MOST_CASES: Final = 1000
-DRAWING_SHARE: Final = 0.05
-"""Share of the time of making that drawing takes, for the progress."""
 STEPS: Final = ("all", "make", "solve", "score")
 
 
@@ -136,18 +134,31 @@ def run_steps(
         raise BadRequest(f"set step: {step} is none of {', '.join(STEPS)}")
     with TemporaryDirectory() as scratch:
         folder = context.out or Path(f"{maker.name}-{context.seed}" if is_kept else scratch)
-        run, progress, document = context.run, context.progress, Document()
+        run, document = context.run, Document()
+        making, solving = (_stage(context.progress, step, begin) for begin in (0.0, 0.5))
         if step in ("all", "make"):
-            digest, recorded = make_cases(folder, maker, cases, context.seed, run, progress)
+            digest, recorded = make_cases(folder, maker, cases, context.seed, run, making)
             document |= {"digest": digest, "cases": cases, "recorded": recorded}
         if step in ("all", "solve"):
-            solved, every = solve_cases(folder, maker, run, progress)
+            solved, every = solve_cases(folder, maker, run, solving)
             document |= {"solved": solved, "cases": every}
         if step in ("all", "score"):
             found = score_cases(folder, maker, partial)
             (folder / "score.md").write_text(found.markdown(), encoding="utf-8")
             document |= {**found.document, "in_bounds": found.in_bounds}
         return document
+
+
+def _stage(progress: Progress, step: str, begin: float) -> Progress:
+    """Return the progress of making or of solving; where both are done, the share of each is a guess."""
+    if step != "all":
+        return progress
+    return lambda done, total, what: progress(begin + 0.5 * done / total if total else begin, GUESS, what)
+
+
+def _uncounted(progress: Progress) -> Progress:
+    """Return the progress of what comes before the cases, which says nothing of the time that these take."""
+    return lambda done, total, what: progress(0.0, 0.0, what)
 
 
 def make_cases(
@@ -163,15 +174,14 @@ def make_cases(
     folder.mkdir(exist_ok=True)
     truth = load_existing_truth(folder, maker, salt(seed), cases)
     if truth is None:
-        drawn = maker.draw(folder, cases, seed, run, part_of(progress, 0.0, DRAWING_SHARE))
+        drawn = maker.draw(folder, cases, seed, run, _uncounted(progress))
         truth = SealedTruth(salt(seed), drawn)
         seal(folder, truth)
-    progress(DRAWING_SHARE, 1.0, f"SHA-256 of the truth {truth.digest()}")
+    progress(0, cases, f"SHA-256 of the truth {truth.digest()}")
     paths = [(case_path(folder, maker, case.name).absolute(), case) for case in truth.cases]
     jobs = [(path, maker, case) for path, case in paths if not path.exists()]
-    of_cases = part_of(progress, DRAWING_SHARE, 1.0)
     for done, name in enumerate(run(record_case, jobs), 1):
-        of_cases(done, len(jobs), f"recorded {name}")
+        progress(done, len(jobs), f"recorded {name}")
     return truth.digest(), len(jobs)
 
 
@@ -295,7 +305,7 @@ def solve_cases(folder: Path, maker: CaseMaker[Any], run: Runner, progress: Prog
         if not result_path(folder, one.stem).exists()
     ]
     if jobs:  # before the workers start, else each would compute it
-        maker.prepare(folder, run, progress)
+        maker.prepare(folder, run, _uncounted(progress))
     progress(0, len(jobs), "solving")
     for done, name in enumerate(run(solve_case, jobs), 1):
         progress(done, len(jobs), name)

@@ -9,6 +9,7 @@ import pytest
 from fsw.kinematics.transforms import Array
 from simgap.common import progress as module
 from simgap.common.progress import (
+    GUESS,
     EarlierRun,
     ProgressState,
     format_duration,
@@ -113,24 +114,40 @@ def _times_s(size: float) -> Array:
     return size * np.interp(np.linspace(0.0, 1.0, 101), shares, times_s)
 
 
-def test_a_run_for_another_request_says_nothing_before_a_share_is_done() -> None:
-    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 60.0)], 120.0, "long.csv"), "short.csv")
-    state.update(0.0, 1.0, "fit", 1.0)
-    assert state.left_s(10.0) is None
-    state.update(0.5, 1.0, "fit", 19.0)
-    assert state.left_s(19.0) == pytest.approx((20.0 / 61.0 * 60.0,) * 2)
+@pytest.mark.parametrize("stage", [(0.0, 1.0), (0.2, 0.6)])
+@pytest.mark.parametrize("earlier", [None, EarlierRun((0.0, 0.2, 0.6, 1.0), (0.0, 20.0, 60.0, 100.0))])
+def test_a_guessed_share_tells_a_time_only_beside_an_earlier_run(
+    stage: tuple[float, float], earlier: EarlierRun | None
+) -> None:
+    state, times_s = ProgressState(0.0, earlier), iter((5.0, 10.0))
+    begin, end = stage
+    part = part_of(lambda *report: state.update(*report, next(times_s)), begin, end)
+    part(0.0, GUESS, "fit")
+    part(0.25, GUESS, "fit")
+    assert state.share == pytest.approx(begin + 0.25 * (end - begin))
+    assert (state.left_s(12.0) is None) == (earlier is None)
+
+
+def test_a_last_step_that_takes_longer_than_in_the_earlier_run_tells_no_time() -> None:
+    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 10.0)], 20.0))
+    state.update(0.5, 1.0, "fit", 10.0)
+    assert state.left_s(15.0) == pytest.approx((5.0, 5.0))
+    assert state.left_s(25.0) is None
 
 
 def test_the_course_of_a_run_is_kept_for_the_next_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert read_earlier_run("job") is None
-    run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0, "log.csv")
+    assert read_earlier_run("job", "a.csv") is None
+    run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0)
     assert run.shares == (0.0, 0.3, 1.0)
-    keep_run("job", run)
-    assert read_earlier_run("job") == run
-    keep_run("job", EarlierRun.of_points([], 1.0))
-    assert read_earlier_run("job") == run
+    keep_run("job", "a.csv", run)
+    assert read_earlier_run("job", "a.csv") == run
+    keep_run("job", "a.csv", EarlierRun.of_points([], 1.0))
+    assert read_earlier_run("job", "a.csv") == run
+    assert read_earlier_run("job", "b.csv") is None
+    monkeypatch.chdir(tmp_path)  # where a.csv is another file
+    assert read_earlier_run("job", "a.csv") is None
     (tmp_path / "simgap/progress/job.json").write_text("[[0, 1")
-    assert read_earlier_run("job") is None
+    assert read_earlier_run("job", "a.csv") is None

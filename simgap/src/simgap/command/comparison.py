@@ -6,16 +6,13 @@ from simgap.checks.audit import audit
 from simgap.command.request import CompareRequest
 from simgap.common.console import plain_console
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.compare import compare
 from simgap.diagnosis import check_audit
 from simgap.loading import load
 from simgap.report.document import comparison_details, comparison_lines
 from simgap.result import Comparison
 from simgap.robot import Robot
-
-STEPS = 1000
-"""Parts of the progress that is shown."""
 
 
 def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> Comparison:
@@ -26,7 +23,7 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
         robot, file=robot.file and robot.file.model_copy(update={"split": ""})
     )  # all motions count
     sets = [load(whole, [path]) for path in (request.before, request.after)]
-    progress(0, STEPS, "checking the logs")
+    progress(0.0, 0.0, "checking the logs")
     audits = [audit(robot, logs) for logs in sets]
     for found, logs in zip(audits, sets, strict=True):
         check_audit(found, logs.motions)
@@ -37,7 +34,7 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
         after,
         audits=audits,
         seed=request.seed,
-        progress=lambda share, text: progress(round(STEPS * share), STEPS, text),
+        progress=lambda share, text: progress(share, GUESS, text),
     )
 
 

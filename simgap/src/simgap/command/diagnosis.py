@@ -23,7 +23,7 @@ from simgap.common.files import (
 from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import file_lines, to_json
 from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
@@ -206,7 +206,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
             base_only=request.terms == "none",
             audit=found,
             seed=request.seed,
-            progress=lambda share, text: progress(share, 1.0, text),
+            progress=lambda share, text: progress(share, GUESS, text),
             cache=cache_folder("simgap", "steps"),
         )
     except Interrupted as error:

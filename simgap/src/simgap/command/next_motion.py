@@ -13,7 +13,7 @@ from simgap.command.request import NextRequest
 from simgap.common.files import digest_files
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import print_parts
 from simgap.files.motion_rows import conversion
 from simgap.files.robot_file import SignalColumn
@@ -52,7 +52,7 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     progress(0.0, 0.0, "auditing")
     usable = audit(robot, logs).usable
     proposal, motion = propose_motion(
-        robot, logs, rivals, usable, lambda share, text: progress(share, 1.0, text)
+        robot, logs, rivals, usable, lambda share, text: progress(share, GUESS, text)
     )
     read = {"robot": [request.robot], "log": request.logs, "start": [request.start / FOUND_FILE]}
     return NextMotion(request, robot, proposal, motion, digest_files(read))

@@ -8,7 +8,6 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from importlib.metadata import version
 from pathlib import Path
 
 from simgap.common.console import NUMBER
@@ -116,6 +115,8 @@ def _requirement_table(requirements: Sequence[Requirement]) -> str:
 
 
 def _origin_list(origin: Origin) -> str:
+    from importlib.metadata import version  # few commands write a page
+
     program = origin.command.partition(" ")[0]
     items = {
         "version": f"{program} {version(program)}, commit {git_revision()}",

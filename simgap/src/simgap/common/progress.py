@@ -1,8 +1,8 @@
 """Progress of long work: its interface, and its output on standard error with the time left.
 
 On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line after a second, then ever more rarely.
-The time left follows from an earlier run of the same command on this machine, or else from the share done;
-then it is a range while a step of the work lasts.
+The time left follows from an earlier run for the same request on this machine. Without one it follows from
+the share done, as a range while a step of the work lasts, or is not told where that share is a guess.
 """
 
 import json
@@ -39,18 +39,16 @@ class EarlierRun:
 
     shares: tuple[float, ...]
     times_s: tuple[float, ...]
-    request: str = ""
-    """What the run was asked for."""
 
     @classmethod
-    def of_points(cls, points: Sequence[tuple[float, float]], total_s: float, request: str = "") -> Self:
+    def of_points(cls, points: Sequence[tuple[float, float]], total_s: float) -> Self:
         """Make the course of a run from reports of share and time since the start, which never fall."""
         kept = [(0.0, 0.0)]
         for share, time_s in points:
             if share >= kept[-1][0] + STEP and share < 1.0:
                 kept.append((share, time_s))
         shares, times_s = zip(*kept, (1.0, total_s), strict=True)
-        return cls(shares, times_s, request)
+        return cls(shares, times_s)
 
     def left_s(self, first_share: float, share: float, spent_s: float, since_s: float) -> float:
         """Estimate the time left of a run, which is as fast in its rest as it was until now.
@@ -78,17 +76,18 @@ class EarlierRun:
         return begin_s + (end_s - begin_s) * min((share - low) / (high - low), 1.0), end_s
 
 
-def read_earlier_run(job: str) -> EarlierRun | None:
-    """Return the course of the last run of a job that was kept; None if there is none."""
+def read_earlier_run(job: str, request: str) -> EarlierRun | None:
+    """Return the course of the last run of a job that was kept; None unless it was for this request."""
     try:
         document = json.loads(_path(job).read_text())
         points = [(float(share), float(time_s)) for share, time_s in document["points"]]
-        return EarlierRun.of_points(points[:-1], points[-1][1], str(document["request"]))
+        same = document["request"] == [os.getcwd(), request]  # relative paths name other files elsewhere
+        return EarlierRun.of_points(points[:-1], points[-1][1]) if same else None
     except (OSError, ValueError, TypeError, IndexError, KeyError):  # absent, torn or of another version
         return None
 
 
-def keep_run(job: str, run: EarlierRun) -> None:
+def keep_run(job: str, request: str, run: EarlierRun) -> None:
     """Keep the course of a run, unless it was short; where nothing can be written, nothing is kept."""
     if run.times_s[-1] < LEAST_S:
         return
@@ -97,7 +96,7 @@ def keep_run(job: str, run: EarlierRun) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as part:
             points = [*zip(run.shares, run.times_s, strict=True)]
-            part.write_text(json.dumps({"request": run.request, "points": points}))
+            part.write_text(json.dumps({"request": [os.getcwd(), request], "points": points}))
 
 
 def _path(job: str) -> Path:
@@ -106,6 +105,9 @@ def _path(job: str) -> Path:
 
 Progress = Callable[[float, float, str], None]
 """Function of the amount done, the total amount, and the name of the current activity."""
+
+GUESS: Final = -1.0
+"""Total amount of work whose share done is a guess, as what is found decides how much is left."""
 
 WAITS_S: Final = (1.2, 8.8, 20.0, 30.0, 60.0)
 """Times before each line where there is no terminal; the last one is repeated.
@@ -121,8 +123,8 @@ def part_of(progress: Progress, begin: float, end: float) -> Progress:
     """Make the progress of one stage, which begins and ends at these shares of the whole work."""
 
     def update(done: float, total: float, what: str) -> None:
-        share = min(done / total, 1.0) if total > 0 else 0.0
-        progress(begin + (end - begin) * share, 1.0, what)
+        share = min(done / abs(total), 1.0) if total else 0.0
+        progress(begin + (end - begin) * share, GUESS if total < 0 else 1.0, what)
 
     return update
 
@@ -134,12 +136,12 @@ class ProgressState:
     started_s: float
     """Time of the start, of a monotonic clock."""
     earlier: EarlierRun | None = None
-    """Earlier run of the same command, which had the same stages; None if there was none."""
-    request: str = ""
-    """What the command is asked for."""
+    """Earlier run for the same request; None if none was kept."""
     what: str = "starting"
     share: float = 0.0
     """Share of the work that is done; it never falls."""
+    is_guess: bool = False
+    """Whether the last report was a guess of the share."""
     reached_s: float = float("-inf")
     """Time at which this share was done."""
     first_share: float | None = None
@@ -158,10 +160,11 @@ class ProgressState:
         """
         self.what = what
         self.n_reports += 1
-        if total <= 0:
+        if total == 0:
             return
-        if min(done / total, 1.0) > self.share:
-            self.share, self.reached_s = min(done / total, 1.0), now_s
+        self.is_guess, share = total < 0, min(done / abs(total), 1.0)
+        if share > self.share:
+            self.share, self.reached_s = share, now_s
         if self.share >= (self.points[-1][0] if self.points else 0.0) + STEP:  # long work reports millions
             self.points.append((self.share, now_s - self.started_s))
         if self.first_share is None:
@@ -173,14 +176,12 @@ class ProgressState:
         The least is right if the present step ends now, the most if nothing of it is done.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
-        if self.share <= first and (self.earlier is None or self.earlier.request != self.request):
-            return None  # a run for another request says how the time is spread, not how long it takes
         if self.earlier is not None:
             begun_s = self.first_s if first else self.started_s
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
-            return left_s, left_s
-        if reached_s <= self.first_s:
+            return (left_s, left_s) if left_s > 0.0 else None  # the last step takes longer than it did
+        if self.is_guess or reached_s <= self.first_s:
             return None
         rest = (1.0 - self.share) / (self.share - first)
         least_s = (reached_s - self.first_s) * rest - (now_s - reached_s)
@@ -221,7 +222,7 @@ def show_progress(job: str, request: str) -> Iterator[Progress]:
         job: Name of the work, under which its course is kept for the next time.
         request: What it is asked for, such as the words of the command line.
     """
-    state = ProgressState(time.monotonic(), read_earlier_run(job), request)
+    state = ProgressState(time.monotonic(), read_earlier_run(job, request))
     has_bar = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     with (_show_bar if has_bar else _print_lines)(state) as refresh:
 
@@ -231,7 +232,7 @@ def show_progress(job: str, request: str) -> Iterator[Progress]:
 
         yield update
     if not state.first_share:  # what an earlier command has done took no time
-        keep_run(job, EarlierRun.of_points(state.points, time.monotonic() - state.started_s, request))
+        keep_run(job, request, EarlierRun.of_points(state.points, time.monotonic() - state.started_s))
 
 
 @contextmanager

@@ -99,7 +99,8 @@ COMPARISON = "comparison 1"
 def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     """Return where something changed, what, how far the error falls with it, and what is not seen."""
     where, what, _, following = verdict_lines(made.found)
-    limits = f"Not seen: {_limit_words(made.limits)}."
+    small = "smaller changes; the limits of each joint follow" if made.limits else "any base parameter"
+    limits = f"Not seen: {small}."
     if not made.found.findings:
         return (
             "Where: nowhere; one model fits both sets of logs.",
@@ -141,4 +142,4 @@ def _how_far(made: Comparison) -> str:
 def _limit_words(limits: Sequence[Limit]) -> str:
     """Return the changes of base parameters that may have happened unseen."""
     words = [f"{one.name} of {one.place} from {one.low:+.3g} to {one.high:+.3g}" for one in limits]
-    return f"changes may lie within {', '.join(words)} (90 %)" if words else "no base parameter can be told"
+    return f"changes may lie within {', '.join(words)} (90 %)"
