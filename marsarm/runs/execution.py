@@ -272,7 +272,7 @@ def execute(
     """Carry out a run: record every cycle, then write page, picture and movie.
 
     Args:
-        progress_at: Function that returns the amount done at a cycle, and the total amount.
+        progress_at: Function that returns the amount done at a cycle, and the total amount or GUESS.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
         arm: Drawing of the arm, for picture and movie.
 

@@ -29,7 +29,7 @@ from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.watched_run import RecordedRun
@@ -88,7 +88,7 @@ def _carry_out(
         request.files,
         scenario.world,
         progress,
-        progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
+        progress_at=lambda record: (scenario_run.guess_share(record.tick / CYCLE_HZ), GUESS),
         is_for_picture=lambda _: scenario_run.command == picture_command,
         arm=arm.model,
         view=view,

@@ -39,7 +39,7 @@ from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output, file_sha256
-from simgap.common.progress import Progress
+from simgap.common.progress import GUESS, Progress
 from simgap.common.report import ReportTable
 from simgap.common.toml import parse_record, read_toml
 from simgap.files.columns import Column
@@ -80,9 +80,9 @@ def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> I
     """Write the log of a table; BadRequest if its path is wrong, RobotError if table or mapping is."""
     check_distinct_files({"table": table, "mapping": mapping, "OUT": log})
     check_output(log, (".mcap",), "OUT")
-    progress(0, 2, "reading the table")
+    progress(0.0, GUESS, "reading the table")
     made = convert_table(table, mapping)
-    progress(1, 2, "writing the log")
+    progress(0.5, GUESS, "writing the log")
     with atomic_write(log, "OUT") as file:
         write_table_log(file, made)
     return made

@@ -24,7 +24,7 @@ from marsarm.view.watched_run import Plot, WatchedRun, make_plots, watch_log
 from simgap.common.console import pluralize
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
-from simgap.common.progress import Progress
+from simgap.common.progress import GUESS, Progress
 
 SCRIPTS: Final = ("scene.js", "painter.js", "plots.js", "player.js")
 LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
@@ -147,9 +147,9 @@ class ViewReport:
 def view(request: ViewRequest, progress: Progress) -> ViewReport:
     """Prepare the view of a log: write its page, or open the viewer; BadRequest if something is wrong."""
     check_options(request)
-    progress(0, 2, "reading")
+    progress(0.0, GUESS, "reading")
     run = watch_log(request.log)
-    progress(1, 2, "drawing")
+    progress(0.5, GUESS, "drawing")
     if request.html is not None:
         return ViewReport(request, run, save_page(run, request.html), None)
     return ViewReport(request, run, None, Viewer(run.scene, request.port, run.title, "use --html"))

@@ -103,8 +103,8 @@ class ScenarioRun:
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
             yield record
 
-    def progress_at(self, time_s: float) -> tuple[float, int]:
-        """Estimate how many commands are done, with a fraction for the present one, and return their number.
+    def guess_share(self, time_s: float) -> float:
+        """Guess the share of all commands that is done, with a fraction of the present one.
 
         Nobody knows how long a command will last. The fraction is 1/2 after the mean duration of the commands
         before it, and approaches 1.
@@ -112,7 +112,8 @@ class ScenarioRun:
         done = max(self.command - 1, 0)
         mean_s = self._begun_s / done if done else TYPICAL_COMMAND_S
         within_s = time_s - self._begun_s
-        return done + within_s / (within_s + max(mean_s, CYCLE_S)), len(self._scenario.commands)
+        fraction = within_s / (within_s + max(mean_s, CYCLE_S))
+        return (done + fraction) / max(len(self._scenario.commands), 1)
 
     def _note(self, record: CycleRecord) -> None:
         if record.commands:

@@ -18,7 +18,7 @@ from simgap.common.errors import RobotError
 from simgap.common.files import digest_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
@@ -96,7 +96,7 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     progress(0.0, 1.0, "reading")
     robot = Robot.from_toml(request.robot)
     logs = load(robot, request.logs)
-    progress(READ, 1.0, "auditing")
+    progress(READ, GUESS, "auditing")
     found = audit(robot, logs)
     models = Models(robot)
     durations_s = [

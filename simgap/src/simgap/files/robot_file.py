@@ -201,7 +201,7 @@ class MotionTable(Record):
 
     columns: list[Text] = Field(default_factory=list)
     """Columns whose values together name a motion; empty: each file is a motion, of a LeRobot data set each
-    episode."""
+    episode. The file `logs/slow.csv` is the motion `slow`."""
     windows_s: dict[Text, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
         default_factory=dict
     )

@@ -14,7 +14,7 @@ from simgap.checks.audit import audit
 from simgap.checks.rates import pause_windows_s
 from simgap.checks.records import REFUSED, Remark, RemarkKind
 from simgap.common.errors import RobotError
-from simgap.common.progress import Progress
+from simgap.common.progress import GUESS, Progress
 from simgap.common.toml import parse_record
 from simgap.files.columns import ColumnInfo, LongGap
 from simgap.files.log_file import LogFile, open_whole
@@ -61,10 +61,10 @@ def draft_robot_file(
     Raises:
         RobotError: model or logs cannot be read, no column fits a joint, or the draft does not read the logs.
     """
-    progress(0, 4, "reading the model")
+    progress(0.0, GUESS, "reading the model")
     model = _compile(model_path)
     names = [model.joint(k).name for k in _moving(model)]
-    progress(1, 4, "reading the logs")
+    progress(0.25, GUESS, "reading the logs")
     opened = [open_whole(one) for one in log_paths]
     columns = _common_columns(opened)
     times = find_times(opened[0], columns)
@@ -92,7 +92,7 @@ def draft_robot_file(
     write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
     unknown = set_unknown_gains(draft, model, path)
-    progress(2, 4, "comparing signals")
+    progress(0.5, GUESS, "comparing signals")
     robot, logs = _cut_at_pauses(draft, path, log_paths)
     settle_speeds(draft, robot, logs, by_joint)
     if unknown is not None:
@@ -101,7 +101,7 @@ def draft_robot_file(
         for joint in unknown:
             estimate_gain(draft, robot, logs, joint, sags.get(joint))
     ask_about_torques(draft, robot, logs)
-    progress(3, 4, "checking the logs")
+    progress(0.75, GUESS, "checking the logs")
     robot, logs = _read(draft, path, log_paths)
     for one in audit(robot, logs).remarks:
         if "runs against" in one.text:
