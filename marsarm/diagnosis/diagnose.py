@@ -19,9 +19,12 @@ from typing import Final, Literal
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.model import MIN_DIRECTION_SHARE, DiagnosisModel, FeatureGroup, condition_directions
-from marsarm.diagnosis.normal_equations import (
+from marsarm.diagnosis.model import (
+    MIN_DIRECTION_SHARE,
+    DiagnosisModel,
+    FeatureGroup,
     LinearFit,
+    condition_directions,
     fit_linear,
     form_normal_equations,
 )

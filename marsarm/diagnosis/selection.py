@@ -18,10 +18,8 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
-from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
-from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Simulate
-from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
+from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel, Whitener, build_full_whitener
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Sensitivities, Simulate, continue_parabola
 from simgap import Effect, ResidualModel, Size, select_effects
 from simgap.selection.context import Selection
 

@@ -41,9 +41,15 @@ from marsarm.diagnosis.arm.finite_differences import (
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
-from marsarm.diagnosis.normal_equations import form_normal_equations
-from marsarm.diagnosis.problem import FeatureLayout, Ints
-from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
+from marsarm.diagnosis.model import form_normal_equations
+from marsarm.diagnosis.problem import (
+    FeatureLayout,
+    Ints,
+    Sensitivities,
+    fit_parabola,
+    load_sensitivities,
+    save_sensitivities,
+)
 from marsarm.telemetry.recorder import model_digest
 from sim.arms import arm_named
 from sim.effects.catalogue import catalogue
@@ -61,8 +67,7 @@ NOMINAL: Final = "nominal"
 COMPARING_MODULES: Final = (
     "simgap.serial_arm.chain",
     "marsarm.diagnosis.problem",
-    "marsarm.diagnosis.normal_equations",
-    "marsarm.diagnosis.sensitivity",
+    "marsarm.diagnosis.model",
     "simgap.selection.checkpoint",
 )
 """Modules outside the simulator and this package that influence the result."""

@@ -30,9 +30,8 @@ from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
-from marsarm.diagnosis.problem import Ints
+from marsarm.diagnosis.problem import Ints, Sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals
-from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.plant import SCREW_AXES

@@ -20,8 +20,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.feature_set import measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
-from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
+from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect

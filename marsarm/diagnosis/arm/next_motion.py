@@ -22,11 +22,9 @@ from marsarm.diagnosis.arm.diagnose_logs import (
 from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, make_session, motion_text
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.arm.request import NextRequest
-from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.normal_equations import build_whitener
-from marsarm.diagnosis.problem import Hypothesis, Ints
+from marsarm.diagnosis.model import DiagnosisModel, build_whitener
+from marsarm.diagnosis.problem import Hypothesis, Ints, Sensitivities
 from marsarm.diagnosis.selection import FeatureEffect
-from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.arms import BuiltArm
 from sim.initialisation import true_reference
 from simgap.common.files import cache_folder, file_sha256, json_sha256

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.normal_equations import build_full_whitener
+from marsarm.diagnosis.model import build_full_whitener
 from marsarm.diagnosis.problem import EffectValues
 from marsarm.diagnosis.selection import FeatureResiduals, list_feature_effects, select_simulated
 from tests.marsarm.diagnosis.worlds import modelled, world

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from marsarm.diagnosis.model import alias_cosines, detection_limits, equivalence_classes, noncentrality
-from marsarm.diagnosis.normal_equations import build_full_whitener, fit_linear, form_normal_equations
+from marsarm.diagnosis.model import (
+    alias_cosines,
+    build_full_whitener,
+    detection_limits,
+    equivalence_classes,
+    fit_linear,
+    form_normal_equations,
+    noncentrality,
+)
 from tests.marsarm.diagnosis.worlds import world
 
 

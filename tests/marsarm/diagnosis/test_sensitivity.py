@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
+from marsarm.diagnosis.problem import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
 from simgap.common.errors import BadRequest
 
 

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from marsarm.diagnosis.diagnose import diagnose
-from marsarm.diagnosis.model import DiagnosisModel, build_model
-from marsarm.diagnosis.normal_equations import build_full_whitener
-from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
+from marsarm.diagnosis.model import DiagnosisModel, build_full_whitener, build_model
+from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter, Sensitivities
 from marsarm.diagnosis.selection import select_simulated
-from marsarm.diagnosis.sensitivity import Sensitivities
 from simgap.effects.effect import Family
 
 CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")

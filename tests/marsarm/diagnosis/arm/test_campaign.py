@@ -45,7 +45,7 @@ from marsarm.diagnosis.arm.simulator import (
     build_simulator,
     make_effect,
 )
-from marsarm.diagnosis.sensitivity import Sensitivities
+from marsarm.diagnosis.problem import Sensitivities
 from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
