@@ -87,7 +87,7 @@ def test_with_the_backlash_state_left_out_shoulder_in_poses_stand_apart():
 
 def test_without_backlash_state_the_fit_is_refused():
     with pytest.raises(ValueError, match=r"times the noise|no arm explains them"):
-        check_fit(calibrate(NOMINAL, campaign().at(np.arange(0, 160, 2)), with_backlash=False))
+        check_fit(calibrate(NOMINAL, campaign().at(np.arange(0, 160, 4)), with_backlash=False))
 
 
 def test_wrong_poses_are_left_out_and_named():

@@ -9,6 +9,7 @@ from fsw.dictionary.enums import Joint
 from marsarm.runs.hardstop import hardstop, plan_stops
 from marsarm.runs.report import plan_document
 from marsarm.runs.request import HardstopRequest
+from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm
 
@@ -33,14 +34,17 @@ def test_the_plan_shows_equal_torques_and_moves_nothing():
 
 
 @pytest.mark.slow
-def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
-    done = marsarm(tmp_path, "hardstop", "--arm", "as-built:3", "--temperature", "-40", "--json")
+def test_every_as_built_joint_finds_its_zero_in_the_cold_one_after_the_other(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--arm", "as-built:3", "--temperature", "-55", "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert set(document["joints"]) == {joint.name.lower() for joint in Joint}
-    for found in document["joints"].values():
+    for joint, params in zip(Joint, nominal_params().joints.in_order(), strict=True):
+        found = document["joints"][joint.name.lower()]
         assert abs(found["zero_error_mrad"]) < 0.3
-        assert found["max_torque_Nm"] < 600
+        assert abs(found["uncorrected_error_mrad"]) > 1.0  # wind-up is corrected
+        assert found["max_torque_Nm"] < params.hardstop_rated_Nm
+    assert document["max_current_ratio"] <= 1.0 + 1e-9
     assert "CommandCompleted" in [evr["name"] for evr in document["evrs"]]
 
 
