@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.params import digest
-from fsw.dictionary.validity import check_limits
 from sim.arms import nominal_params, params_over_nominal
 from sim.params import BadParams, params_from_table, params_table
 
@@ -22,10 +21,6 @@ def write_file(folder: Path, text: str) -> Path:
     path = folder / "over.toml"
     path.write_text(text)
     return path
-
-
-def test_nominal_parameters_are_within_their_limits() -> None:
-    assert list(check_limits(nominal_params())) == []
 
 
 def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:
