@@ -50,7 +50,7 @@ def names(effects):
     return {effect.name for effect in effects}
 
 
-def test_every_effect_changes_the_simulated_motion_at_its_typical_size(arm_logs):
+def test_every_effect_changes_the_motion_at_its_typical_size_and_at_size_0_no_bit_beside_the_others(arm_logs):
     command, heat = lively(), Signal(TIME_S, np.linspace(20, 40, N_TICKS))
     position = np.stack([arm_logs.motions[0].joints[joint.name].position.value for joint in ARM.joints], 1)
     logs = logs_of(ARM, command, position, temperature=lambda _: heat)
@@ -60,7 +60,9 @@ def test_every_effect_changes_the_simulated_motion_at_its_typical_size(arm_logs)
     table = np.zeros((len(effects) + 1, counts[-1]))
     for k, effect in enumerate(effects):
         table[k + 1, counts[k] : counts[k + 1]] = [size.typical for size in effect.sizes]
-    moved = simulate(ARM, effects, table, command, command[0], temperature_degC=np.full(3, 20.0))
+    degC = np.full(3, 20.0)
+    moved = simulate(ARM, effects, table, command, command[0], degC)
+    np.testing.assert_array_equal(moved[0], simulate(ARM, (), [[]], command, command[0], degC)[0])
     changes = np.abs(moved[1:] - moved[0]).max(axis=(1, 2))
     dead = [effect.key for effect, change in zip(effects, changes, strict=True) if not change > 1e-7]
     assert not dead

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from helpers.marks import slow_but
 from helpers.pendulum import (
     ARMATURE_kgm2,
     INERTIA_kgm2,
@@ -56,16 +55,10 @@ from simgap.effects.forces import (
 )
 from simgap.effects.inertia import Armature
 from simgap.logs import Motion, Signal
-from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.robot import ControlMode, Robot
 
 TIME_s = np.arange(0, 2, 0.01)
-KINDS: list[type[JointEffect]] = [
-    AccelerationLimit, Armature, AsymmetricFriction, BackEmf, ClampHigh, ClampLow, CommandDelay,
-    ConstantTorque, CoulombFriction, DampingGain, DeadZone, EncoderScale, GainError, JointZero,
-    LeakyIntegral, LoadFriction, MeasurementDelay, PeriodicTorque, PositionTorque, Spring,
-    StribeckFriction, TemperatureFriction, TorqueConstant, TorqueLimit, VelocityLimit, ViscousFriction,
-]  # fmt: skip
+
 LINK_kgm2 = MASS_kg * LENGTH_m**2
 Torque = Callable[[float, float, float], float]
 
@@ -90,19 +83,6 @@ def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
 
     found = solve_ivp(slope, (0, TIME_s[-1]), [0.0, 0.0], t_eval=TIME_s, rtol=1e-8, atol=1e-10, max_step=0.01)
     return np.asarray(found.y[0])
-
-
-@pytest.mark.parametrize("kind", slow_but(KINDS, *KINDS[::6]))
-def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind: type[JointEffect]) -> None:
-    robot = pendulum(limit_Nm=0.6)
-    heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))
-    log = motion(TIME_s, 0 * TIME_s, 1.2 * np.sin(6 * TIME_s), temperature=heat)
-    model = SimulationResiduals(robot, [log], n_threads=1)
-    effect = at_swing(kind, robot)
-    typical = np.array([size.typical for size in effect.sizes])
-    found = model.residuals([effect], np.array([0 * typical, typical]))
-    assert np.array_equal(found[0], model.residuals([], np.zeros((1, 0)))[0])
-    assert not np.array_equal(found[0], found[1])
 
 
 @pytest.mark.parametrize(

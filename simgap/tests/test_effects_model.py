@@ -107,27 +107,6 @@ def test_axes_across_gravity_are_level_for_any_direction_of_gravity():
         np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
-        Payload("elbow", "tool", 0.1, 1.0, 0.2),
-        LinkMass("lift", 0.3),
-        LinkCentre("lift", 0.1),
-        LinkInertia("pan", -1e-4, 0.1),
-        LinkLength("lift", "elbow", LENGTH_M),
-        GravityDirection("base"),
-    ],
-    ids=lambda effect: effect.name,
-)
-def test_a_size_of_zero_changes_no_bit_beside_a_simulation_with_the_effect(effect):
-    number = len(effect.sizes)
-    typical = [one.typical for one in effect.sizes]
-    batch = changed(ARM, (effect,), [[0.0] * number, typical])
-    for sim, is_nominal in ((0, True), (1, False)):
-        equal = np.array_equal(inverse_Nm(batch.get_model(sim), seed=6), inverse_Nm(ARM.model, seed=6))
-        assert equal == is_nominal
-
-
 def swing(batch, start_rad, n_steps):
     batch.qpos[:] = start_rad
     batch.rollout(n_steps, None, record=("qpos",))

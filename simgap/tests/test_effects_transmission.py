@@ -117,16 +117,6 @@ def test_a_reversal_loses_the_time_in_which_the_rotor_crosses_the_backlash():
     assert away.max() < 0.3
 
 
-@pytest.mark.parametrize("effect", [backlash("lift", 1), compliance("lift", 1)], ids=lambda one: one.name)
-def test_a_size_of_zero_changes_no_bit_of_the_motion(effect):
-    time_s = PERIOD_S * np.arange(300)
-    command = np.stack((0.5 * np.sin(3 * time_s), 0.3 * np.cos(2 * time_s), 0.4 * np.sin(time_s)), axis=1)
-    plain = simulate(ARM, (), [[]], command, command[0])
-    varied = simulate(ARM, (effect,), [[0.0], [effect.sizes[0].typical]], command, command[0])
-    np.testing.assert_array_equal(varied[0], plain[0])
-    assert np.abs(varied[1, 1] - plain[0, 1]).max() > 1e-4
-
-
 def test_backlash_and_compliance_at_one_joint_act_in_series_in_either_order():
     time_s = PERIOD_S * np.arange(300)
     command = np.stack((0 * time_s, 0.4 * np.sin(8 * time_s), 0 * time_s), axis=1)

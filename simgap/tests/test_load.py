@@ -248,14 +248,12 @@ def test_a_name_that_is_too_long_and_a_folder_are_refused(tmp_path, robot):
         load(robot, tmp_path / "log.csv")
 
 
-def test_a_file_of_another_kind_and_no_file_at_all_are_refused(tmp_path, robot):
+def test_a_file_of_another_kind_is_refused(tmp_path, robot):
     (tmp_path / "log.mat").write_text("x")
     with pytest.raises(
         RobotError, match=r"is no log by its suffix; name a file that ends in one of \.parquet"
     ):
         load(robot, tmp_path / "log.mat")
-    with pytest.raises(RobotError, match="logs: none is given; name at least one log file"):
-        load(robot, [])
 
 
 SPLIT = """default = "first"
@@ -308,13 +306,6 @@ def test_a_motion_in_no_part_of_a_split_takes_no_part(tmp_path):
     found = load(tmp_path / "robot.toml", [tmp_path / "log.parquet", tmp_path / "third.parquet"])
     assert names(found.motions) == ["slow", "fast"]
     assert found.losses == ("1 motion is left out, because no part of the split 'first' has it: third",)
-
-
-def test_a_split_without_a_split_file_is_an_error(tmp_path):
-    write_robot(tmp_path)
-    write_parquet(tmp_path)
-    with pytest.raises(RobotError, match="split 'first': the robot file names no split file"):
-        load(tmp_path / "robot.toml", tmp_path / "log.parquet", split="first")
 
 
 @pytest.mark.parametrize(

@@ -37,9 +37,5 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
         _ = simgap.Robbot
 
 
-def test_the_module_runs_the_command_line():
-    assert "Usage: simgap" in run_python("-m", "simgap", "--help")
-
-
 def test_the_version_is_told(tmp_path):
     assert run_simgap(tmp_path, "--version").stdout.startswith("simgap ")

@@ -164,11 +164,6 @@ def test_a_driven_joint_that_has_no_table_is_refused(tmp_path):
         Robot.from_toml(tmp_path / "robot.toml")
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(RobotError, match=r"robot\.toml: cannot be read \(No such file or directory\)"):
-        Robot.from_toml(tmp_path / "robot.toml")
-
-
 TABLES = {
     "Robot": robot_file.RobotFile,
     "`[time]`": robot_file.TimeTable,

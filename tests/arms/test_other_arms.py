@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
@@ -27,7 +27,7 @@ from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
 from sim.arms import arm_named
 from sim.frames import P_NR_M, approach_from, random_targets
-from sim.initialisation import prepare_random_homing
+from sim.initialisation import initialise_joints
 from sim.placement import preview_placement
 from sim.plant import Plant
 from sim.sequence import Outcome
@@ -80,17 +80,22 @@ def test_inverse_kinematics_lead_back_to_their_targets(tool: str) -> None:
     np.testing.assert_allclose(X.R[:, 0], approach[:, targets], atol=1e-6)
 
 
-@pytest.mark.parametrize("joint", [pytest.param(j, marks=pytest.mark.slow) for j in HARDSTOP_ORDER])
-def test_each_joint_of_a_built_arm_finds_its_hardstop(joint: Joint) -> None:
-    result = prepare_random_homing(arm_named(f"{NAME}/as-built:3"), joint, MARS, seed=0).finish()
-    assert result.outcome is Outcome.DONE
-    assert abs(result.stops[-1].zero_error_rad) < MOST_HOMING_ERROR_RAD
-    assert result.max_torque_Nm[joint] < PARAMS.joints.in_order()[joint].hardstop_rated_Nm
-
-
 @pytest.mark.slow
-def test_a_calibrated_one_places_its_instrument() -> None:
+def test_a_calibrated_one_finds_its_hardstops_and_places_its_instrument(monkeypatch) -> None:
+    homed = []
+
+    def initialise_and_keep(arm, seed):
+        for one in initialise_joints(arm, seed=seed):
+            homed.append(one)
+            yield one
+
+    monkeypatch.setattr("marsarm.runs.execution.initialise_joints", initialise_and_keep)
     report = place(PlaceRequest(arm=f"{NAME}/calibrated:1", files=RunFiles()))
+    assert [one.stops[-1].joint for one in homed] == list(HARDSTOP_ORDER)
+    for one in homed:
+        (stop,) = one.stops
+        assert abs(stop.zero_error_rad) < MOST_HOMING_ERROR_RAD
+        assert one.max_torque_Nm[stop.joint] < PARAMS.joints.in_order()[stop.joint].hardstop_rated_Nm
     result = report.execution.result
     assert report.tool == MODEL.description.instrument
     assert result.outcome is Outcome.DONE

@@ -159,7 +159,7 @@ def test_the_same_seed_gives_the_same_case() -> None:
 
 @pytest.mark.slow
 def test_motions_with_the_commands_of_others_are_not_fitted() -> None:
-    robot, logs, _ = draw_case(0, "single", "two_joint")
+    robot, logs, _ = draw_case(0, "single", "pendulum")
     try:
         found = diagnose(robot, exchange_commands(logs.motions, 0), seed=0)
     except RobotError:

@@ -11,6 +11,8 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 
+from validation.documents import read_steps
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted({path.stem for path in (ROOT / "examples").glob("*.py")} - {"samples"})  # it draws nothing
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
@@ -115,31 +117,55 @@ def test_a_diagnosis_finds_the_link_and_its_length(tmp_path):
     assert length_m == pytest.approx(0.006, rel=0.1)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "printed"),
-    [
-        ("arm", r"identical: True\njoints\.elbow\.gear_stiffness_Nm_rad: 100000\.0 is 80000\.0 now"),
-        ("gap", r"Where: elbow\.\nWhat: command delay at elbow \(delay_s = 0\.0(29|30)"),
-    ],
-)
-def test_the_cells_of_a_notebook_run_and_print_the_result(name, printed, tmp_path):
-    (tmp_path / "models").symlink_to(ROOT / "models")
-    (tmp_path / "examples").mkdir()
+def run_notebook(name: str, folder: Path, before: str = "", *after: str) -> str:
+    """Run the cells of a notebook where it would stand in a clone, and return what is printed."""
+    (folder / "models").symlink_to(ROOT / "models")
+    (folder / "examples").mkdir()
     samples = (ROOT / "examples" / "samples.py").read_text()
     shorter = samples.replace("np.arange(0.0, 3.0, 0.01)", "np.arange(0.0, 1.5, 0.01)")
-    (tmp_path / "examples" / "samples.py").write_text(shorter)
-    folder = tmp_path / "docs" / "notebooks"
-    folder.mkdir(parents=True)
-    found = run_python(["-c", "\n".join(cells_of(name))], folder, "template")  # which shows nothing
-    assert re.search(printed, found)
-    assert re.search(printed, "".join(outputs_of(name)))
+    (folder / "examples" / "samples.py").write_text(shorter)
+    place = folder / "docs" / "notebooks"
+    place.mkdir(parents=True)
+    program = "\n".join([before, *cells_of(name), *after])
+    return run_python(["-c", program], place, "template")  # which shows no figure
+
+
+@pytest.mark.slow
+def test_the_notebook_of_the_arm_runs_and_prints_its_result(tmp_path):
+    printed = r"identical: True\njoints\.elbow\.gear_stiffness_Nm_rad: 100000\.0 is 80000\.0 now"
+    assert re.search(printed, run_notebook("arm", tmp_path))
+    assert re.search(printed, "".join(outputs_of("arm")))
+
+
+DIAGNOSE_ONCE = """
+import pickle
+import simgap
+diagnose_anew, made = simgap.diagnose, {}
+def diagnose_once(robot, motions, **options):
+    asked = pickle.dumps((motions, options))
+    if asked not in made:
+        made[asked] = diagnose_anew(robot, motions, **options)
+    return made[asked]
+simgap.diagnose = diagnose_once
+"""
+"""The notebook and the page ask for the same diagnosis, which takes half a minute."""
+
+
+@pytest.mark.slow
+def test_the_notebook_of_a_gap_and_the_blocks_of_the_pages_run_and_print_the_result(tmp_path):
+    blocks = [one.text for one in read_steps() if one.kind == "python" and "from simgap" in one.text]
+    assert len(blocks) == 2
+    found = run_notebook("gap", tmp_path, DIAGNOSE_ONCE, *blocks, 'print(len(made), "diagnoses")')
+    printed = r"Where: elbow\.\nWhat: command delay at elbow \(delay_s = 0\.0(29|30)"
+    assert len(re.findall(printed, found)) == 2
+    assert re.search(printed, "".join(outputs_of("gap")))
+    assert found.endswith("\n2 diagnoses\n")  # of base parameters alone, and of effects
 
 
 def test_every_example_and_every_notebook_has_a_test():
     text = Path(__file__).read_text()
     assert all(f'run_example("{name}", tmp_path)' in text for name in SCRIPTS)
-    assert all(f'("{path.stem}", r"' in text for path in NOTEBOOKS)
+    assert all(f'run_notebook("{path.stem}", tmp_path' in text for path in NOTEBOOKS)
 
 
 def test_the_names_in_the_snippets_and_tables_of_the_page_exist():

@@ -4,8 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import marsarm
 from simgap.common.names import list_names
 from tests.marsarm.command import ROOT
@@ -31,15 +29,3 @@ def test_no_name_is_that_of_a_module_which_would_hide_it():
 def test_an_import_loads_nothing_before_a_name_is_used():
     ask = "import sys, marsarm; print([name for name in ('numpy', 'mujoco', 'fsw') if name in sys.modules])"
     assert run_python(ask) == "[]"
-
-
-def test_a_name_that_does_not_exist_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'marsarm' has no attribute 'ClosedLop'"):
-        _ = marsarm.ClosedLop
-
-
-def test_the_module_runs_the_command_line():
-    done = subprocess.run(
-        [sys.executable, "-m", "marsarm", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert "Usage: marsarm" in done.stdout

@@ -9,13 +9,12 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
-from helpers.marks import slow_but
 from sim.arms import nominal_params
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
-from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
+from sim.effects.structure import LinkMass, LinkStiffness
 from sim.plant import Plant
 from sim.setting import WARM_C, World
 from tests.sim import lab
@@ -27,7 +26,7 @@ SCREW = (0.011, -0.007, 0.013, 0.004, -0.006, 0.005)
 FRAMES = [(frame, None) for frame in Frame if frame is not Frame.TOOL] + [
     (Frame.TOOL, tool) for tool in TOOLS
 ]
-SPRING_FRAMES = [Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5]
+
 TILTED_EARTH = lab.tilted_world(15, -10, "earth")
 
 
@@ -63,31 +62,12 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
     return worst
 
 
-def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:
-    """Return the distances of the settled tools from flight statics, on a tilted rover on Earth."""
-    error = np.zeros(5) if motor_error_rad is None else motor_error_rad
-    lab.load(plant, lab.LEFT_RAD - error, duration_s=2.0, rest_s=2.0)
-    gravity_N_m_s2 = TILTED_EARTH.gravity_N_m_s2
-    expected = settle(arm, plant.motor_rad() + error, plant.backlash_rad(), gravity_N_m_s2)
-    apart = [
-        plant.truth().p_RoTo_R_m[tool_index(tool)] - tool_pose(arm, expected.frames, tool).p for tool in TOOLS
-    ]
-    return float(np.linalg.norm(apart, axis=1).max())
-
-
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
 def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(frame, tool):
     effect = FrameError(frame, SCREW, tool)
     plant = build(effect)
     assert rigid_difference_m(plant, NOMINAL) > 1e-3
     assert rigid_difference_m(plant, build_arm(params_with(effect))) < 1e-12
-
-
-@pytest.mark.parametrize(("frame", "tool"), FRAMES)
-def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(frame, tool):
-    """Springs and masses that move with the frame in the plant do so in the flight parameters."""
-    effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
-    assert rest_difference_m(build(effect, world=TILTED_EARTH), build_arm(params_with(effect))) < 1e-6
 
 
 def drawn_stops(params: Params) -> lab.Array:
@@ -117,30 +97,6 @@ def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
     np.testing.assert_allclose(believed / drawn, np.where(np.arange(5) == joint, 0.6, 1.0))
-
-
-SAGGING = [
-    *((LinkStiffness(frame, 0.6), 3e-4, 1e-7) for frame in SPRING_FRAMES),
-    *((LinkMass(frame, 1.3, (0.02, -0.03, 0.04)), 1e-4, 1e-7) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
-    *((StandInTurret(mass_kg), 1e-3, 1e-6) for mass_kg in (0.0, 8.0, 19.0)),
-]
-
-
-@pytest.mark.parametrize(("effect", "least_m", "most_m"), slow_but(SAGGING, *SAGGING[::3]))
-def test_an_arm_of_other_stiffness_or_mass_sags_otherwise_as_flight_software_then_says(
-    effect, least_m, most_m
-):
-    plant, nominal = build(effect, world=TILTED_EARTH), lab.plant()
-    more_kg = plant.model.body_mass.sum() - nominal.model.body_mass.sum()
-    if isinstance(effect, StandInTurret):
-        assert more_kg == pytest.approx(effect.mass_kg - 30.0, abs=1.1e-4)
-        turret = plant.model.body("turret").id
-        for_each_kg = [m.body_inertia[turret] / m.body_mass[turret] for m in (plant.model, nominal.model)]
-        np.testing.assert_allclose(*for_each_kg, rtol=1e-12)
-    else:
-        assert more_kg > 1.0 or isinstance(effect, LinkStiffness)
-    assert rest_difference_m(plant, NOMINAL) > least_m
-    assert rest_difference_m(plant, build_arm(params_with(effect))) < most_m
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])

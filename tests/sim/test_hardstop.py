@@ -68,15 +68,6 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joint", Joint)
-def test_an_as_built_joint_in_the_cold_finds_its_zero(joint):
-    result = run_to_end(prepare_homing(arm_named("as-built:3"), joint, World(), effects=(Ambient(COLD_C),)))
-    assert abs(result.stops[0].zero_error_rad) < 0.3e-3
-    # without wind-up it would be milliradians
-    assert abs(result.stops[0].uncorrected_error_rad) > 1e-3
-
-
-@pytest.mark.slow
 def test_a_joint_repeats_on_other_days_and_with_another_seed():
     elbow = [prepare_random_homing(arm_named("as-built:1"), Joint.ELBOW, World(), seed) for seed in range(3)]
     errors = [run_to_end(run).stops[0].zero_error_rad for run in elbow]

@@ -39,6 +39,7 @@ DIAGNOSIS_SEED: Final = 1
 """Seed of the diagnosis, independent of that of the cases."""
 KIND_SHARES: Final[dict[Kind, float]] = {"none": 0.3, "single": 0.3, "pair": 0.2, "outside": 0.2}
 """Shares of all cases: 36, 36, 24 and 24 of 120."""
+QUIET_SHARES: Final[dict[Kind, float]] = {"none": 1.0, "single": 0.0}
 TUNING_SEEDS: Final = 1000
 """Seeds of cases below this are for tuning."""
 
@@ -58,8 +59,8 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     """Cases of some robots."""
 
     models: tuple[str, ...] = tuple(ARMS)
-    test_rates: bool = True
-    """False if the cases are too few for rates: then only a false alarm counts."""
+    is_quiet: bool = False
+    """True if no case has an effect: then no false alarm is allowed."""
     kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
     case_type: ClassVar[type[SealedCase]] = SealedCase
     is_audited: ClassVar[bool] = False
@@ -74,7 +75,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
     ) -> tuple[SealedCase, ...]:
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
-        plans = plan_robot_cases(cases, seed, self.models, self.kinds)
+        plans = plan_robot_cases(cases, seed, self.models, QUIET_SHARES if self.is_quiet else self.kinds)
         jobs = [(folder / sealed.SEALED_FOLDER / f"{one.name}.json", self, one) for one in plans]
         progress(0, len(jobs), "drawing")
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
@@ -92,12 +93,11 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         return drafts
 
     def draw_case(self, plan: PlannedRobotCase) -> SealedCase:
-        """Draw a case, with the equivalents of its effects if rates are tested."""
+        """Draw a case, with the equivalents of its effects."""
         truth = draw_truth(plan.seed, plan.kind, plan.model)
-        campaign = make_campaign(plan.seed, plan.model)
-        entries = entries_of(campaign.robot)
+        entries = entries_of(load_robot(plan.model))
         equivalents = tuple(
-            find_equivalents(campaign, one, entries) if self.test_rates else () for one in truth.effects
+            find_equivalents(make_campaign(plan.seed, plan.model), one, entries) for one in truth.effects
         )
         return SealedCase(plan.name, truth, equivalents)
 
@@ -113,8 +113,8 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
 
     def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
         found = score_cases(solved)
-        is_quiet = not found.document["bars"]["false alarms"]["hits"]
-        return found if self.test_rates else CaseScore(found.document, found.tables, is_quiet)
+        has_alarms = found.document["bars"]["false alarms"]["hits"] > 0
+        return CaseScore(found.document, found.tables, not has_alarms) if self.is_quiet else found
 
 
 def find_robot_file(folder: Path, case: str) -> Path:
@@ -233,13 +233,13 @@ def campaign(
     step: str = "all",
     partial: bool = False,
     robots: str = ",".join(ARMS),
-    test_rates: bool = True,
+    quiet: bool = False,
 ) -> Document:
     """Make, solve and score sealed cases of robots, named with commas, as `run_steps` does.
 
-    They are in robot-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning. Of few
-    cases the rates are not tested: then only a false alarm counts.
+    They are in robot-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning. Few
+    cases cannot show rates. Quiet ones have no effect and are not kept, and no false alarm is allowed.
     """
     context = replace(context, seed=max(context.seed, 1))
-    maker = RobotCases(tuple(robots.split(",")), test_rates)
-    return sealed.run_steps(context, maker, cases, step, partial, is_kept=test_rates)
+    maker = RobotCases(tuple(robots.split(",")), quiet)
+    return sealed.run_steps(context, maker, cases, step, partial, is_kept=not quiet)

@@ -116,6 +116,8 @@ def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
 
 def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
     """Draw the effects and the nuisances of a case; two effects differ in place or in family."""
+    if not COUNTS[kind]:
+        return make_truth(seed, kind, model, ())
     campaign = make_campaign(seed, model)
     rng = np.random.default_rng([seed, 2, list(MODELS).index(model)])
     entries = OUTSIDE if kind == "outside" else entries_of(campaign.robot)

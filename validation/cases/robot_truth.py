@@ -207,19 +207,26 @@ class _Motion:
         self, plant: Plant, commands: Array, period_s: float, seed: int, temperature: tuple[float, float]
     ) -> None:
         self.plant, self.period_s = plant, period_s
-        self.data = mujoco.MjData(plant.model)
+        self.data = data = mujoco.MjData(plant.model)
+        self.q, self.v, self.applied_Nm = data.qpos, data.qvel, data.qfrc_applied
         self.n = commands.shape[1]
-        self.temperature = temperature
-        self.run = Run(plant.step_s, np.random.default_rng(seed), model=plant.model, data=self.data)
+        self.run = Run(plant.step_s, np.random.default_rng(seed), model=plant.model, data=data)
         joints = plant.robot.joints
-        self.law = [
+        law = [
             (joint.kp_Nm_rad * gain, joint.kd_Nms_rad * gain, joint.torque_limit_Nm)
             for joint, gain in zip(joints, plant.gain, strict=True)
         ]
-        self.delay = [self._total("command_delay_s", j) for j in range(len(joints))]
+        hooks = [self._collect(name) for name in ("shows", "command", "error", "servo", "limited")]
+        self.joints = list(zip(range(len(joints)), law, *hooks, strict=True))
+        before, steps = (round(time_s / plant.step_s) for time_s in (SETTLE_S, (self.n - 1) * period_s))
+        self.times_s = np.arange(-before, steps + 1) * plant.step_s
+        share = np.clip(self.times_s / ((self.n - 1) * period_s), 0.0, 1.0)
+        self.heat_degC = temperature[0] + share * (temperature[1] - temperature[0])
+        self.held = np.array(
+            [self._hold(row, self._total("command_delay_s", j)) for j, row in enumerate(commands)]
+        )
         self.late = [self._total("log_delay_s", j) for j in range(len(joints))]
-        self.commands = [row.tolist() for row in commands]
-        self.hooks = {name: self._collect(name) for name in ("command", "error", "servo", "limited", "shows")}
+        self.first = commands[:, 0].tolist()
         self.frictions = self._list("friction_Nm")
         self.torques = self._list("torque_Nm")
         self.gears = [(j, *gear) for j, gear in enumerate(plant.gear) if gear is not None]
@@ -245,79 +252,51 @@ class _Motion:
                 row.append(hook)
         return found
 
-    def _held(self, j: int, time_s: float) -> float:
-        """Return the mean of the held command over a physics step: a delay need not be a number of steps."""
-        row, last = self.commands[j], self.n - 1
-        end = (time_s + self.run.step_s - self.delay[j]) / self.period_s
-        k = min(max(math.floor(end), 0), last)
-        share = (end - k) * self.period_s / self.run.step_s
-        if share >= 1.0 or k == 0:
-            return float(row[k])
-        return float(share * row[k] + (1.0 - share) * row[k - 1])
+    def _hold(self, row: Array, delay_s: float) -> Array:
+        """Return the mean of the held command over each step: a delay need not be a number of steps."""
+        step_s = self.plant.step_s
+        end = (self.times_s + step_s - delay_s) / self.period_s
+        k = np.clip(np.floor(end).astype(int), 0, self.n - 1)
+        share = (end - k) * self.period_s / step_s
+        held = np.where((share >= 1.0) | (k == 0), row[k], share * row[k] + (1.0 - share) * row[k - 1])
+        return np.asarray(held)
 
     def simulate(self) -> Array:
-        run, plant, data = self.run, self.plant, self.data
-        n_joints = len(plant.robot.joints)
-        first = [row[0] for row in self.commands]
+        run, plant, data, first = self.run, self.plant, self.data, self.first
         data.qpos[plant.qpos] = first
         mujoco.mj_forward(plant.model, data)
-        run.q, run.v, run.shown = list(first), [0.0] * n_joints, list(first)
-        run.command, run.motor_Nm, run.load_Nm = list(first), [0.0] * n_joints, [0.0] * n_joints
+        run.q, run.v, run.shown = first[:], [0.0] * len(first), first[:]
+        run.command, run.motor_Nm, run.load_Nm = first[:], [0.0] * len(first), [0.0] * len(first)
         for effect in plant.effects:
             effect.begin(run)
-        before = round(SETTLE_S / run.step_s)
-        steps = round((self.n - 1) * self.period_s / run.step_s)
-        seen = np.empty((before + steps + 1, n_joints))
-        for k in range(before + steps + 1):
-            self._step((k - before) * run.step_s)
-            seen[k] = run.shown
+        inputs = zip(self.times_s.tolist(), self.heat_degC.tolist(), self.held.T.tolist(), strict=True)
+        seen = np.array([self._step(*one) for one in inputs])
         if not np.isfinite(seen).all() or np.abs(seen).max() > 1e3 or data.warning.number.any():
             raise FloatingPointError("the truth diverged")
-        times = (np.arange(before + steps + 1) - before) * run.step_s
         wanted = np.arange(self.n) * self.period_s
-        rows = [np.interp(wanted - late, times, seen[:, j]) for j, late in enumerate(self.late)]
+        rows = [np.interp(wanted - late, self.times_s, seen[:, j]) for j, late in enumerate(self.late)]
         return np.asarray(rows)
 
-    def _step(self, time_s: float) -> None:
-        """Read the encoders, compute all torques, and advance by a physics step."""
-        run, plant, data, hooks = self.run, self.plant, self.data, self.hooks
-        run.time_s = time_s
-        share = min(max(time_s / ((self.n - 1) * self.period_s), 0.0), 1.0)
-        run.temperature_degC = self.temperature[0] + share * (self.temperature[1] - self.temperature[0])
-        run.q = data.qpos[plant.qpos].tolist()
-        run.v = data.qvel[plant.dof].tolist()
+    def _step(self, time_s: float, heat_degC: float, held: list[float]) -> list[float]:
+        """Advance by a physics step, and return what the encoders showed before it."""
+        run, plant, data = self.run, self.plant, self.data
+        run.time_s, run.temperature_degC = time_s, heat_degC
+        q, v = self.q.tolist(), self.v.tolist()
+        run.q = [q[k] for k in plant.qpos]
+        run.v = [v[k] for k in plant.dof]
         for j, position, speed in self.gears:
-            run.q[j] += float(data.qpos[position])
-            run.v[j] += float(data.qvel[speed])
+            run.q[j] += q[position]
+            run.v[j] += v[speed]
         if self.knows_load:
             self._update_load()
-        for j, (kp, kd, limit) in enumerate(self.law):
-            shown, rate = run.q[j], run.v[j]
-            for hook in hooks["shows"][j]:
-                shown = hook(run, shown)
-            if hooks["shows"][j]:  # a servo knows its speed from its encoder
-                rate = (shown - run.shown[j]) / run.step_s if data.time > 0.0 else 0.0
-            run.shown[j] = shown
-            command = self._held(j, time_s)
-            for hook in hooks["command"][j]:
-                command = hook(run, command)
-            run.command[j] = command
-            error = command - shown
-            for hook in hooks["error"][j]:
-                error = hook(run, error)
-            torque = kp * error - kd * rate
-            for hook in hooks["servo"][j]:
-                torque = hook(run, torque)
-            torque = min(max(torque, -limit), limit)
-            for hook in hooks["limited"][j]:
-                torque = hook(run, torque, limit)
-            run.motor_Nm[j] = torque
-        external = [0.0] * len(self.law)
+        self._control(held)
+        external = [0.0] * len(held)
         for j, hook in self.torques:
             external[j] += hook(run)
-        data.qfrc_applied[plant.dof] = [a + b for a, b in zip(run.motor_Nm, external, strict=True)]
+        for dof, motor_Nm, other_Nm in zip(plant.dof, run.motor_Nm, external, strict=True):
+            self.applied_Nm[dof] = motor_Nm + other_Nm
         for j, _, speed in self.gears:
-            data.qfrc_applied[speed] = external[j]
+            self.applied_Nm[speed] = external[j]
         if self.frictions:
             dry = plant.dry_Nm.copy()
             for j, hook in self.frictions:
@@ -326,6 +305,31 @@ class _Motion:
         for _, hook in self.acts:
             hook(run)
         mujoco.mj_step(plant.model, data)
+        return run.shown[:]
+
+    def _control(self, held: list[float]) -> None:
+        """Read the encoders, and compute the torques of the motors."""
+        run = self.run
+        for j, (kp, kd, limit), shows, commands, errors, servos, limits in self.joints:
+            shown, rate, command = run.q[j], run.v[j], held[j]
+            for hook in shows:
+                shown = hook(run, shown)
+            if shows:  # a servo knows its speed from its encoder
+                rate = (shown - run.shown[j]) / run.step_s if self.data.time > 0.0 else 0.0
+            run.shown[j] = shown
+            for hook in commands:
+                command = hook(run, command)
+            run.command[j] = command
+            error = command - shown
+            for hook in errors:
+                error = hook(run, error)
+            torque = kp * error - kd * rate
+            for hook in servos:
+                torque = hook(run, torque)
+            torque = min(max(torque, -limit), limit)
+            for hook in limits:
+                torque = hook(run, torque, limit)
+            run.motor_Nm[j] = torque
 
     def _update_load(self) -> None:
         data, dof = self.data, self.plant.dof

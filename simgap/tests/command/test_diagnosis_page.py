@@ -3,9 +3,7 @@
 import json
 import re
 from dataclasses import replace
-from itertools import combinations
 
-import numpy as np
 import pytest
 
 import simgap.command.diagnosis as execution
@@ -61,42 +59,6 @@ def test_the_page_opens_with_the_four_lines_then_the_origin(tmp_path):
     assert "<dd>lift.</dd>" in verdict
     assert text.index(verdict) < text.index('<dl class="origin">') < text.index("<h2>Which effects</h2>")
     assert "simgap diagnose" in text
-
-
-VISION = {
-    "normal": np.eye(3),
-    "protan": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-    "deutan": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-    ),
-    "tritan": np.array(
-        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
-    ),
-}
-"""What colours become for people who lack a kind of cone, in linear RGB (Machado et al. 2009)."""
-CLEAR = 20.0
-"""Distance of two colours in CIELAB that thin lines need: some nine just noticeable ones."""
-
-
-def lab(colour, vision):
-    """Return a colour as CIELAB has it, for a kind of vision."""
-    rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    xyz = to_xyz @ np.clip(vision @ linear, 0, 1) / [0.9505, 1.0, 1.089]
-    x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
-@pytest.mark.parametrize("vision", VISION)
-def test_colours_of_series_are_told_apart_by_colour_blind_readers(tmp_path, scheme, vision):
-    text = text_of(tmp_path)
-    names = ("paper", "ink", "muted", "nominal", "explained")
-    colours = [lab(re.findall(rf"--{name}: (#\w+)", text)[scheme], VISION[vision]) for name in names]
-    assert min(np.linalg.norm(one - other) for one, other in combinations(colours, 2)) > CLEAR
 
 
 def test_the_page_asks_for_nothing(tmp_path):

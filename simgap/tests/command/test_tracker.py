@@ -81,11 +81,6 @@ def test_nested_shows_what_each_term_explains(ended):
     assert "hysteresis" in done.stdout
 
 
-def test_the_page_opens_with_the_verdict(ended):
-    page = (ended[0] / "page.html").read_text()
-    assert page.index("<dt>Where</dt>") < page.index("How far the error shrinks")
-
-
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [

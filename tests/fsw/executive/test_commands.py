@@ -40,7 +40,6 @@ from tests.fsw.executive.lab import (
     START,
     TOUCHED,
     TOUCHING,
-    being_stopped_by_a_fault,
     deployed,
     guarded_in_contact,
     guarded_moving,
@@ -293,13 +292,6 @@ def test_with_readings_that_cannot_be_used_nothing_begins(kind):
     assert rig.state.move is None
     assert rig.state.sequence is None
     assert rig.state.joints.reference is reference
-
-
-@pytest.mark.parametrize("command", [Stop(), ClearFault()], ids=["stop", "clear"])
-def test_no_command_takes_the_arm_out_of_a_fault_while_it_is_being_stopped(command):
-    rig = being_stopped_by_a_fault()
-    rig.run(command)
-    assert rig.state.mode is Mode.FAULTED
 
 
 @pytest.mark.parametrize(

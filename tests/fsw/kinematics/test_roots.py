@@ -10,20 +10,14 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import (
-    BEND,
     MOST_MISSING_M,
     TASK_TOLERANCE,
-    find_straight,
     refine_roots,
-    root_tolerance,
-    solve_fixed_point,
-    solve_straight,
 )
 from fsw.kinematics.statics import evaluate_pose, settle, settle_output, task_error, task_jacobian
-from fsw.kinematics.transforms import dot, select_targets, wrap_angle
+from fsw.kinematics.transforms import select_targets
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import (
-    GRAVITIES,
     assert_consistent,
     assert_no_root_twice,
     assert_roots_meet,
@@ -76,28 +70,6 @@ def test_newton_solves_the_arm_at_rest_and_tells_the_error_that_is_left(name, gr
     assert gravity.any() or not found.torque_Nm.any()
 
 
-def test_a_tool_that_points_the_other_way_is_no_root():
-    config = config_of()
-    q, p, a = deflected_targets(config, "drill", 30, RIGID)
-    found = refine_roots(config.arm, "drill", p, -a, RIGID, q)
-    X = tool_pose(config.arm, forward(config.arm, found.output_rad), "drill")
-    faces = dot(X.R[:, 0], -a) > 0.999
-    assert not (found.converged & ~faces).any()
-    assert (np.abs(task_error(X, p, X.R[:, 0])[3:]) < 1e-15).all()
-    assert (np.abs(task_error(X, p, -X.R[:, 0])[3:]).max(axis=0) >= 1.0).all()
-
-
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
-def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
-    config = config_of(name)
-    q, p, a = deflected_targets(config, "apxs", 20, MARS_R_m_s2)
-    for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
-        found = refine_roots(config.arm, "apxs", far, a, gravity, q)
-        assert not found.converged.any()
-        assert (found.error[np.isfinite(found.error)] > 0.1).all()
-
-
 def test_the_task_jacobian_agrees_with_finite_differences():
     config, h = config_of("calibrated:3"), 1e-6
     q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
@@ -140,48 +112,7 @@ def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_
     np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
 
 
-CLEAR = [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:3", "tilted")]
-N_CLEAR = 200
-FAR, ALL = np.ones(N_CLEAR), np.ones(N_CLEAR, bool)
-
-
-def clear_targets(name, gravity):
-    trial = trial_of(name, gravity, "apxs")
-    q = in_limits(config_of(), np.random.default_rng(1), N_CLEAR, shrink=0.1)
-    q[2] = np.where(np.abs(q[2]) < 0.6, 0.8, q[2])
-    boresight = trial.arm.orthogonal["apxs"].clock_rad
-    q[4] = np.random.default_rng(2).uniform(0.2, 1.0, N_CLEAR) - boresight
-    X = trial.tool_pose(q)
-    pull = np.zeros(3) if trial.gravity_R_m_s2 is None else trial.gravity_R_m_s2
-    return trial, pull, q, X.p, X.R[:, 0]
-
-
-@pytest.mark.parametrize(("name", "gravity"), CLEAR)
-def test_from_beside_a_clear_pose_iterations_lead_to_it(name, gravity):
-    trial, pull, q, p, a = clear_targets(name, gravity)
-    roots = solve_fixed_point(trial.arm, "apxs", p, a, pull, q + 0.005, FAR, ALL)
-    good = roots.followed & (roots.error < root_tolerance(pull))
-    assert good.mean() > 0.9
-    X = trial.tool_pose(roots.output_rad[:, good])
-    assert np.abs(task_error(X, p[:, good], a[:, good])).max() < 5 * root_tolerance(pull)
-    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0)[good], 0.95) < 1e-5
-
-
-def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
-    trial, pull, q, *_ = clear_targets("nominal", "mars")
-    q = q.copy()
-    q[0] = trial.arm.soft_max_rad[0] + 0.3
-    X = trial.tool_pose(q)
-    roots = solve_fixed_point(trial.arm, "apxs", X.p, X.R[:, 0], pull, q, FAR, ALL)
-    assert not roots.followed.any()
-    # the first iteration gives a rough estimate
-    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
-
-
 N_STRAIGHT = 300
-CASES = pytest.mark.parametrize(
-    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:16", "tilted")]
-)
 
 
 def straight_poses(name, gravity):
@@ -193,7 +124,9 @@ def straight_poses(name, gravity):
     return solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
 
 
-@CASES
+@pytest.mark.parametrize(
+    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:16", "tilted")]
+)
 def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_arm_does_not_reach(
     name, gravity
 ):
@@ -207,23 +140,6 @@ def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_
     beyond = (solved.result.verdict == BranchVerdict.VALID) & (missing > 0)
     assert beyond.sum() > 5
     assert missing[beyond].max() < MOST_MISSING_M
-
-
-@CASES
-def test_a_root_keeps_the_shoulder_and_the_wrist_of_its_start(name, gravity):
-    solved, pull = straight_poses(name, gravity), GRAVITIES[gravity]
-    roots = closed_form(solved.trial.arm, "drill", solved.p, solved.a)
-    straight = find_straight(roots)
-    assert (np.abs(roots.from_fold[1][straight]) < BEND).all()
-    gravity_R = np.zeros(3) if pull is None else pull
-    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, gravity_R, straight)
-    assert found.converged.sum() > N_STRAIGHT
-    shape = solved.trial.arm.orthogonal["drill"]
-    before, after = (
-        fold_distances(shape, q[:, found.converged])[[0, 2]] >= 0
-        for q in (roots.output_rad[:, straight], found.output_rad)
-    )
-    np.testing.assert_array_equal(before, after)
 
 
 N = 110

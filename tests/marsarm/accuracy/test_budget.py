@@ -52,17 +52,6 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
         assert total == pytest.approx(np.concatenate(by_tool).mean())
 
 
-def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
-    page = tmp_path / "budget.html"
-    rows = tuple((row, value) for row, value in report.rows if row.case == "accuracy")
-    report = replace(report, budgets={"accuracy": report.budgets["accuracy"]}, rows=rows)
-    save_report_page(budget_page(report), page)
-    text = page.read_text()
-    assert text.count("<svg ") == 2
-    met = sum(value <= row.required for row, value in report.rows)
-    assert f"Fail: {len(report.rows) - met} of {len(report.rows)} requirements are not met." in text
-
-
 def test_few_poses_show_nothing(tmp_path):
     page = tmp_path / "budget.html"
     report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000))

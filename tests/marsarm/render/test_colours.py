@@ -4,6 +4,9 @@ Matrices for linear RGB: G. Machado, M. Oliveira and L. Fernandes, "A physiologi
 simulation of color vision deficiency", IEEE TVCG 15 (2009), severity 1.
 """
 
+import re
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
@@ -21,6 +24,17 @@ JUST_NOTICEABLE = 2.3
 """Distance in CIELAB of two large patches side by side that half of the observers tell apart."""
 APART = 6 * JUST_NOTICEABLE
 """For small patches and lines that are not side by side."""
+SERIES_APART = 20.0
+"""For thin lines that lie beside each other."""
+TRACES = ("nominal", "explained")
+STYLE = "".join(
+    files("simgap").joinpath(name).read_text() for name in ("common/page.css", "report/figures.css")
+)
+SERIES = [
+    tuple(re.findall(rf"--{name}: (#\w+)", STYLE)[scheme] for name in ("paper", "ink", "muted", *TRACES))
+    for scheme in (0, 1)
+]
+"""Colours of traces and of what is behind them, in the light and the dark scheme."""
 
 
 def distances(colours: tuple[str, ...], sight: np.ndarray) -> np.ndarray:
@@ -35,8 +49,13 @@ def distances(colours: tuple[str, ...], sight: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("sight", SIGHT)
 @pytest.mark.parametrize(
-    "colours", [FRAME_COLOURS, CURVE_COLOURS, DARK_CURVE_COLOURS], ids=["frames", "curves", "dark curves"]
+    ("colours", "least"),
+    [
+        *((one, APART) for one in (FRAME_COLOURS, CURVE_COLOURS, DARK_CURVE_COLOURS)),
+        *((one, SERIES_APART) for one in SERIES),
+    ],
+    ids=["frames", "curves", "dark curves", "traces", "dark traces"],
 )
-def test_colours_are_told_apart(colours, sight):
+def test_colours_are_told_apart(colours, least, sight):
     apart = distances(colours, SIGHT[sight])
-    assert apart[np.triu_indices(len(colours), 1)].min() > APART
+    assert apart[np.triu_indices(len(colours), 1)].min() > least

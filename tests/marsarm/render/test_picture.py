@@ -157,20 +157,6 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
         assert movie.size == (80, 60)
 
 
-@pytest.mark.parametrize(
-    ("path", "complaint"), [("file.txt/scene.png", "there is no folder"), ("scene", r"must end in \.png")]
-)
-def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
-    (tmp_path / "file.txt").touch()
-    monkeypatch.setattr(picture, "unavailable_reason", lambda: pytest.fail("work was done"))
-    before = sorted(tmp_path.rglob("*"))
-
-    with pytest.raises(BadRequest, match=complaint):
-        save_picture(model, data, "front", tmp_path / path, SIZE)
-
-    assert sorted(tmp_path.rglob("*")) == before
-
-
 def test_unknown_camera_names_the_cameras_there_are(model, data, tmp_path):
     with pytest.raises(BadRequest, match="no camera 'back'; the model has: front"):
         save_picture(model, data, "back", tmp_path / "scene.png", SIZE)

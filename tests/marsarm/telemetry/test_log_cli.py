@@ -16,7 +16,6 @@ from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.tables import channels_document
 from sim.record import CycleRecord
-from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from validation.benchmarks import record_log
@@ -173,29 +172,6 @@ def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
     assert pq.read_table(files["/command"])["name"].to_pylist()[:2] == ["Stop", "GuardedMove"]
 
 
-@pytest.mark.parametrize(
-    ("out", "topics", "why"),
-    [
-        ("all.parquet", [], "one file holds one table, and 7 topics are selected; name one with --topic"),
-        ("run.txt", ["/joint"], "no such"),
-        ("nowhere/joint.csv", ["/joint"], "there is no folder"),
-        ("nowhere/tables", [], "there is no folder"),
-        ("file.txt", [], "must end in .parquet or .csv, or be a folder"),
-    ],
-)
-def test_where_nothing_can_be_written_nothing_is(
-    log: Log, tmp_path: Path, out: str, topics: list[str], why: str
-) -> None:
-    (tmp_path / "file.txt").write_text("mine")
-    if why == "no such":
-        with pytest.raises(BadRequest, match="has no topic /jiont; it has /command, /drive"):
-            export(log, tmp_path / out, ["/jiont"], no_progress)
-    else:
-        with pytest.raises(BadOutput, match=why):
-            export(log, tmp_path / out, topics, no_progress)
-    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
-
-
 def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
     chosen = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
     rad, flags = channels_document(log, chosen)["channels"]
@@ -206,10 +182,3 @@ def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
     assert (flags["min"], flags["max"]) == (0, 1)
     every = sum(len(packets.dtype.names or ()) for packets in log.packets.values())
     assert len(select_channels(log)) == every
-
-
-def test_a_pattern_that_matches_nothing_is_refused(log: Log) -> None:
-    with pytest.raises(
-        BadRequest, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log info"
-    ):
-        select_channels(log, ["/joint/mode", "/joint/moter"])

@@ -208,31 +208,29 @@ def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
 @pytest.mark.slow
 @forks
 def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path: Path) -> None:
-    rng, path, written = (
-        np.random.default_rng(54),
-        tmp_path / "run.mcap",
-        np.frombuffer(mmap(-1, 8), np.int64),
-    )
-    lost = []
-    while len(lost) < 50:
-        written[0] = 0
+    rng, path, good = np.random.default_rng(54), tmp_path / "run.mcap", tmp_path / "good.mcap"
+    cycles, written = [cycle_at(tick) for tick in range(64)], np.frombuffer(mmap(-1, 8), np.int64)
+    for _ in range(50):
+        written[0], kill_at = 0, rng.integers(CHUNK_CYCLES, 3 * CHUNK_CYCLES)
         child = os.fork()
         if child == 0:
-            recorder = Recorder(path, {})
-            while True:
-                recorder.write(cycle_at(int(written[0])))
-                written[0] += 1
-        time.sleep(rng.uniform(0.0, 0.3))
+            try:
+                recorder = Recorder(path, {})
+                while True:
+                    recorder.write(replace(cycles[written[0] % 64], tick=int(written[0])))
+                    written[0] += 1
+            finally:
+                os._exit(1)
+        while written[0] <= kill_at:
+            assert os.waitpid(child, os.WNOHANG) == (0, 0)
+            time.sleep(1e-4)
         os.kill(child, 9)
         os.waitpid(child, 0)
-        if written[0] > CHUNK_CYCLES:
-            log, good = read_log(path), path.with_name("good.mcap")
-            recover(path, good, lambda *_: None)
-            assert log.truncated
-            assert len(read_log(good)["/joint"]) == len(log["/joint"])
-            lost.append((int(written[0]) - len(log["/joint"])) / CYCLE_HZ)
-        path.unlink(missing_ok=True)
-    assert max(lost) <= 1.2
+        log = read_log(path)
+        recover(path, good, lambda *_: None)
+        assert log.truncated
+        assert len(read_log(good)["/joint"]) == len(log["/joint"])
+        assert written[0] - len(log["/joint"]) <= 1.2 * CYCLE_HZ
 
 
 def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(

@@ -16,11 +16,15 @@ from sim.effects.sensors import EncoderZero
 from sim.effects.structure import (
     LinkBending,
     LinkCreep,
+    LinkMass,
+    LinkStiffness,
     LinkTorsion,
     RoverCompliance,
+    StandInTurret,
     TurretCentre,
     TurretMass,
 )
+from sim.tolerances import SPRING_FRAMES
 from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import tool_index
@@ -155,7 +159,19 @@ def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, 
     np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
-TOLD = [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, geometry.ThermalGradient(Frame.ARM3, "z", 20.0)]
+SCREW = (0.0022, -0.0014, 0.0026, 0.0008, -0.0012, 0.001)
+FRAMES = [*((frame, None) for frame in Frame if frame is not Frame.TOOL), (Frame.TOOL, TOOL)]
+TOLD = [
+    *(geometry.FrameError(frame, SCREW, tool) for frame, tool in FRAMES),
+    *SHIFTS,
+    *TURNS[:3],
+    *SPRINGS,
+    *(LinkStiffness(frame, 0.6) for frame in SPRING_FRAMES),
+    *MASSES,
+    *(LinkMass(frame, 1.3, (0.02, -0.03, 0.04)) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
+    *(StandInTurret(mass_kg) for mass_kg in (0.0, 8.0, 19.0)),
+    geometry.ThermalGradient(Frame.ARM3, "z", 20.0),
+]
 
 
 @pytest.mark.parametrize("effect", slow_but(TOLD, *TOLD[::3]), ids=str)
