@@ -128,10 +128,6 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
 
     The search starts at the poses of the parameters.
 
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        wanted_Nm: Torques at the hardstops, shape (5,).
-
     Raises:
         NoPlan: the free angles cannot give these torques.
     """

@@ -156,7 +156,6 @@ def place_links(
     """Place the links: equation 2 of the paper, with a transform for the spring of each link.
 
     Args:
-        output_rad: Output angles of the five joints.
         strain: Spring displacements in rad and m, rotation first: a value of each link, then the next, 36.
 
     Returns:
