@@ -105,11 +105,9 @@ def sample_leg(start_rad: Array, end_rad: Array, spacing_rad: float = SWEEP_SPAC
     return np.linspace(start_rad, end_rad, samples, axis=1)
 
 
-def sweep_clearance(
-    params: Params, space: ClearanceModel, spacing_rad: float = SWEEP_SPACING_RAD
-) -> Clearance:
+def sweep_clearance(params: Params, space: ClearanceModel) -> Clearance:
     """Compute the least clearances during the hardstop initialisation."""
-    return space.clearance(sweep_poses(params, spacing_rad))
+    return space.clearance(sweep_poses(params))
 
 
 def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:

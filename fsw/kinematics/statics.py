@@ -63,15 +63,13 @@ class Equilibrium:
     """True where the iteration converged, (...)."""
 
 
-def settle(
-    arm: Arm, motor_rad: Array, backlash_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
-) -> Equilibrium:
+def settle(arm: Arm, motor_rad: Array, backlash_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
     """Find the static equilibrium for given motor angles: output = motor + backlash + torque / stiffness.
 
     Args:
         backlash_rad: Position of each output inside its backlash, shape (5, ...).
     """
-    return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
+    return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, None)
 
 
 def settle_output(

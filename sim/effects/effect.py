@@ -64,6 +64,13 @@ def apply_sensor_errors(
     return sensors, tuple(updated)
 
 
+class ResolverError(Protocol):
+    """Error of a resolver that depends on the output angle."""
+
+    def error_rad(self, output_rad: Array) -> Array:
+        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveEffect:
     """Effect that acts in every cycle, with its state."""
@@ -205,21 +212,6 @@ class ReadingError(Effect):
     def update(self, sensors: Sensors) -> "ReadingError":
         """Return the same error, which has no state."""
         return self
-
-
-@dataclass(frozen=True, slots=True)
-class ResolverError(Effect):
-    """Error of a resolver that depends on the output angle."""
-
-    joint: Joint
-
-    def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the active ones."""
-        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
-
-    def error_rad(self, output_rad: Array) -> Array:
-        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)

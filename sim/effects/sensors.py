@@ -15,7 +15,6 @@ from sim.effects.effect import (
     Hardware,
     ParameterSpec,
     ReadingError,
-    ResolverError,
     SmallAngle,
     link_of,
     refuse_first_joint,
@@ -122,12 +121,16 @@ class CounterStart(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class ResolverEccentricity(ResolverError):
+class ResolverEccentricity(Effect):
     """Periodic error of a resolver off its axis, with one period per output turn."""
 
+    joint: Joint
     cosine_rad: WaveAmplitude
     sine_rad: WaveAmplitude
     """Sine part; with the cosine part it gives any amplitude and phase."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
         angle = float(output_rad[self.joint])
@@ -135,10 +138,14 @@ class ResolverEccentricity(ResolverError):
 
 
 @dataclass(frozen=True, slots=True)
-class ResolverScale(ResolverError):
+class ResolverScale(Effect):
     """Error of a resolver in proportion to its angle."""
 
+    joint: Joint
     error: Annotated[float, ParameterSpec(-0.05, 0.05, unit="1", typical=3e-4, neutral=0.0)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
         return at_joint(self.joint, self.error * float(output_rad[self.joint]))

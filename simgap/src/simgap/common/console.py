@@ -15,11 +15,11 @@ NAN_MARK: Final = "?"
 SPARKLINE_WIDTH: Final = 40
 
 
-def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
-    """Draw magnitudes, (n,), in at most `width` blocks: each shows the maximum of its part, a dot zero."""
+def magnitude_sparkline(size: NDArray[np.float64]) -> str:
+    """Draw magnitudes, (n,), in so many blocks at most: each shows the maximum of its part, a dot zero."""
     if not size.size:
         return ""
-    columns = [part.max() for part in np.array_split(size, min(width, len(size)))]
+    columns = [part.max() for part in np.array_split(size, min(SPARKLINE_WIDTH, len(size)))]
     finite = [value for value in columns if np.isfinite(value)]
     top = max(finite, default=0.0)
     return "".join(ZERO_MARK if value == 0 else _block(value, 0.0, top) for value in columns)
