@@ -24,7 +24,7 @@ NUMERIC: Final = (
 )
 """Folders whose public functions say shapes and units."""
 SAID_ONCE: Final = (
-    *(f"fsw/kinematics/{name}.py" for name in ("transforms", "closed_form")),
+    *(f"fsw/kinematics/{name}.py" for name in ("transforms", "closed_form", "roots")),
     *(
         f"marsarm/calibration/{name}.py"
         for name in (
@@ -34,6 +34,7 @@ SAID_ONCE: Final = (
             "campaign_data",
             "consensus",
             "residual_model",
+            "verify",
         )
     ),
     *(

@@ -5,11 +5,8 @@ from dataclasses import replace
 from fsw.config import CYCLE_S, Config, configure_at
 from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
-from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.estimate import joints as joint_estimate
-from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.estimate.reference import HardstopFit
+from fsw.estimate.joints import JointEstimate, LoadEstimate, apply_calibration, update_joints, update_load
 from fsw.executive.commands import continue_sequence, handle
 from fsw.executive.context import CommandContext, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
@@ -85,13 +82,11 @@ def _estimate(
     """
     if not usable:
         return state.joints, state.load, None
-    joints = joint_estimate.update_joints(config, state.joints, sensors)
+    joints = update_joints(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period_cycles != 0:
         return joints, state.load, None
     push = None if state.preload is None else state.preload.reaction
-    load, joints, channels = joint_estimate.update_load(
-        config, state.tick, state.tool, joints, state.load, push
-    )
+    load, joints, channels = update_load(config, state.tick, state.tool, joints, state.load, push)
     return joints, load, channels
 
 
@@ -139,17 +134,10 @@ def _move(
         mode = mode if result.end_mode is None else result.end_mode
         backlash_rad = backlash_rad if result.backlash_rad is None else result.backlash_rad
         if result.found_hardstop is not None:
-            joints, calibrated = _apply_homing(config, joints, load, *result.found_hardstop)
-            evrs = (calibrated, *evrs)
+            joint, found = result.found_hardstop
+            before, joints = joints, apply_calibration(config, joints, load.torque_Nm, joint, found)
+            evrs = (found.to_event(joint, float((joints.motor_rad - before.motor_rad)[joint])), *evrs)
     return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, backlash_rad
-
-
-def _apply_homing(
-    config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: HardstopFit
-) -> tuple[JointEstimate, Evr]:
-    """Apply the encoder zero that the homing of a joint has found."""
-    calibrated = joint_estimate.apply_calibration(config, joints, load.torque_Nm, joint, found)
-    return calibrated, found.to_event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
 def _make_outputs(

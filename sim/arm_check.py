@@ -105,11 +105,9 @@ def sample_leg(start_rad: Array, end_rad: Array, spacing_rad: float = SWEEP_SPAC
     return np.linspace(start_rad, end_rad, samples, axis=1)
 
 
-def sweep_clearance(
-    params: Params, space: ClearanceModel, spacing_rad: float = SWEEP_SPACING_RAD
-) -> Clearance:
+def sweep_clearance(params: Params, space: ClearanceModel) -> Clearance:
     """Compute the least clearances during the hardstop initialisation."""
-    return space.clearance(sweep_poses(params, spacing_rad))
+    return space.clearance(sweep_poses(params))
 
 
 def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:
@@ -127,10 +125,6 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     """Find poses in which gravity has the wanted torques at the hardstops.
 
     The search starts at the poses of the parameters.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        wanted_Nm: Torques at the hardstops, shape (5,).
 
     Raises:
         NoPlan: the free angles cannot give these torques.

@@ -200,15 +200,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
 def placement_session(
     name: str, tool: str, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
 ) -> DiagnosisSession:
-    """Make a session that places a tool on a rock in front of it and presses.
-
-    Args:
-        name: Name of session and block.
-        tool: Tool that touches.
-        start_rad: Output angles at the start, shape (5,).
-        p_RoTo_R_m: Position of the tool at the start, shape (3,).
-        approach_R: Approach of the tool at the start, unit vector, shape (3,).
-    """
+    """Make a session that places a tool on a rock in front of it and presses."""
     touch = p_RoTo_R_m + STANDOFF_M * approach_R
     p_N = touch - p_R_from_N(np.zeros(3))
     world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))

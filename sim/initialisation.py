@@ -206,9 +206,9 @@ def initialise_joints(
         reference = result.reference
 
 
-def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
+def initial_reference(arm: BuiltArm) -> Reference:
     """Home every joint; return the reference in memory. RuntimeError if a homing fails."""
-    *_, last = initialise_joints(arm, seed=seed)
+    *_, last = initialise_joints(arm)
     if last.outcome is not Outcome.DONE:
         raise RuntimeError(f"{arm.name} was not initialised: {last.evrs[-1][1].message}")
     return last.reference

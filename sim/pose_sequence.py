@@ -130,10 +130,6 @@ def solve_quasi_static_move(
 
     Args:
         arm: True arm and what flight software knows about it.
-        start_rad: Estimated output angles before the move, shape (5,).
-        pose_rad: Commanded output angles, shape (5,).
-        tool: Tool of the returned pose.
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         disturbance: Displacements of frames, gears and motors in this move.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference

@@ -136,11 +136,6 @@ def measure_targets(
     """Measure every visible target on ground, rover and turret once.
 
     Noise is drawn for hidden targets too, so that what hides them changes no other reading.
-
-    Args:
-        plant: Plant, whose geometry hides targets.
-        X_GN: Pose of RNAV in the ground frame.
-        X_RF: Pose of the interface of the turret in RMECH.
     """
     X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
     return (

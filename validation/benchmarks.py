@@ -60,13 +60,11 @@ def nominal_reference() -> Reference:
     return initial_reference(arm_named("nominal"))
 
 
-def placement_loop(with_truth: bool = False) -> ClosedLoop:
+def placement_loop() -> ClosedLoop:
     """Make a closed loop with the nominal arm in the ready pose in front of the target."""
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.p_N_m, TARGET.normal_N))
-    return ClosedLoop(
-        Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
-    )
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()))
 
 
 def _realtime_factor() -> float:

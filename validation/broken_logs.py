@@ -13,10 +13,10 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import zstandard
@@ -40,6 +40,7 @@ from marsarm.telemetry.mcap_columns import read_records, unpack_chunk
 from marsarm.telemetry.read import Log, parse_log, read_log
 from marsarm.telemetry.recover import recover
 from marsarm.telemetry.tables import channels_document, info_document
+from simgap.common.progress import no_progress
 from validation.benchmarks import record_log
 from validation.campaigns import Context, Document
 
@@ -76,21 +77,6 @@ def original(data: bytes) -> Original:
     return Original(data, parse_log(HERE, data), tuple(chunks))
 
 
-def count_messages(log: Log) -> dict[str, int]:
-    """Return the number of messages by topic."""
-    return {topic: len(times) for topic, times in log.time_ns.items()}
-
-
-def is_start_of(log: Log, whole: Log) -> bool:
-    """Check that a log holds the beginning of the complete one, bit for bit, and nothing else."""
-    packets = all(
-        rows.tobytes() == whole[topic][: len(rows)].tobytes() for topic, rows in log.packets.items()
-    )
-    times = all(np.array_equal(ns, whole.time_ns[topic][: len(ns)]) for topic, ns in log.time_ns.items())
-    evrs, commands = whole.evrs[: len(log.evrs)], whole.commands[: len(log.commands)]
-    return packets and times and log.evrs == evrs and log.commands == commands and log.header == whole.header
-
-
 def packet_bytes(packets: NDArray[np.void]) -> NDArray[np.uint8]:
     """Return all bytes of packets, shape (n, bytes), with the padding between fields."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
@@ -124,7 +110,7 @@ def is_loss_reported(
     return True
 
 
-def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
+def judge_read(made: Original, damaged: bytes, cut_ns: int | None) -> str:
     """Judge a strict read of a damaged file, of which `cut_ns` is the log time of its last complete chunk.
 
     It is "harmless", "detected", "refused" or "cut", or an error, whose text begins with "WRONG".
@@ -137,15 +123,19 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
         return "refused"
     except LogError as error:
         return f"WRONG: {error}"
-    if count_messages(log) == count_messages(made.log) and is_start_of(log, made.log):
+    if not is_part(log, made.log) or log.header != made.log.header:
+        return "WRONG: other values"
+    if count_messages(log) == count_messages(made.log):
         return "harmless"
     if cut_ns is None or not log.truncated:
-        return "WRONG: other values"
-    whole = all(
-        np.array_equal(log.time_ns.get(topic, np.zeros(0)), times[times <= cut_ns])
-        for topic, times in made.log.time_ns.items()
-    )
-    return "cut" if whole and is_part(log, made.log) else "WRONG: not all that is before the cut"
+        return "WRONG: messages are missing"
+    due = {topic: int((times <= cut_ns).sum()) for topic, times in made.log.time_ns.items()}
+    return "cut" if count_messages(log) == +Counter(due) else "WRONG: not all that is before the cut"
+
+
+def count_messages(log: Log) -> Counter[str]:
+    """Return the number of messages by topic."""
+    return Counter({topic: len(times) for topic, times in log.time_ns.items()})
 
 
 def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
@@ -156,38 +146,48 @@ def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: P
     bad, good = folder / "bad.mcap", folder / "good.mcap"
     bad.write_bytes(damaged)
     try:
-        recovered = recover(bad, good, lambda *_: None)
+        recovered = recover(bad, good, no_progress)
     except LogError as error:
         return "nothing to save" if all(is_hit) else f"WRONG: {error}"
     log = parse_log(good, good.read_bytes())
     if not is_part(log, made.log):
         return "WRONG: other values"
-    missed = sum(map(len, made.log.time_ns.values())) - sum(recovered.saved.values())
+    missed = count_messages(made.log).total() - sum(recovered.saved.values())
     spans = [(one.first_ns, one.last_ns) for one, hit in zip(made.chunks, is_hit, strict=True) if hit]
-    due = sum(
-        int(sum(((low <= times) & (times <= high)).sum() for times in made.log.time_ns.values()))
-        for low, high in spans
-    )
+    times = np.concatenate([*made.log.time_ns.values()])
+    due = sum(int(((low <= times) & (times <= high)).sum()) for low, high in spans)
     if missed > due:
         return f"WRONG: {missed} messages missing, {due} were damaged"
     return "saved" if is_loss_reported(log.time_ns, made.log, recovered.lost) else "WRONG: a loss is not told"
 
 
-def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
+@dataclass(slots=True)
+class Judgements:
+    """Judgements that were counted, and the wrong ones."""
+
+    read: Counter[str] = field(default_factory=Counter)
+    recovered: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+
+    def add(self, place: str, read: str, recovered: str) -> None:
+        """Count what became of a file that was damaged at a place."""
+        self.read[read.partition(":")[0]] += 1
+        self.recovered[recovered.partition(":")[0]] += 1
+        if "WRONG" in read + recovered:
+            self.wrong.append(f"{place}: read {read}, recovered {recovered}")
+
+
+def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> Judgements:
     """Flip single bits, one at a time, and count the judgements."""
-    reads, saves, wrong = Counter[str](), Counter[str](), []
-    random = np.random.default_rng(seed)
+    found, random = Judgements(), np.random.default_rng(seed)
     offsets, bits = random.integers(len(made.data), size=tries), random.integers(8, size=tries)
-    for at, bit in zip(offsets, bits, strict=True):
+    for at, bit in zip(offsets.tolist(), bits.tolist(), strict=True):
         damaged = bytearray(made.data)
-        damaged[at] ^= 1 << int(bit)
+        damaged[at] ^= 1 << bit
         is_hit = [one.at <= at < one.end for one in made.chunks]
-        read, save = judge_read(made, bytes(damaged)), judge_recovery(made, bytes(damaged), is_hit, folder)
-        reads[read] += 1
-        saves[save] += 1
-        if "WRONG" in read + save:
-            wrong.append({"byte": int(at), "bit": int(bit), "read": read, "saved": save})
-    return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
+        read = judge_read(made, bytes(damaged), None)
+        found.add(f"byte {at}, bit {bit}", read, judge_recovery(made, bytes(damaged), is_hit, folder))
+    return found
 
 
 def is_in_stock(path: Path, log: Log) -> bool:
@@ -201,25 +201,20 @@ def is_in_stock(path: Path, log: Log) -> bool:
                 counts[channel.topic] += 1
         except (McapError, ValueError, struct.error):  # the cut
             pass
-    return count_messages(log).items() <= counts.items()
+    return count_messages(log) <= counts
 
 
-def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
+def truncate_file(made: Original, every: int, folder: Path) -> Judgements:
     """Truncate the file at multiples of `every` bytes, and count the judgements."""
-    reads, saves, wrong = Counter[str](), Counter[str](), []
+    found = Judgements()
     for size in range(0, len(made.data), every):
         damaged = made.data[:size]
-        is_hit = [one.end > size for one in made.chunks]
-        whole = [one.last_ns for one in made.chunks if one.end <= size]
-        read = judge_read(made, damaged, max(whole, default=-1))
-        save = judge_recovery(made, damaged, is_hit, folder)
+        read = judge_read(made, damaged, max((o.last_ns for o in made.chunks if o.end <= size), default=-1))
+        saved = judge_recovery(made, damaged, [one.end > size for one in made.chunks], folder)
         if read == "cut" and not is_in_stock(folder / "bad.mcap", parse_log(HERE, damaged)):
             read = "WRONG: the reader of the library does not find all of it"
-        reads[read] += 1
-        saves[save] += 1
-        if "WRONG" in read + save:
-            wrong.append({"size": size, "read": read, "saved": save})
-    return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
+        found.add(f"{size} bytes", read, saved)
+    return found
 
 
 Random = np.random.Generator
@@ -280,9 +275,9 @@ def change_header(random: Random, data: bytes) -> bytes:
     return data[:begin] + encode_records(*header_records({**header, name: text})) + data[end:]
 
 
-def change_records(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
+def change_records(made: Original, tries: int, seed: int, folder: Path) -> Judgements:
     """Recover, read and inspect logs with changed records; any error but that of a log is a bug."""
-    random, reads, wrong = np.random.default_rng(seed), Counter[str](), []
+    random, found = np.random.default_rng(seed), Judgements()
     path = folder / "changed.mcap"
     for number in range(tries):
         path.write_bytes(change_record(random, made))
@@ -290,7 +285,7 @@ def change_records(made: Original, tries: int, seed: int, folder: Path) -> dict[
         read = "read"
         try:
             with suppress(LogError):
-                recover(path, folder / "good.mcap", lambda *_: None)
+                recover(path, folder / "good.mcap", no_progress)
             log = read_log(path)
             info_document(log)
             channels_document(log, select_channels(log))
@@ -301,10 +296,8 @@ def change_records(made: Original, tries: int, seed: int, folder: Path) -> dict[
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10) - bytes_before
         if time.process_time() - began_s > MOST_S or grown > MOST_BYTES:
             read = f"WRONG: took {time.process_time() - began_s:.1f} s and {grown} bytes"
-        reads[read.partition(":")[0]] += 1
-        if "WRONG" in read:
-            wrong.append({"try": number, "read": read})
-    return {"read": dict(reads), "wrong": wrong}
+        found.add(f"try {number}", read, "tried")
+    return found
 
 
 def campaign(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycles: int = 1) -> Document:
@@ -322,4 +315,4 @@ def campaign(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycle
             "records": change_records(cut, tries, context.seed + 2, folder),
         }
     sizes = {"cycles": cycles, "bytes": len(data), "chunks": len(whole.chunks)}
-    return {**sizes, **parts, "in_bounds": not any(part["wrong"] for part in parts.values())}
+    return {**sizes, **parts, "in_bounds": not any(one.wrong for one in parts.values())}

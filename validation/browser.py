@@ -155,9 +155,9 @@ class Browser:
             raise RuntimeError(json.dumps(found["exceptionDetails"])[:500])
         return found["result"].get("value")
 
-    def save_screenshot(self, path: Path, whole_page: bool = False) -> None:
-        """Save the window, or the whole page, as PNG."""
-        found = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole_page)
+    def save_screenshot(self, path: Path) -> None:
+        """Save the window as PNG."""
+        found = self._ask("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(found["data"]))
 
     def _ask(self, method: str, **params: Any) -> Any:

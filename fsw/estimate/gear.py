@@ -54,11 +54,7 @@ def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> Gear
 
 
 def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None) -> Array:
-    """Compute the lowest, likely and highest loads [N m], shape (5, 3).
-
-    Args:
-        more_Nm: Further uncertainty of the loads, shape (5,).
-    """
+    """Compute the lowest, likely and highest loads [N m], shape (5, 3)."""
     error = load_error(config, gravity_R_m_s2)
     if more_Nm is not None:
         error = error + more_Nm

@@ -177,11 +177,7 @@ def apply_calibration(
 def apply_load(
     config: Config, joints: JointEstimate, load_Nm: Array, more_Nm: Array | None = None
 ) -> JointEstimate:
-    """Update the gear angles under newly modelled loads.
-
-    Args:
-        more_Nm: Further uncertainty of the loads, shape (5,).
-    """
+    """Update the gear angles under newly modelled loads."""
     loads = bound_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
     bounds = bound_gear(config, joints.reference.half_backlash_rad, loads)
     gear = gear_after_motor_turn(joints.gear_rad, np.zeros_like(load_Nm), bounds)

@@ -286,7 +286,6 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
     If no turn fits, the result is the turn nearest to the limits.
 
     Args:
-        q: Output angles in rad, shape (5, ...).
         near_rad: Angles to stay near if two turns fit, shape (5,); None for the middle of the limits.
     """
     low, high = _limits(arm, q)
@@ -301,11 +300,7 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
 
 
 def limit_excess(arm: Arm, q: Array) -> Array:
-    """Compute the excess of joint angles over the soft limits, (5, ...) [rad]; negative inside.
-
-    Args:
-        q: Output angles in rad, shape (5, ...).
-    """
+    """Compute the excess of joint angles over the soft limits, (5, ...) [rad]; negative inside."""
     low, high = _limits(arm, q)
     return np.maximum(low - q, q - high)
 

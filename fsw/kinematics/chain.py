@@ -130,12 +130,6 @@ def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
     return np.concatenate([axis, cross(axis, p_R_m[:, None] - frames.X_RL.p[:, 1:])])
 
 
-def frame_poses(frames: Frames, X_RT: Pose) -> Pose:
-    """Collect the frames Arm1 to Arm6 and tool in the rover frame, batch (7, ...), in the order of Frame."""
-    R = np.concatenate([frames.X_RF.R, X_RT.R[:, :, None]], axis=2)
-    return Pose(R, np.concatenate([frames.X_RF.p, X_RT.p[:, None]], axis=1))
-
-
 def frame_jacobian(frames: Frames, X_RT: Pose) -> Array:
     """Compute the Jacobian of the tool by small screws of each frame, equations 3 and 7 of the paper.
 
@@ -146,8 +140,9 @@ def frame_jacobian(frames: Frames, X_RT: Pose) -> Array:
         Rotation of the tool and displacement of its origin in rover axes, per screw of each frame, shape (6,
         6, 7, ...), in the order of Frame.
     """
-    X_RJ = frame_poses(frames, X_RT)
-    return adjoint(Pose(X_RJ.R, X_RJ.p - X_RT.p[:, None]))
+    R_RJ = np.concatenate([frames.X_RF.R, X_RT.R[:, :, None]], axis=2)
+    p_RJ_m = np.concatenate([frames.X_RF.p, X_RT.p[:, None]], axis=1)
+    return adjoint(Pose(R_RJ, p_RJ_m - X_RT.p[:, None]))
 
 
 def place_links(
@@ -156,7 +151,6 @@ def place_links(
     """Place the links: equation 2 of the paper, with a transform for the spring of each link.
 
     Args:
-        output_rad: Output angles of the five joints.
         strain: Spring displacements in rad and m, rotation first: a value of each link, then the next, 36.
 
     Returns:

@@ -9,6 +9,9 @@ Newton's method converges at double roots as well. With a nearly straight elbow,
 same root of the real arm, and that may reach targets that the orthogonal arm misses by some millimetres.
 Newton's method finds both roots from a bent elbow on either side: it converges from the convex side of the
 fold.
+
+In all functions, `p` are target positions in m and `a` approach directions, unit vectors, both in the rover
+frame, (3, n). Matrices `J` and right sides `residual` of linear equations have any unit, batch axes last.
 """
 
 from dataclasses import dataclass, replace
@@ -179,9 +182,6 @@ def damped_inverse(J: Array) -> Array:
     """Invert matrices by damped least squares, so that a singular matrix gives a finite step, (m, m, ...).
 
     The normal matrix is positive definite, so Gauss-Jordan elimination needs no pivoting.
-
-    Args:
-        J: Matrices of any unit, shape (m, m, ...).
     """
     inverse: Array = np.einsum("ki...,kj...->ij...", J, J)
     for k in range(len(J)):
@@ -196,12 +196,7 @@ def damped_inverse(J: Array) -> Array:
 
 
 def damped_solution(J: Array, residual: Array) -> Array:
-    """Solve linear least squares with damping, (k, n), so that a singular matrix gives a finite solution.
-
-    Args:
-        J: Matrices of any unit, shape (m, k, n).
-        residual: Right sides of any unit, shape (m, n).
-    """
+    """Solve linear least squares with damping, (k, n), so that a singular matrix gives a finite solution."""
     normal = np.einsum("ki...,kj...->...ij", J, J) + DAMPING * np.eye(J.shape[1])
     solution: Array = np.linalg.solve(normal, np.einsum("ki...,k...->...i", J, residual)[..., None])
     return solution[..., 0].T
@@ -254,8 +249,6 @@ def solve_fixed_point(
     """Find the roots of the real arm on the branches of the orthogonal arm's roots.
 
     Args:
-        p: Target positions in m in the rover frame, shape (3, n).
-        a: Approach directions, unit vectors in the rover frame, shape (3, n).
         start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
         selected: Boolean flags of the roots to solve, shape (n,).
@@ -353,8 +346,6 @@ def solve_straight(
     """Find the roots of the real arm near roots of the orthogonal arm with a nearly straight elbow.
 
     Args:
-        p: Target positions in m in the rover frame, shape (3, n).
-        a: Approach directions, unit vectors in the rover frame, shape (3, n).
         straight: Boolean flags of the roots of the orthogonal arm, shape (8, n).
 
     Returns:

@@ -63,26 +63,19 @@ class Equilibrium:
     """True where the iteration converged, (...)."""
 
 
-def settle(
-    arm: Arm, motor_rad: Array, backlash_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
-) -> Equilibrium:
+def settle(arm: Arm, motor_rad: Array, backlash_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
     """Find the static equilibrium for given motor angles: output = motor + backlash + torque / stiffness.
 
     Args:
         backlash_rad: Position of each output inside its backlash, shape (5, ...).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
     """
-    return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
+    return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, None)
 
 
 def settle_output(
     arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
 ) -> Equilibrium:
-    """Find the static equilibrium for given output angles.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-    """
+    """Find the static equilibrium for given output angles."""
     return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
 
 
@@ -112,9 +105,6 @@ def load_arm(
     """Compute spring strains and joint torques under the load: equations 4 and 5 of the paper.
 
     The load is taken at the deflected pose.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
 
     Returns:
         Frames under the given strain, new strain in rad and m, shape (6, 6, ...), and torque of the load in
@@ -202,7 +192,6 @@ def relative_target(
     rigid to its deflected pose. The target moves by the same displacement.
 
     Args:
-        reference_tool: Name of the tool at the reference pose.
         reference_rad: Output angles of the reference pose, shape (5,).
 
     Returns:

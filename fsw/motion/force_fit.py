@@ -97,7 +97,6 @@ class ForceFit:
         """Add one cycle.
 
         Args:
-            model_N: Force of the model.
             step_N: Length of a knot in newtons of the model.
             push_Nm: Loads by the force as measured by the currents, shape (5,).
             counts: Joints whose currents show the load, shape (5,).
@@ -209,12 +208,6 @@ def plan_correction(
 
     The leg starts at the end of the plan: from the estimate, a backlash on which the two differ would be
     crossed to and fro. The wind-up of the gears is that of the corrected force.
-
-    Args:
-        change: Change of force that has ended.
-        fit: Fit of the press.
-        preload: Preload at the end, by the fit.
-        planned_for: Preload at the end, as planned.
 
     Returns:
         The plan and its change of force, the reason for none, or None if the force is near the target.

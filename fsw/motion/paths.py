@@ -245,7 +245,8 @@ def check_paths(
         violation = judge_clearances(config.collision_geometry, near, padding_m, touching)
     if violation is None:
         return None
-    clear_share = _compute_share(config, motor, violation.first)
+    moved = _bound_motion(config, motor)
+    clear_share = float(moved[: violation.first].sum() / max(moved.sum(), 1e-9))
     return f"{violation.reason}; {100 * clear_share:.0f} % of the way are clear"
 
 
@@ -304,9 +305,3 @@ def _bound_motion(config: Config, motor_rad: Array) -> Array:
     """Bound how far any point of the arm moves from each pose (5, n) to the next if no joint turns back."""
     moved: Array = config.collision_geometry.lever_m @ np.abs(np.diff(motor_rad, axis=1))
     return moved
-
-
-def _compute_share(config: Config, motor_rad: Array, pose: int) -> float:
-    """Compute the share of the motion that is done before a pose."""
-    moved = _bound_motion(config, motor_rad)
-    return float(moved[:pose].sum() / max(moved.sum(), 1e-9))

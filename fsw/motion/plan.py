@@ -185,8 +185,6 @@ def plan_joint_move(
     short for that, a first move makes room for the run-up.
 
     Args:
-        output_rad: Output angles at the end, shape (5,).
-        load_Nm: Loads at the end, shape (5,).
         on_known_side: False to move directly, whatever the side at the end.
         only: Joint that moves while the other motors stay; None if all move.
     """
@@ -242,8 +240,6 @@ def plan_over_knots(
     If the joints are not at the first outputs, a joint move to these comes first.
 
     Args:
-        output_rad: Output angles at the knots, shape (5, k).
-        load_Nm: Loads at the knots, shape (5, k).
         travel: Length of all knots together, and bounds of speed, acceleration and jerk.
     """
     step = travel.length / (output_rad.shape[1] - 1)

@@ -97,7 +97,6 @@ def protect(
     """Monitor the arm in this cycle and decide what is done; None if nothing happened.
 
     Args:
-        last: State of the monitors after the cycle before.
         unusable: What `check_readings` found in these readings.
         of_move: Events of the move in this cycle, among them its own faults.
     """

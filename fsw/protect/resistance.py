@@ -115,7 +115,6 @@ def monitor_free_move(
     """Check that nothing resists a free move.
 
     Args:
-        last: State of the cycle before; None if no free move was under way.
         readings: Noisy readings, in the order of `readings.NOISY`.
         unchanged: For how many cycles each of them has been the same.
     """

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.params import Params, digest
+from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.propagation import (
     COVERAGE,
@@ -215,7 +215,8 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
     gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
     params = select_arm("nominal", request.params, request.mismatch).params
-    tools = _parse_tools(request.tool, params)
+    tool = parse_tool(request.tool, (*params.tool_names, ALL))
+    tools = params.tool_names if tool == ALL else (tool,)
     config = configure(params)
     budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [
@@ -224,8 +225,3 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
         if row.case in budgets
     ]
     return BudgetReport(request, model, budgets, tuple(rows), digest(params))
-
-
-def _parse_tools(name: str, params: Params) -> tuple[str, ...]:
-    tool = parse_tool(name, (*params.tool_names, ALL))
-    return params.tool_names if tool == ALL else (tool,)

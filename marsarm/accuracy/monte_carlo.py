@@ -302,8 +302,9 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     found = (
         check_coverage(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
     )
-    three_sigma = _estimate_three_sigma(trials)
-    return MonteCarloReport(request, model, trials, failed, found, three_sigma, _params_sha256(jobs))
+    digests = [job.params_sha256 for job in jobs]
+    whole = digests[0] if len(set(digests)) == 1 else sha256("".join(digests).encode()).hexdigest()
+    return MonteCarloReport(request, model, trials, failed, found, _estimate_three_sigma(trials), whole)
 
 
 def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
@@ -331,11 +332,6 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
         ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, *own)
         for arm, own in zip(arms, with_digests, strict=True)
     ]
-
-
-def _params_sha256(jobs: Sequence[ArmJob]) -> str:
-    every = [job.params_sha256 for job in jobs]
-    return every[0] if len(set(every)) == 1 else sha256("".join(every).encode()).hexdigest()
 
 
 def _has_arm_files(params: Path | None) -> bool:

@@ -162,10 +162,6 @@ def statics_model(arm: BuiltArm, believed: Config, backlash: BacklashMode) -> Tr
     """Build the move model of static equilibrium, with an initialisation without errors.
 
     The gears have the wind-up and the side of the backlash that the move leaves.
-
-    Args:
-        believed: Arm as flight software knows it, see `configure_believed`.
-        backlash: Compensation of the backlash.
     """
     true = configure_true(arm)
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)

@@ -234,7 +234,6 @@ def differentiate_deflection(
     """Compute the derivatives of static equilibria by all coordinates.
 
     Args:
-        gravity_R_m_s2: Gravity in the rover frame, (3, n).
         X_FT: Frame T in the last frame of the arm.
     """
     S, position = _screws(arm, rest, X_FT)

@@ -88,8 +88,6 @@ def confirm_sides(
         error: Screws [rad, m] from the modelled to the measured poses, (6, n).
         parameter_jacobian: Screws of the turret frame per unit of each parameter, (6, n, p).
         covariance: Covariance of the parameters, (p, p).
-        uncertain: Outputs to decide.
-        backlash_rad: Believed positions of the outputs in their backlash.
     """
     joints, n = uncertain.shape
     output_error_rad, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)

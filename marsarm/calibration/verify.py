@@ -1,6 +1,7 @@
 """Verification of a calibrated arm in the closed loop.
 
 The arm finds its hardstops again and moves the full turret to fresh targets on Earth, Mars and cold Mars.
+In all functions, `motor_error_rad` are true less believed motor angles, (5,).
 """
 
 from collections.abc import Iterator
@@ -149,11 +150,7 @@ def zero_errors_rad(arm: BuiltArm, reference: Reference) -> Array:
 
 
 def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -> Pose:
-    """Compute X_RT, batch (n,), of the true arm at the believed positions in the backlash.
-
-    Args:
-        motor_error_rad: True less believed motor angles, (5,).
-    """
+    """Compute X_RT, batch (n,), of the true arm at the believed positions in the backlash."""
     params = true_params(arm)
     half = configure(params).half_backlash_rad[:, None]
     motor = believed.motor_rad + motor_error_rad[:, None]
@@ -180,11 +177,7 @@ class TruthComparison:
 
 
 def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> TruthComparison:
-    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal.
-
-    Args:
-        motor_error_rad: True less believed motor angles, (5,).
-    """
+    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal."""
     fitted = residual_model(found.nominal, found.campaign, found.preliminary)
     truth = MeasuredPoses(
         true_poses(arm, found.campaign.believed, motor_error_rad), found.campaign.measured.covariance

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from simgap.common.app import VerbApp
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
-from simgap.common.verb import VerbResult, verb
+from simgap.common.verb import VerbResult, shown, verb
 
 if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
     import marsarm.diagnosis.arm.request
@@ -32,7 +32,7 @@ def record(request: "marsarm.diagnosis.arm.request.RecordRequest", progress: Pro
     found = record_logs(request, progress)
     document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
     left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
-    return VerbResult(document, lambda: print(f"{len(found.logs)} logs in {request.out}{left_out}"))
+    return shown(document, [f"{len(found.logs)} logs in {request.out}{left_out}"])
 
 
 @gap_app.command("next")
@@ -48,7 +48,6 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
     """
     from marsarm.diagnosis.arm.next_motion import propose_next, save_files
     from sim.plant import PlantDiverged
-    from simgap.common.report import print_parts
     from simgap.report.next_motion import next_document, next_lines, next_tables
 
     try:
@@ -57,12 +56,8 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
         raise BadRequest(str(error)) from error
     is_done = made.proposal.choice.tells_apart
     tables = next_tables(made.proposal) if is_done else ()
-    return VerbResult(
-        next_document(made.proposal),
-        lambda: print_parts([*next_lines(made.proposal), *tables]),
-        is_done=is_done,
-        save=lambda: save_files(made),
-    )
+    parts = [*next_lines(made.proposal), *tables]
+    return shown(next_document(made.proposal), parts, is_done, save=lambda: save_files(made))
 
 
 @gap_app.command()
@@ -79,7 +74,6 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
     from sim.plant import PlantDiverged
-    from simgap.common.console import plain_console
     from simgap.common.report import file_lines
     from simgap.report.page import save_diagnosis_page
     from simgap.report.sentences import verdict_lines
@@ -92,20 +86,17 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     except PlantDiverged as error:
         raise BadRequest(str(error)) from error
 
-    def print_demo() -> None:
-        truth = found.truth
-        on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
-        left_out = "; left out of the catalogue" if truth.kind == "left out" else ""
-        right = f"{'yes' if found.is_right else 'no'}: {found.reason}."
-        for line in (*verdict_lines(found.case.diagnosis), f"Truth: {on}{left_out}.", f"Right: {right}"):
-            plain_console().print(line)
-
     def save() -> list[str]:
         if request.report is not None:
             save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report)
         return file_lines({"report": request.report})
 
-    return VerbResult(demo_json(found), print_demo, save=save)
+    truth = found.truth
+    on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
+    left_out = "; left out of the catalogue" if truth.kind == "left out" else ""
+    right = f"{'yes' if found.is_right else 'no'}: {found.reason}."
+    lines = [*verdict_lines(found.case.diagnosis), f"Truth: {on}{left_out}.", f"Right: {right}"]
+    return shown(demo_json(found), lines, save=save)
 
 
 @verb
@@ -119,7 +110,7 @@ def diagnose(request: "marsarm.diagnosis.arm.request.DiagnoseRequest", progress:
     from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
     from marsarm.diagnosis.arm.output_files import save_diagnosis_files
     from sim.plant import PlantDiverged
-    from simgap.command.diagnosis import print_lines
+    from simgap.command.diagnosis import all_lines
     from simgap.report.document import to_document
 
     job = prepare_diagnosis(request)
@@ -127,8 +118,8 @@ def diagnose(request: "marsarm.diagnosis.arm.request.DiagnoseRequest", progress:
         result = diagnose_logs(job, progress)
     except PlantDiverged as error:
         raise BadRequest(str(error)) from error
-    return VerbResult(
-        to_document(result.diagnosis),
-        lambda: print_lines(result.diagnosis),
-        save=lambda: save_diagnosis_files(result, request, job),
+
+    lines = all_lines(result.diagnosis)
+    return shown(
+        to_document(result.diagnosis), lines, save=lambda: save_diagnosis_files(result, request, job)
     )

@@ -26,7 +26,7 @@ from marsarm.telemetry.schema import (
     strip_optional,
     unit_of,
 )
-from marsarm.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name
+from marsarm.telemetry.topics import PACKET_TOPICS, channel_matches, channel_name
 from sim.arms import nominal_params
 from sim.scenario.records import suggest_name, upper_snake
 from simgap.common.errors import BadRequest
@@ -95,7 +95,15 @@ def build_dictionary() -> Dictionary:
     return Dictionary(
         commands=tuple(_command(kind) for kind in get_args(Command)),
         evrs=tuple(_evr(kind) for kind in _evr_types()),
-        packets=tuple(_packet(topic) for topic in PACKET_TOPICS.values()),
+        packets=tuple(
+            PacketDefinition(
+                name=topic.name,
+                text=class_doc(topic.packet),
+                fields=tuple(one for one in _fields(topic.packet) if one.name in topic.field_names),
+                is_truth=topic.is_truth,
+            )
+            for topic in PACKET_TOPICS.values()
+        ),
         parameters=tuple(_parameters(Params, nominal_params(), "")),
     )
 
@@ -123,11 +131,6 @@ def _evr(kind: type[Evr]) -> EvrDefinition:
         message=kind.text,
         response=None if response is None else response.value,
     )
-
-
-def _packet(topic: Topic) -> PacketDefinition:
-    recorded = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
-    return PacketDefinition(topic.name, class_doc(topic.packet), recorded, topic.is_truth)
 
 
 def _fields(kind: type) -> Iterator[FieldDefinition]:

@@ -221,7 +221,8 @@ class Rays:
         count = len(direction)
         geom, distance, normal = np.full(count, -1, np.int32), np.zeros(count), np.zeros((count, 3))
         if count:
-            self._hide_all_but(self._geoms_in_cone(data, origin, direction))
+            shown = self._geoms_in_cone(data, origin, direction)
+            self._model.geom_group[:] = np.where(shown, self._group, HIDDEN)
             rays, normals = direction.ravel(), normal.reshape(-1)
             mujoco.mj_multiRay(
                 self._model,
@@ -268,9 +269,6 @@ class Rays:
         aperture = np.arcsin(np.divide(radius, distance, out=np.ones_like(radius), where=outside))
         unbounded = radius <= 0.0  # planes
         return np.asarray(unbounded | ~outside | (off_axis < opening + aperture + 1e-6))
-
-    def _hide_all_but(self, shown: NDArray[np.bool_]) -> None:
-        self._model.geom_group[:] = np.where(shown, self._group, HIDDEN)
 
 
 def _unit(vector: Floats) -> Floats:

@@ -24,7 +24,7 @@ from marsarm.replaying.inputs import (
 )
 from marsarm.telemetry.events import EvrEntry, record_to_json
 from marsarm.telemetry.format import LogError
-from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import IMPORT, cpu_features
 from marsarm.telemetry.topics import channel_matches, channel_name
 from sim.arms import params_over
@@ -83,7 +83,8 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
             *notes,
             f"recorded with MuJoCo {theirs}, here is {mujoco.__version__}; a run made anew may differ",
         )
-    same = is_same_processor(log)
+    # the same instruction sets and kernels
+    same = log.header.get("cpu") == json.dumps(cpu_features())
     differences = compare_behaviours(
         recorded,
         behaviour_from_outputs(run_flight_software(inputs, params, progress)),
@@ -109,11 +110,6 @@ def run_flight_software(inputs: Inputs, params: Params, progress: Progress) -> l
         if tick % CYCLE_HZ == 0:
             progress(tick, inputs.ticks, "replaying")
     return outputs
-
-
-def is_same_processor(log: Log) -> bool:
-    """Return whether a log was made on a processor with the same instruction sets and kernels."""
-    return log.header.get("cpu") == json.dumps(cpu_features())
 
 
 def _check_channel(pattern: str, recorded: Behaviour) -> None:

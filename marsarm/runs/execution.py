@@ -274,7 +274,6 @@ def execute(
     Args:
         progress_at: Function that returns the amount done at a cycle, and the total amount or GUESS.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
-        arm: Drawing of the arm, for picture and movie.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.

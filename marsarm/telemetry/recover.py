@@ -163,10 +163,10 @@ def _reaches_end(data: bytes, at: int) -> bool:
 def _find_specs(
     header: Mapping[str, str], chunks: Sequence[tuple[Chunk, int, bytes]]
 ) -> tuple[TopicSpec, ...]:
-    """Return the channels that a reader takes, from the header or, if it is lost, from the chunks."""
+    """Return the channels, from the header or, if it is lost, from the chunks."""
     try:
         if header:
-            return tuple(one for one in decode_topics(header) if one.is_flight)
+            return decode_topics(header)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         for chunk, _, plain in chunks:
@@ -176,8 +176,7 @@ def _find_specs(
                         schemas[record.id] = record
                     if isinstance(record, Channel):
                         channels[record.id] = record
-        specs = (spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
-        return tuple(one for one in specs if one.is_flight)
+        return tuple(spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
     except PARSE_ERRORS:
         return ()
 

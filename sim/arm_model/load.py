@@ -38,8 +38,6 @@ def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, 
     """Make the flight parameters of the drawing.
 
     Args:
-        hull: Shapes of the rover in RMECH.
-        digest: SHA-256 of the description.
         defaults: TOML file of the flight parameters that do not depend on the arm.
         source: File of the description, for errors.
 

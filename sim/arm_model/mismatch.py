@@ -25,9 +25,6 @@ def find_mismatches(params: Params, arm: ArmModel) -> Iterator[str]:
     them apart; the spring of its link turns with it. What has no tolerance must be equal:
     torque constants, gear ratios, encoders, and the shapes of tools.
     Parameters that are no property of the mechanism, such as speeds, may have any value.
-
-    Args:
-        arm: Drawing of the arm that the parameters are for.
     """
     drawing, sigma = arm.params, arm.description.tolerances.built
     if params.model.name != drawing.model.name:

@@ -72,7 +72,6 @@ def arm_mjcf(arm: ArmDescription, hull: Hull, visual: str | None, shows_hull: bo
     """Write the MJCF of an arm and of the hull of its rover.
 
     Args:
-        hull: Shapes of the rover in RMECH.
         visual: Looks: materials, and geoms by body; None to show the shapes for collisions instead.
         shows_hull: True to show the shapes of the hull, for a rover that looks do not draw.
 

@@ -60,7 +60,6 @@ class Ambient(Effect):
     temperature_C: Annotated[float, ParameterSpec(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale Coulomb and viscous friction of motors and gears."""
         share = (WARM_C - self.temperature_C) / (WARM_C - COLD_C)
         for joint in Joint:
             motor = spec.joint(f"{joint.name.lower()}_motor")
@@ -80,7 +79,6 @@ class StructureTemperature(Effect):
     temperature_C: Annotated[float, ParameterSpec(-130.0, 70.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Set the temperature of the structure."""
         return replace(hardware, structure_C=self.temperature_C)
 
 
@@ -96,7 +94,6 @@ class CurrentNoise(Effect):
     current_A: Annotated[float, ParameterSpec(0.0, 1.0, unit="A", typical=0.02)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Replace the noise of the sensors."""
         return replace(hardware, current_noise_A=self.current_A)
 
 
@@ -108,7 +105,6 @@ class PowerLoss(Effect):
     at_s: StartTime
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Set the time of the loss."""
         return replace(hardware, power_until_s=self.at_s)
 
 
@@ -117,7 +113,6 @@ class NothingToTouch(Effect):
     """Removal of all contacts with rover, ground and rocks, for poses in free air."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Exclude every geom from the contacts."""
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
 
@@ -155,7 +150,6 @@ class Numerics(Effect):
             )
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Set time step and solver."""
         spec.option.timestep /= self.substeps
         if self.scheme == "explicit":
             spec.option.solver = mujoco.mjtSolver.mjSOL_PGS

@@ -76,7 +76,6 @@ class SensorFault(Timed):
         return f"index: {self.index} is outside 0 .. {count - 1}, the range of {self.sensor} of this arm"
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Add the error to the active ones."""
         return replace(hardware, sensor_errors=(*hardware.sensor_errors, ActiveSensorFault(self)))
 
 
@@ -93,7 +92,6 @@ class ActiveSensorFault:
         return self if self.initial_reading is not None else replace(self, initial_reading=self._of(sensors))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return the wrong readings in place of the right ones."""
         true, fault = self._of(sensors), self.fault
         match fault.kind:
             case "frozen":
@@ -153,7 +151,6 @@ class WeakMotor(Timed):
     factor: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Scale the motor constant."""
         actuator = plant.at.actuators[self.joint]
         plant.model.actuator_gainprm[actuator, MOTOR_CONSTANT] *= self.factor
         plant.model.actuator_forcerange[actuator] *= self.factor
@@ -170,7 +167,6 @@ class HotMotor(Timed):
     temperature_C: Annotated[float, ParameterSpec(-150.0, 250.0, unit="degC", typical=100.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Set the ambient temperature of the motor."""
         return replace(hardware, ambient_C=with_element(hardware.ambient_C, self.joint, self.temperature_C))
 
 
@@ -181,7 +177,6 @@ class MissedCycles(Timed):
     count: Annotated[int, ParameterSpec(1, 6400, unit="cycle", typical=8)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Set the number of missed cycles."""
         return replace(hardware, missed_cycles=self.count)
 
 
@@ -193,7 +188,6 @@ class TiltStep(Timed):
     pitch_rad: TiltAngle
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Rotate gravity in the rover frame."""
         gravity = plant.model.opt.gravity
         gravity[:] = FLIP * gravity_in_rover(self.roll_rad, self.pitch_rad, float(np.linalg.norm(gravity)))
         return hardware

@@ -59,7 +59,6 @@ class _AtSpeed(EachCycle):
     joint: Joint
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """Return the first sample of the motor."""
         return sample_motor(plant, self.joint)
 
 
@@ -127,7 +126,6 @@ class LoadFriction(EachCycle):
     share: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=0.1, neutral=0.0)]
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Compute the friction at the present load."""
         load_Nm = abs(float(plant.gear_torque_Nm()[self.joint]))
         return None, Disturbance(friction_Nm=at_joint(self.joint, self.share * load_Nm))
 
@@ -167,7 +165,6 @@ class OutputFriction(Effect):
         output.frictionloss = max(output.frictionloss + self.torque_Nm, 0.0)
 
     def on_params(self, params: Params) -> Params:
-        """Set the true friction of the output."""
         friction_Nm = max(joint_of(params, self.joint).output_friction_Nm + self.torque_Nm, 0.0)
         return with_joint(params, self.joint, output_friction_Nm=friction_Nm)
 
@@ -218,7 +215,6 @@ class TransmissionError(EachCycle):
     turns: WavesPerTurn = 1
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Compute the error at the present motor angle."""
         angle = self.turns * float(plant.motor_rad()[self.joint])
         ahead_rad = self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)
         return None, Disturbance(gear_rad=at_joint(self.joint, float(ahead_rad)))
@@ -239,6 +235,5 @@ class JointCoupling(EachCycle):
         refuse_first_joint(self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Return the turn of the output for the present angle of the other motor."""
         turn_rad = self.ratio * float(plant.motor_rad()[self.joint - 1])
         return None, Disturbance(gear_rad=at_joint(self.joint, turn_rad))

@@ -42,11 +42,9 @@ class FrameError(Effect):
         check_tool(self.frame, self.tool)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace the body that represents the frame."""
         displace(spec.body(self._body()), np.array(self.screw))
 
     def on_params(self, params: Params) -> Params:
-        """Set the six numbers of the displaced link transform."""
         if self.frame is Frame.TOOL:
             return _with_tool(params, self.tool, lambda tool: {"transform": self._displaced(tool.transform)})
         link = link_of(params, self.frame)
@@ -120,7 +118,6 @@ class Expansion(Effect):
         scale_expansion(spec, frame_body(self.frame, self.tool), self.factor)
 
     def on_params(self, params: Params) -> Params:
-        """Scale the expansion of the link or tool."""
         if self.frame is Frame.TOOL:
             return _with_tool(params, self.tool, self._scaled)
         link = link_of(params, self.frame)
@@ -147,7 +144,6 @@ class LinkWarming(Effect):
         self._frame_error(expansion_of(spec, frame_body(self.frame, self.tool))).on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """Set the numbers of the grown link."""
         if not self.warming_K:
             return params
         if self.frame is not Frame.TOOL:
@@ -166,12 +162,10 @@ class Warming(Effect):
     warming_K: TemperatureRise
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace every frame by its growth."""
         for part in self._parts(tools_of(spec)):
             part.on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """Set the numbers of all grown links and tools."""
         return params_with_effects(self._parts(params.tool_names), params)
 
     def _parts(self, tools: Iterable[str]) -> list[LinkWarming]:
@@ -212,11 +206,9 @@ class _FrameEffect(Effect):
     """Effect that is the error of one frame."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace the frame."""
         self.error().on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """Set the numbers of the displaced link."""
         error = self.error()
         return error.on_params(params) if any(error.screw) else params
 
@@ -307,11 +299,9 @@ class ThermalGradient(Effect):
             )
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace the frame at the end of the link."""
         self._error(length_of(spec, self.frame), expansion_of(spec, LINK_BODIES[self.frame])).on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """Set the numbers of the bent link."""
         link = link_of(params, self.frame)
         X = transform6_to_pose(link.transform)
         return self._error(X.R.T @ X.p, link.expansion_1_K).on_params(params) if self.gradient_K else params

@@ -70,7 +70,6 @@ class Counterbalance(EachCycle):
     """Sine part; with the cosine part it gives any amplitude and phase."""
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Return the torque at the present output angle."""
         angle_rad = float(plant.output_rad()[self.joint])
         torque_Nm = self.cosine_Nm * np.cos(angle_rad) + self.sine_Nm * np.sin(angle_rad)
         return None, Disturbance(output_Nm=at_joint(self.joint, float(torque_Nm)))
@@ -84,12 +83,10 @@ class HardstopAngle(Effect):
     shift_rad: SmallAngle
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Shift the lower end of the travel of the output."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_output")
         tendon.springlength = tendon.springlength + np.array([self.shift_rad, 0.0])
 
     def on_params(self, params: Params) -> Params:
-        """Set the true angle of the hardstop."""
         hardstop_rad = joint_of(params, self.joint).hardstop_rad + self.shift_rad
         return with_joint(params, self.joint, hardstop_rad=hardstop_rad)
 
@@ -102,12 +99,10 @@ class HardstopStiffness(Effect):
     factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the spring at both ends of the travel of the output."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_output")
         tendon.stiffness = tendon.stiffness * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """Set the true stiffness."""
         return scale_joint(params, self.joint, "hardstop_stiffness_Nm_rad", self.factor)
 
 
@@ -119,7 +114,6 @@ class ResolverBias(Effect):
     bias_rad: SmallAngle
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add to the bias of the reading."""
         bias_rad = hardware.resolver_bias_rad + at_joint(self.joint, self.bias_rad)
         return replace(hardware, resolver_bias_rad=bias_rad)
 
@@ -132,12 +126,10 @@ class BacklashWidth(Effect):
     factor: Annotated[float, ParameterSpec(0.0, 5.0, unit="1", typical=0.1, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the dead band of the gear tendon."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_gear")
         tendon.springlength = tendon.springlength * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """Set the true width."""
         return scale_joint(params, self.joint, "backlash_rad", self.factor)
 
 
@@ -149,13 +141,11 @@ class GearStiffness(Effect):
     factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale spring and damper of the gear tendon."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_gear")
         tendon.stiffness = tendon.stiffness * self.factor
         tendon.damping = tendon.damping * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """Set the true stiffness."""
         return scale_joint(params, self.joint, "gear_stiffness_Nm_rad", self.factor)
 
 
@@ -167,7 +157,6 @@ class GearFriction(Effect):
     factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the friction of the motor hinge."""
         motor = spec.joint(f"{self.joint.name.lower()}_motor")
         motor.frictionloss *= self.factor
         motor.damping *= self.factor
@@ -192,7 +181,6 @@ class MotorConstant(Effect):
         motor.forcerange = motor.forcerange * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """Set the true constant."""
         return scale_joint(params, self.joint, "torque_constant_Nm_A", self.factor)
 
 
@@ -204,7 +192,6 @@ class ServoGain(Effect):
     factor: Annotated[float, ParameterSpec(0.1, 3.0, unit="1", typical=0.2, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the gains of position, integral and rate."""
         _scale(spec.actuator(self.joint.name.lower()), GAINS, self.factor)
 
 
@@ -249,7 +236,6 @@ class BusSag(EachCycle):
     resistance_Ohm: Annotated[float, ParameterSpec(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Compute the loss of gain from the present currents."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
         voltage_loss = self.resistance_Ohm * total_A / BUS_V
         return None, Disturbance(servo=np.full(len(Joint), -voltage_loss))

@@ -36,7 +36,6 @@ class CurrentGain(ReadingError):
     factor: Factor
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Scale the reading."""
         factor = 1.0 + at_joint(self.joint, self.factor - 1.0)
         return replace(sensors, current_A=sensors.current_A * factor)
 
@@ -49,7 +48,6 @@ class CurrentBias(ReadingError):
     current_A: Annotated[float, ParameterSpec(-2.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Shift the reading."""
         return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, self.current_A))
 
 
@@ -68,7 +66,6 @@ class CurrentCrosstalk(ReadingError):
         refuse_first_joint(self.joint)
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Add the share to the reading."""
         more_A = self.share * float(sensors.current_A[self.joint - 1])
         return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, more_A))
 
@@ -81,12 +78,10 @@ class EncoderScale(Effect):
     error: Annotated[float, ParameterSpec(-0.05, 0.05, unit="1", typical=1e-3, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Change the angle of a count."""
         scale = 1.0 + at_joint(self.joint, self.error)
         return replace(hardware, rad_per_count=hardware.rad_per_count / scale)
 
     def on_params(self, params: Params) -> Params:
-        """Set the true ratio."""
         return scale_joint(params, self.joint, "gear_ratio", 1.0 + self.error)
 
 
@@ -99,7 +94,6 @@ class EncoderZero(Effect):
     offset_rad: SmallAngle
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Shift the angle at which the counter reads 0."""
         return replace(
             hardware, counter_zero_rad=hardware.counter_zero_rad - at_joint(self.joint, self.offset_rad)
         )
@@ -122,7 +116,6 @@ class CounterStart(Effect):
     angle_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=1.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Set the angle at which the counter reads 0."""
         zero = with_element(hardware.counter_zero_rad, self.joint, self.angle_rad)
         return replace(hardware, counter_zero_rad=zero)
 
@@ -137,11 +130,9 @@ class ResolverEccentricity(Effect):
     """Sine part; with the cosine part it gives any amplitude and phase."""
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the active ones."""
         return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
-        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
         angle = float(output_rad[self.joint])
         return at_joint(self.joint, float(self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)))
 
@@ -154,11 +145,9 @@ class ResolverScale(Effect):
     error: Annotated[float, ParameterSpec(-0.05, 0.05, unit="1", typical=3e-4, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the active ones."""
         return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
-        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
         return at_joint(self.joint, self.error * float(output_rad[self.joint]))
 
 
@@ -170,7 +159,6 @@ class GravityDirection(ReadingError):
     angle_rad: Annotated[float, ParameterSpec(-0.1, 0.1, unit="rad", typical=5e-3, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Rotate the reading."""
         R = _ROTATION_ABOUT[self.axis](np.array(self.angle_rad))
         return replace(sensors, gravity_R_m_s2=R @ sensors.gravity_R_m_s2)
 
@@ -182,7 +170,6 @@ class StructureSensor(Effect):
     offset_K: Annotated[float, ParameterSpec(-20.0, 20.0, unit="K", typical=0.3, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the offset."""
         return replace(hardware, structure_offset_K=hardware.structure_offset_K + self.offset_K)
 
     def on_params(self, params: Params) -> Params:

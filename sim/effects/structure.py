@@ -56,7 +56,6 @@ class LinkStiffness(Effect):
         _refuse_rigid(self.frame)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the six joint springs and their damping."""
         for axis in SPRING_AXES:
             joint = spec.joint(f"{SPRING_NAMES[self.frame]}_{axis}")
             joint.stiffness *= self.factor
@@ -82,7 +81,6 @@ class _AddedCompliance(Effect):
         joint.damping *= softer
 
     def on_params(self, params: Params) -> Params:
-        """Add to one element of the compliance."""
         frame, axis, compliance_rad_Nm = self.added_compliance()
         link = link_of(params, frame)
         compliance = np.array(link.compliance)
@@ -105,7 +103,6 @@ class LinkTorsion(_AddedCompliance):
         _refuse_rigid(self.frame, "rover-compliance")
 
     def added_compliance(self) -> tuple[Frame, int, float]:
-        """Return the x axis of the spring."""
         return self.frame, 0, self.compliance_rad_Nm
 
 
@@ -121,7 +118,6 @@ class LinkBending(_AddedCompliance):
         _refuse_rigid(self.frame, "rover-compliance")
 
     def added_compliance(self) -> tuple[Frame, int, float]:
-        """Return the axis of the spring."""
         return self.frame, "xyz".index(self.axis), self.compliance_rad_Nm
 
 
@@ -141,11 +137,9 @@ class LinkCreep(EachCycle):
         _refuse_rigid(self.frame, "rover-compliance")
 
     def begin(self, plant: Plant, hardware: Hardware) -> Creep:
-        """Return a link that has not crept."""
         return Creep(float(plant.data.time), 0.0)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Creep) -> tuple[Creep, Disturbance]:
-        """Turn the rest angle of the spring of the link towards that of the present load."""
         now_s, at = float(plant.data.time), plant.at.springs[self.frame]["xyz".index(self.axis)]
         stiffness_Nm_rad = float(plant.model.jnt_stiffness[plant.model.dof_jntid[at]])
         load_Nm = stiffness_Nm_rad * (float(plant.data.qpos[at]) - state.angle_rad)
@@ -163,7 +157,6 @@ class RoverCompliance(_AddedCompliance):
     compliance_rad_Nm: Compliance
 
     def added_compliance(self) -> tuple[Frame, int, float]:
-        """Return the axis of the first spring."""
         return Frame.ARM1, "xyz".index(self.axis), self.compliance_rad_Nm
 
 
@@ -184,7 +177,6 @@ class LinkMass(Effect):
             raise ValueError("frame: tool is no link; the mass of the tools is the turret's, arm6")
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale mass and inertia of each lump, and shift its centre."""
         for name in _LUMPS_OF[self.frame]:
             body = spec.body(name)
             body.mass *= self.factor
@@ -192,7 +184,6 @@ class LinkMass(Effect):
             body.ipos = body.ipos + np.array(self.shift_m)
 
     def on_params(self, params: Params) -> Params:
-        """Scale and shift the lumps in the same way."""
         link = link_of(params, self.frame)
         changed = replace(link, near=self._lump(link.near), far=self._lump(link.far))
         return with_link(params, self.frame, changed)
@@ -218,11 +209,9 @@ class StandInTurret(Effect):
     mass_kg: Annotated[float, ParameterSpec(0.0, 60.0, unit="kg", typical=19.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Set the mass, and scale the inertia with it."""
         _set_mass(spec, self.mass_kg)
 
     def on_params(self, params: Params) -> Params:
-        """Set the far lump of the last link."""
         link = link_of(params, Frame.ARM6)
         return with_link(params, Frame.ARM6, replace(link, far=replace(link.far, mass_kg=self.mass_kg)))
 
@@ -234,11 +223,9 @@ class TurretMass(Effect):
     extra_kg: Annotated[float, ParameterSpec(-20.0, 20.0, unit="kg", typical=1.0, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Add to the mass, and scale the inertia with it."""
         _set_mass(spec, float(spec.body("turret").mass) + self.extra_kg)
 
     def on_params(self, params: Params) -> Params:
-        """Set the far lump of the last link."""
         return _with_turret(params, mass_kg=self.extra_kg)
 
 
@@ -250,12 +237,10 @@ class TurretCentre(Effect):
     shift_m: Annotated[float, ParameterSpec(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Shift the centre of mass."""
         turret = spec.body("turret")
         turret.ipos = turret.ipos + self._shift()
 
     def on_params(self, params: Params) -> Params:
-        """Set the far lump of the last link."""
         return _with_turret(params, shift_m=self._shift())
 
     def _shift(self) -> Array:

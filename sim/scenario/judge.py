@@ -182,12 +182,7 @@ def _measure_press(
 def evaluate_checks(
     scenario: Scenario, stowed_rad: Array, trace: Trace, ending: Ending
 ) -> tuple[CheckResult, ...]:
-    """Evaluate every check of a scenario, in its order.
-
-    Args:
-        stowed_rad: Output angles of the stowed pose, shape (5,).
-        trace: True states of the run, from `note_snapshot`.
-    """
+    """Evaluate every check of a scenario, in its order."""
     found = [
         replace(measured, check=upper_snake(type(check)).lower())
         for check in scenario.checks

@@ -60,13 +60,7 @@ class ScenarioResult:
 
 
 def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
-    """Make the setup of a scenario for an arm that has its effects and its taught places.
-
-    Args:
-        arm: Arm from `Scenario.fit_arm`, with its taught places.
-        reference: Reference in the memory of flight software.
-        seed: Seed of the noise.
-    """
+    """Make the setup of a scenario for an arm that has its effects and its taught places."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)

@@ -12,10 +12,11 @@ from helpers.command import run_simgap
 from helpers.message_logs import BY_TOPIC, rows, write_bag, write_mcap
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
 from helpers.robot_folder import MODEL as LINKS
-from simgap.command.check import check_robot, drawn_motions, print_check, summarize_joints
+from simgap.command.check import check_parts, check_robot, drawn_motions, summarize_joints
 from simgap.command.first_file import list_logs
 from simgap.command.request import CheckRequest
 from simgap.common.files import file_sha256
+from simgap.common.report import print_parts
 
 SCREEN_LINES = 24
 
@@ -41,11 +42,11 @@ def written(folder: Path):
 
 
 def test_the_screen_has_a_line_for_each_joint_and_the_remarks(report, capsys):
-    print_check(report)
+    print_parts(check_parts(report))
     printed = capsys.readouterr().out
     lines = printed.splitlines()
     assert len(lines) <= SCREEN_LINES
-    assert len([line for line in lines if re.match(r" *(shoulder|elbow) +50 ", line)]) == 2
+    assert len([line for line in lines if re.match(r"│ (shoulder|elbow) +│ +50 ", line)]) == 2
     words = " ".join(printed.split())
     assert "contact with a plane: tip stops at z = -100 mm" in words
     assert "A diagnosis will leave out" in words

@@ -25,11 +25,12 @@ from simgap.command.diagnosis import (
     RobotDiagnosis,
     diagnose_robot,
     diagnosis_json,
-    print_diagnosis,
+    diagnosis_parts,
     save_diagnosis_files,
     save_page_of,
 )
 from simgap.command.request import DiagnoseRequest
+from simgap.common.report import print_parts
 from simgap.loading import load
 from simgap.report.traces import choose_traces, make_traces
 
@@ -107,7 +108,7 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
 
 
 def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
-    print_diagnosis(made(tmp_path))
+    print_parts(diagnosis_parts(made(tmp_path)))
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.startswith("Where: lift. What: Coulomb friction at lift")
     assert "Without it, 80 % of the explainable error of its joint comes back." in shown

@@ -77,7 +77,7 @@ def test_nested_shows_what_each_term_explains(ended):
     words = ("--terms", "geometry,periodic", "--fit-share", "0.4", "--nested")
     done = run_simgap(ended[0], "diagnose", "robot.toml", "poses.csv", *words)
     assert "120 poses fitted, 180 held out" in done.stdout
-    assert re.findall(r"^ *\+ (\w+)", done.stdout, re.M) == ["geometry", "periodic"]
+    assert re.findall(r"^│ \+ (\w+)", done.stdout, re.M) == ["geometry", "periodic"]
     assert "hysteresis" in done.stdout
 
 

@@ -127,16 +127,16 @@ def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data
 @pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
 def test_bits_flipped_anywhere(tmp_path: Path, data: bytes, kept: float) -> None:
     found = flip_bits(original(data[: int(kept * len(data))]), 30, 6, tmp_path)
-    assert found["wrong"] == []
-    assert found["read"]["detected"] > 10
+    assert found.wrong == []
+    assert found.read["detected"] > 10
 
 
 def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
     found = truncate_file(original(data), CUT_EVERY // 4, tmp_path)
-    assert found["wrong"] == []
-    assert found["read"]["cut"] > 5
+    assert found.wrong == []
+    assert found.read["cut"] > 5
 
 
 def test_records_that_do_not_fit_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
     found = change_records(original(data[: int(0.6 * len(data))]), 60, 6, tmp_path)
-    assert (found["wrong"], found["read"].keys()) == ([], {"read", "refused"})
+    assert (found.wrong, found.read.keys()) == ([], {"read", "refused"})

@@ -9,7 +9,7 @@ from simgap.command.request import (
 )
 from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
-from simgap.common.verb import VerbResult, verb
+from simgap.common.verb import VerbResult, shown, verb
 
 app = make_app("simgap", "Find why a robot and its MuJoCo model differ: where, by which effect, and how far.")
 
@@ -24,10 +24,10 @@ def init(request: InitRequest, progress: Progress) -> VerbResult:
 
     Example: simgap init model.xml log.csv --out robot.toml
     """
-    from simgap.command.first_file import first_file_json, print_first_file, write_first_file
+    from simgap.command.first_file import first_file_json, first_file_parts, write_first_file
 
     made = write_first_file(request, progress)
-    return VerbResult(first_file_json(made), lambda: print_first_file(made))
+    return shown(first_file_json(made), first_file_parts(made))
 
 
 @app.command()
@@ -44,16 +44,16 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     Example: simgap check robot.toml logs.parquet --report check.html
     """
     if request.robot.suffix.lower() != ".toml":
-        from simgap.command.first_file import columns_json, list_logs, print_columns
+        from simgap.command.first_file import columns_parts, list_logs
 
         listed = list_logs(request, progress)
-        return VerbResult(columns_json(listed), lambda: print_columns(listed))
-    from simgap.command.check import check_json, check_robot, print_check, save_check_page
+        return shown({"logs": listed}, columns_parts(listed))
+    from simgap.command.check import check_json, check_parts, check_robot, save_check_page
 
     report = check_robot(request, progress)
     if request.report is not None:
         save_check_page(report, request.report)
-    return VerbResult(check_json(report), lambda: print_check(report), is_done=not report.refusal)
+    return shown(check_json(report), check_parts(report), is_done=not report.refusal)
 
 
 @app.command()
@@ -66,12 +66,10 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
 
     Example: simgap diagnose robot.toml logs.parquet --report found.html --patch found
     """
-    from simgap.command.diagnosis import diagnose_robot, diagnosis_json, print_diagnosis, save_diagnosis_files
+    from simgap.command.diagnosis import diagnose_robot, diagnosis_json, diagnosis_parts, save_diagnosis_files
 
     made = diagnose_robot(request, progress)
-    return VerbResult(
-        diagnosis_json(made), lambda: print_diagnosis(made), save=lambda: save_diagnosis_files(made)
-    )
+    return shown(diagnosis_json(made), diagnosis_parts(made), save=lambda: save_diagnosis_files(made))
 
 
 @app.command("next")
@@ -85,13 +83,13 @@ def propose(request: NextRequest, progress: Progress) -> VerbResult:
 
     Example: simgap next robot.toml logs.parquet --start found --out next.csv --report next.html
     """
-    from simgap.command.next_motion import print_next, propose_next, save_files
+    from simgap.command.next_motion import next_parts, propose_next, save_files
     from simgap.report.next_motion import next_document
 
     made = propose_next(request, progress)
-    return VerbResult(
+    return shown(
         next_document(made.proposal),
-        lambda: print_next(made),
+        next_parts(made),
         is_done=made.proposal.choice.tells_apart,
         save=lambda: save_files(made),
     )
@@ -107,11 +105,11 @@ def compare(request: CompareRequest, progress: Progress) -> VerbResult:
 
     Example: simgap compare robot.toml monday.parquet friday.parquet
     """
-    from simgap.command.comparison import compare_logs, print_comparison
-    from simgap.report.document import comparison_document
+    from simgap.command.comparison import compare_logs
+    from simgap.report.document import comparison_details, comparison_document, comparison_lines
 
     made = compare_logs(request, progress)
-    return VerbResult(comparison_document(made), lambda: print_comparison(made))
+    return shown(comparison_document(made), [*comparison_lines(made), *comparison_details(made)])
 
 
 def main() -> None:

@@ -13,13 +13,13 @@ from simgap.checks.audit import audit
 from simgap.checks.nominal import NominalMotion, simulate_nominal
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
-from simgap.common.console import plain_console, pluralize, text_table
+from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import digest_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import GUESS, Progress, no_progress
-from simgap.common.report import file_lines, to_json
+from simgap.common.report import ReportTable, file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
 from simgap.logs import Logs
@@ -174,24 +174,20 @@ def check_json(report: CheckReport) -> dict[str, Any]:
     }
 
 
-def print_check(report: CheckReport) -> None:
-    """Print one line for each joint, and the remarks with the worst first."""
-    console = plain_console()
+def check_parts(report: CheckReport) -> list[str | ReportTable]:
+    """Show one line for each joint, and the remarks with the worst first."""
     held_out = f", {len(report.logs.held_out)} held out" if report.logs.held_out else ""
     title = f"{report.robot.name}: {pluralize(len(report.logs.motions), 'motion')}{held_out}"
-    console.print(text_table(title, JOINT_HEAD, map(joint_cells, summarize_joints(report))))
-    for loss in report.logs.losses:
-        console.print(loss)
-    for line in remark_lines(report.audit)[:MAX_REMARKS]:
-        console.print(line)
     more = len(report.audit.remarks) - MAX_REMARKS
-    if more > 0:
-        console.print(f"{pluralize(more, 'more remark')} in --report and --json")
-    for one in report.audit.untested:
-        console.print(f"not tested: {one}")
-    console.print(refusal_sentence(report))
-    for line in file_lines({"report": report.request.report}):
-        console.print(line)
+    return [
+        ReportTable(JOINT_HEAD, [*map(joint_cells, summarize_joints(report))], title),
+        *report.logs.losses,
+        *remark_lines(report.audit)[:MAX_REMARKS],
+        *([f"{pluralize(more, 'more remark')} in --report and --json"] if more > 0 else []),
+        *(f"not tested: {one}" for one in report.audit.untested),
+        refusal_sentence(report),
+        *file_lines({"report": report.request.report}),
+    ]
 
 
 def remark_lines(audit: Audit) -> list[str]:

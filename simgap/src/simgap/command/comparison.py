@@ -4,13 +4,11 @@ from dataclasses import replace
 
 from simgap.checks.audit import audit
 from simgap.command.request import CompareRequest
-from simgap.common.console import plain_console
 from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.compare import compare
 from simgap.diagnosis import check_audit
 from simgap.loading import load
-from simgap.report.document import comparison_details, comparison_lines
 from simgap.result import Comparison
 from simgap.robot import Robot
 
@@ -36,10 +34,3 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
         seed=request.seed,
         progress=lambda share, text: progress(share, GUESS, text),
     )
-
-
-def print_comparison(made: Comparison) -> None:
-    """Print the four lines, and a sentence for each change and each limit."""
-    console = plain_console()
-    for line in (*comparison_lines(made), *comparison_details(made)):
-        console.print(line, soft_wrap=False)

@@ -5,12 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
-
 from simgap.catalogue.own_effects import load_effects
 from simgap.checks.audit import audit
 from simgap.command.request import FIT_SHARE, DiagnoseRequest
-from simgap.common.console import plain_console, text_table
 from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.files import (
     atomic_write,
@@ -24,7 +21,7 @@ from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
-from simgap.common.report import file_lines, to_json
+from simgap.common.report import ReportTable, file_lines, to_json
 from simgap.diagnosis import diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
@@ -103,8 +100,8 @@ def _model_json(model: NestedModel) -> dict[str, Any]:
     }
 
 
-def print_calibration(fitted: TrackerFit, console: Console) -> None:
-    """Print the gain of each term, the errors of the joints, and the noise."""
+def calibration_parts(fitted: TrackerFit) -> list[str | ReportTable]:
+    """Show the gain of each term, the errors of the joints, and the noise."""
     rows = []
     for k, one in enumerate(fitted.models):
         gain = [one.gain_m, one.gain_sigma_m] if k else [None, None]
@@ -113,13 +110,13 @@ def print_calibration(fitted: TrackerFit, console: Console) -> None:
         rows.append((f"+ {one.terms[-1]}" if k else "base, target", *cells))
     poses = f"{fitted.found.model.series.count} poses fitted, {fitted.fresh.count} held out"
     head = ("with", "fitted", "validated", "less by", "+-", "held out", "largest")
-    console.print(text_table(f"Position error, rms [mm]; {poses}", head, rows))
+    parts: list[str | ReportTable] = [ReportTable(head, rows, f"Position error, rms [mm]; {poses}")]
     if set(fitted.models[-1].terms) - {GEOMETRY}:
         head = ("joint", "compliance", "+-", "hysteresis", "+-", "periodic", "largest")
         rows = [_joint_cells(one) for one in joint_errors(fitted.found)]
-        console.print(text_table("Joint errors: urad/Nm, urad, mrad, mrad", head, rows))
+        parts.append(ReportTable(head, rows, "Joint errors: urad/Nm, urad, mrad, mrad"))
     fit = fitted.found.fit
-    console.print(f"{len(fit.parameters)} parameters; noise is {fit.sigma0:.2f} of what the file says")
+    return [*parts, f"{len(fit.parameters)} parameters; noise is {fit.sigma0:.2f} of what the file says"]
 
 
 def _joint_cells(one: JointTerms) -> tuple[str, ...]:
@@ -259,19 +256,18 @@ def diagnosis_json(made: RobotDiagnosis) -> dict[str, Any]:
     return document if made.fitted is None else document | {"calibration": calibration_json(made.fitted)}
 
 
-def print_diagnosis(made: RobotDiagnosis) -> None:
-    """Print the lines of a diagnosis, and what each term of a calibration gains if that is asked."""
-    print_lines(made.diagnosis)
-    if made.fitted is not None and made.request.nested:
-        print_calibration(made.fitted, plain_console())
+def diagnosis_parts(made: RobotDiagnosis) -> list[str | ReportTable]:
+    """Show the lines of a diagnosis, and what each term of a calibration gains if that is asked."""
+    lines = all_lines(made.diagnosis)
+    if made.fitted is None or not made.request.nested:
+        return [*lines]
+    return [*lines, *calibration_parts(made.fitted)]
 
 
-def print_lines(diagnosis: Diagnosis) -> None:
-    """Print the four lines, then the details."""
-    console = plain_console()
+def all_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return the four lines, then the details."""
     details = detail_lines(diagnosis)
-    for line in (*verdict_lines(diagnosis), *([""] if details else []), *details):
-        console.print(line)
+    return [*verdict_lines(diagnosis), *([""] if details else []), *details]
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:

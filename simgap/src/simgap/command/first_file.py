@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from simgap.command.request import CheckRequest, InitRequest
-from simgap.common.console import plain_console, pluralize, text_table
+from simgap.common.console import pluralize
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-from simgap.common.report import to_json
+from simgap.common.report import ReportTable
 from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import open_whole
 from simgap.files.table_log import TableLog
@@ -71,17 +71,18 @@ def first_file_json(made: FirstFile) -> dict[str, Any]:
     }
 
 
-def print_first_file(made: FirstFile) -> None:
-    """Print which column is which joint, what is to be answered, and the next command."""
-    console = plain_console()
-    for joint, columns in made.columns.items():
-        console.print(f"{joint}: {', '.join(f'{key} {column}' for key, column in columns.items())}")
-    if made.left_out:
-        console.print(f"left out: {', '.join(made.left_out)}")
-    for number, question in enumerate(made.questions, 1):
-        console.print(f"{number}. {question}")
-    console.print(f"{made.path} is written; answer the questions in it, then:")
-    console.print(shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]), soft_wrap=True)
+def first_file_parts(made: FirstFile) -> list[str]:
+    """Show which column is which joint, what is to be answered, and the next command."""
+    return [
+        *(
+            f"{joint}: {', '.join(f'{key} {column}' for key, column in columns.items())}"
+            for joint, columns in made.columns.items()
+        ),
+        *([f"left out: {', '.join(made.left_out)}"] if made.left_out else []),
+        *(f"{number}. {question}" for number, question in enumerate(made.questions, 1)),
+        f"{made.path} is written; answer the questions in it, then:",
+        shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]),
+    ]
 
 
 MODELS: Final = (".xml", ".mjcf", ".urdf")
@@ -128,22 +129,17 @@ def _describe(path: Path) -> LogContent:
     return LogContent(path, columns, tuple(losses))
 
 
-def columns_json(logs: Sequence[LogContent]) -> dict[str, Any]:
-    """Convert a list to a JSON document; null where a number is not known."""
-    return {"logs": [to_json(one) for one in logs]}
-
-
-def print_columns(logs: Sequence[LogContent]) -> None:
-    """Print one line for each column."""
-    console = plain_console()
+def columns_parts(logs: Sequence[LogContent]) -> list[str | ReportTable]:
+    """Show one line for each column."""
+    parts: list[str | ReportTable] = []
     for one in logs:
         title = f"{one.log}: {pluralize(len(one.columns), 'column')}"
-        console.print(text_table(title, COLUMN_HEAD, map(_cells, one.columns), ("kind", "unit")))
-        for loss in one.losses:
-            console.print(f"{one.log}: {loss}")
-    console.print(
-        "A robot file says which of these columns is which joint; `simgap init` writes a first one."
-    )
+        parts.append(ReportTable(COLUMN_HEAD, [*map(_cells, one.columns)], title))
+        parts += [f"{one.log}: {loss}" for loss in one.losses]
+    return [
+        *parts,
+        "A robot file says which of these columns is which joint; `simgap init` writes a first one.",
+    ]
 
 
 def _cells(one: ColumnInfo) -> tuple[str, ...]:

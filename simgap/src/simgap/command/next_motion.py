@@ -3,7 +3,7 @@
 import csv
 import io
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from simgap.common.files import digest_files
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
-from simgap.common.report import print_parts
+from simgap.common.report import ReportTable
 from simgap.files.motion_rows import conversion
 from simgap.files.robot_file import SignalColumn
 from simgap.loading import load
@@ -58,19 +58,15 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     return NextMotion(request, robot, proposal, motion, digest_files(read))
 
 
-def print_next(made: NextMotion) -> None:
-    """Print what to record, the best motions, and what to do with the log."""
-    parts: list[Any] = [*next_lines(made.proposal)]
-    if made.proposal.choice.tells_apart:
-        parts += [*next_tables(made.proposal), *_after(made)]
-    print_parts(parts)
-
-
-def _after(made: NextMotion) -> list[str]:
-    """Return what to do with the log of the motion."""
+def next_parts(made: NextMotion) -> list[str | ReportTable]:
+    """Show what to record, the best motions, and what to do with the log."""
+    lines = next_lines(made.proposal)
+    if not made.proposal.choice.tells_apart:
+        return [*lines]
     split = made.robot.file.split if made.robot.file else ""
     named = f' Name it "{NAME}" in a part of {split} that is fitted.' if split else ""
-    return [f"Then diagnose the earlier logs and that of this motion together.{named}"]
+    after = f"Then diagnose the earlier logs and that of this motion together.{named}"
+    return [*lines, *next_tables(made.proposal), after]
 
 
 def save_files(made: NextMotion) -> list[str]:

@@ -1,13 +1,11 @@
 """Text for the terminal: consoles, plurals and sparklines."""
 
 import re
-from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
 """Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
@@ -17,11 +15,11 @@ NAN_MARK: Final = "?"
 SPARKLINE_WIDTH: Final = 40
 
 
-def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
-    """Draw magnitudes, (n,), in at most `width` blocks: each shows the maximum of its part, a dot zero."""
+def magnitude_sparkline(size: NDArray[np.float64]) -> str:
+    """Draw magnitudes, (n,), in so many blocks at most: each shows the maximum of its part, a dot zero."""
     if not size.size:
         return ""
-    columns = [part.max() for part in np.array_split(size, min(width, len(size)))]
+    columns = [part.max() for part in np.array_split(size, min(SPARKLINE_WIDTH, len(size)))]
     finite = [value for value in columns if np.isfinite(value)]
     top = max(finite, default=0.0)
     return "".join(ZERO_MARK if value == 0 else _block(value, 0.0, top) for value in columns)
@@ -50,19 +48,6 @@ def pluralize(count: int, one: str) -> str:
 
 
 WARNING_STYLE: Final = "bold"
-
-
-def text_table(
-    title: str, head: Sequence[str], rows: Iterable[Sequence[str]], texts: Sequence[str] = ()
-) -> Table:
-    """Make a table without lines: the first column and those that `texts` names hold texts."""
-    made = Table(title=title, title_justify="left", box=None, padding=(0, 1))
-    for k, name in enumerate(head):
-        is_text = k == 0 or name in texts
-        made.add_column(name, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
-    for row in rows:
-        made.add_row(*row)
-    return made
 
 
 def plain_console(width: int | None = None) -> Console:

@@ -88,13 +88,13 @@ def to_json(value: Any) -> Any:
 
 
 def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
-    """Print sentences and tables of a report on the console."""
+    """Print sentences and tables of a report; on a terminal, sentences break between words."""
     console = plain_console()
     for part in parts:
-        if isinstance(part, str):
-            console.print(part, soft_wrap=True)
-        elif isinstance(part, Emphasis):
-            console.print(part.text, style=WARNING_STYLE, soft_wrap=True)
+        if isinstance(part, str | Emphasis):
+            text, style = (part, None) if isinstance(part, str) else (part.text, WARNING_STYLE)
+            # a path is never broken, and a program reads a sentence as one line
+            console.print(text, style=style, soft_wrap=not console.is_terminal, overflow="ignore", crop=False)
         elif part.is_whole:
             console.print(part.title)
             plain_console(max(Console().width, WHOLE_WIDTH)).print(_console_table(part, ""))

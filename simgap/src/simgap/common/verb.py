@@ -72,13 +72,13 @@ def shown(
     parts: Sequence["str | Emphasis | ReportTable"],
     is_done: bool = True,
     view: Playable | None = None,
+    save: Callable[[], Sequence[str]] | None = None,
 ) -> VerbResult:
     """Make the result of a verb from values that `to_json` takes, and from sentences and tables."""
     from simgap.common.report import print_parts, to_json
 
-    return VerbResult(
-        to_json(document), lambda: print_parts(parts), is_done, play=None if view is None else view.play
-    )
+    play = None if view is None else view.play
+    return VerbResult(to_json(document), lambda: print_parts(parts), is_done, save, play)
 
 
 def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
