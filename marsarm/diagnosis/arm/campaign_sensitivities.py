@@ -347,7 +347,7 @@ def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
     The motions of the first part are those that move as many joints as any, away from a surface.
     """
     whole = _simulator(campaign)
-    motions, rests = whole.feature_set.motions, whole.feature_set.rests
+    motions, rests, touches = (getattr(whole.feature_set, name) for name in ("motions", "rests", "touches"))
     joints = [
         len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
         for one in motions
@@ -355,10 +355,11 @@ def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
     chosen = [(count == max(joints)) is is_first for count in joints]
     flags = [
         *np.repeat(chosen, [len(one.features) for one in motions]),
-        *[is_first] * sum(len(one.features) for one in rests),
+        *[is_first] * (sum(len(one.features) for one in rests) + len(touches)),
     ]
     rows = np.flatnonzero(flags)
-    feature_set = FeatureSet(tuple(compress(motions, chosen)), rests if is_first else ())
+    static = (rests, touches) if is_first else ((), ())
+    feature_set = FeatureSet(tuple(compress(motions, chosen)), *static)
     return replace(whole, feature_set=feature_set, layout=whole.layout.select(rows)), rows
 
 

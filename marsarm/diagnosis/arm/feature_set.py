@@ -2,7 +2,7 @@
 
 Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
 equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal. The noise floor
-is that of repeats.
+is that of repeats. A touch says how high the tool is over the surface, as the session describes it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,8 +20,10 @@ from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import (
     ASSUMED_SIGMA,
     CHANNELS,
+    CONDITIONS,
     RESOLVER,
     ROTATION,
+    TOUCH,
     TRANSLATION,
     Feature,
     MotionFeatures,
@@ -29,7 +31,7 @@ from marsarm.diagnosis.arm.features import (
     evaluate_features,
     list_motion_features,
 )
-from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import (
     RestPoses,
     TurningPoints,
@@ -41,8 +43,16 @@ from marsarm.diagnosis.arm.rest_poses import (
     stack_readings,
 )
 from sim.arm_model.load import ArmModel
-from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
+from sim.effects.effect import (
+    Effect,
+    Hardware,
+    apply_sensor_errors,
+    nominal_hardware,
+    params_with_effects,
+)
+from sim.effects.environment import SurfacePosition
 from sim.effects.gears import OutputFriction
+from sim.frames import p_R_from_N
 from sim.loop import SimulationOptions
 from sim.plant import SCREW_AXES
 from simgap import screw_log
@@ -72,11 +82,22 @@ class RestFeatures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TouchFeature:
+    """Height of a tool over the surface, as the session describes it, at the moment of a touch."""
+
+    turning_points: TurningPoints
+    """Up to the touch, which stands for a rest."""
+    tool: str
+    feature: Feature
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FeatureSet:
-    """Features of a campaign's recordings: the motions first, then the rests."""
+    """Features of a campaign's recordings: the motions first, then the rests, then the touches."""
 
     motions: tuple[MotionFeatures, ...]
     rests: tuple[RestFeatures, ...]
+    touches: tuple[TouchFeature, ...] = ()
 
     @property
     def arm(self) -> ArmModel:
@@ -84,10 +105,11 @@ class FeatureSet:
         return (self.motions[0].recording if self.motions else self.rests[0].turning_points.recording).arm
 
     def list_features(self) -> tuple[Feature, ...]:
-        """List the features of the motions, then of the rests."""
+        """List the features of the motions, then of the rests and the touches."""
         return (
             *(feature for one in self.motions for feature in one.features),
             *(feature for one in self.rests for feature in one.features),
+            *(one.feature for one in self.touches),
         )
 
     def list_sessions(self) -> tuple[str, ...]:
@@ -95,6 +117,7 @@ class FeatureSet:
         return (
             *(one.recording.name for one in self.motions for _ in one.features),
             *(one.turning_points.recording.name for one in self.rests for _ in one.features),
+            *(one.turning_points.recording.name for one in self.touches),
         )
 
 
@@ -109,7 +132,36 @@ def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     return FeatureSet(
         tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
         tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
+        tuple(_list_touches(recordings)),
     )
+
+
+def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
+    """Yield the touches of surfaces that sessions describe."""
+    still = (0.0,) * (len(CONDITIONS) - 1)
+    for one in recordings:
+        touch = find_touch(one)
+        if touch is None or one.world.surface is None:
+            continue
+        closed = np.flatnonzero(one.sensors["switch_closed"][touch])
+        tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
+        feature = Feature(TOUCH, "surface", "touch", one.block, (one.temperature_C, *still), "touch")
+        yield TouchFeature(find_turning_points(one, touch), tool, feature)
+
+
+def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Array:
+    """Compute the height of each tool over its surface at its touch by statics [m], shape (t,)."""
+    shift_m = sum(effect.offset_m for effect in effects if isinstance(effect, SurfacePosition))
+    X_FT = configure(params_with_effects(tuple(effects), feature_set.arm.params)).arm.X_FT
+    found = []
+    rests = solve_rests([one.turning_points for one in feature_set.touches], effects)
+    for one, rest in zip(feature_set.touches, rests, strict=True):
+        surface = one.turning_points.recording.world.surface
+        assert surface is not None
+        p_RoTo_R_m = rest.X_RF.R[:, :, 0] @ X_FT[one.tool].p + rest.X_RF.p[:, 0]
+        height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
+        found.append(float(height_m) - shift_m)
+    return np.array(found)
 
 
 def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
@@ -128,7 +180,7 @@ def measure_features(feature_set: FeatureSet) -> Array:
                 _select_poses(tracked.X_RF, [k for _, k in one.tracked_rests]),
             )
         )
-    return np.concatenate(values)
+    return np.concatenate([*values, np.zeros(len(feature_set.touches))])
 
 
 def every_motion(_: MotionFeatures) -> bool:
@@ -158,7 +210,7 @@ def simulate_features(
     ]
     rests = solve_rests([one.turning_points for one in feature_set.rests], effects)
     values += [_static_values(one, found) for one, found in zip(feature_set.rests, rests, strict=True)]
-    return np.concatenate(values)
+    return np.concatenate([*values, simulate_touches(feature_set, effects)])
 
 
 def simulate_motion(
@@ -334,4 +386,4 @@ def _tracker_sigma(feature_set: FeatureSet) -> Array:
         screws = posed.turning_points.recording.tracker_poses.sigma[:, seen].ravel()
         others = np.full(len(posed.features) - screws.size, np.nan)
         found.append(np.concatenate([others, screws]))
-    return np.concatenate(found)
+    return np.concatenate([*found, np.full(len(feature_set.touches), np.nan)])

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, find_segments
+from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, find_segments, find_touch
 
-CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
-UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
-CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION = range(len(CHANNELS))
+CHANNELS: Final = (
+    *("current", "following-error", "resolver-encoder", "imu", "rotation", "translation", "touch"),
+)
+UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m", "m")
+CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION, TOUCH = range(len(CHANNELS))
 CONDITIONS: Final = (
     *("temperature", "load", "speed", "sine of the angle", "cosine of the angle", "direction"),
 )
@@ -38,9 +40,10 @@ ASSUMED_SIGMA: Final = (
     0.005 * 0.03,
     2e-5,
     3e-5,
+    1e-4,
 )
 """Standard deviation by channel in its unit, from noise of current sensors and resolvers, encoder counts, the
-IMU over ten seconds, and the tracker."""
+IMU over ten seconds, the tracker, and the way of a tool in a cycle."""
 START_DOUBT: Final = (0.02, 2e-5, 0.0)
 """Doubt of current, following error and resolver at the start of a motion, which depends on numerics."""
 START_S: Final = 1.0
@@ -181,9 +184,8 @@ def _compared_bins(
 
 def _touch_tick(recording: Recording) -> int:
     """Return the tick from which on a tool may touch."""
-    closed = recording.sensors["switch_closed"]
-    at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
-    return int(at[0]) - round(TOUCH_MARGIN_S * CYCLE_HZ) if at.size else recording.ticks + 1
+    touch = find_touch(recording)
+    return recording.ticks + 1 if touch is None else touch - round(TOUCH_MARGIN_S * CYCLE_HZ)
 
 
 def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.case_simulator import simulate_change
-from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by
+from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by, simulate_touches
 from marsarm.diagnosis.arm.rest_poses import is_stepped
 from marsarm.diagnosis.arm.simulator import ArmSimulator
 from marsarm.diagnosis.problem import LOG_UNIT
@@ -170,7 +170,12 @@ def _change_at_joint(simulator: ArmSimulator, moved: Array, effects: tuple[Effec
     places, name = simulator.layout.places, joint.name.lower()
     own = moving & np.array([place == name for place in places])[simulator.layout.place]
     turns = not all(map(changes_readings_only, effects))
-    return np.where(own, moved, rests_moved_by(simulator.feature_set, moved, joint, turns))
+    found = np.where(own, moved, rests_moved_by(simulator.feature_set, moved, joint, turns))
+    nominal, touched = (
+        simulate_touches(simulator.feature_set, (*simulator.patch, *some)) for some in ((), effects)
+    )
+    found[found.size - nominal.size :] = touched - nominal
+    return found
 
 
 def _joint(effects: tuple[Effect, ...]) -> Joint | None:

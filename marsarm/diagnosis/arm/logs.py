@@ -304,6 +304,13 @@ def find_segments(recording: Recording) -> list[Segment]:
     return found
 
 
+def find_touch(recording: Recording) -> int | None:
+    """Find the first tick at which a contact switch has closed; None if none closes."""
+    closed = recording.sensors["switch_closed"]
+    at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
+    return int(at[0]) if at.size else None
+
+
 def find_rests(recording: Recording) -> list[int]:
     """Find the last tick of every rest on the brakes of at least half a second."""
     still = np.asarray(~(recording.drive["power_on"] | recording.drive["brake_release"]).any(axis=1))

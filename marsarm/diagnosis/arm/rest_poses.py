@@ -75,11 +75,11 @@ NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), NO_TRACKER_POSES.X_RF)
 """Result for a recording without rests."""
 
 
-def find_turning_points(recording: Recording) -> TurningPoints:
-    """Find the rests, and the starts and ends of motions."""
-    rests = find_rests(recording)
+def find_turning_points(recording: Recording, touch: int | None = None) -> TurningPoints:
+    """Find the rests, and the starts and ends of motions; with a touch, those before, and it as the rest."""
+    rests = find_rests(recording) if touch is None else [touch]
     turns = {tick for s in find_segments(recording) for tick in (s.first, s.end - 1)}
-    ticks = sorted({*rests, *turns})
+    ticks = [tick for tick in sorted({*rests, *turns}) if touch is None or tick <= touch]
     motor = recording.motor_rad()[:, ticks]
     return TurningPoints(recording, motor, tuple(ticks), tuple(ticks.index(tick) for tick in rests))
 

@@ -20,12 +20,14 @@ from marsarm.diagnosis.arm.feature_set import (
     measure_features,
     simulate_features,
     simulate_motion,
+    simulate_touches,
 )
 from marsarm.diagnosis.arm.features import (
     CHANNELS,
     CURRENT,
     IMU,
     ROTATION,
+    TOUCH,
     TRANSLATION,
     MotionFeatures,
     evaluate_features,
@@ -49,6 +51,7 @@ from marsarm.diagnosis.problem import Sensitivities
 from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
+from sim.effects.environment import SurfacePosition
 from sim.effects.geometry import LinkLength
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
@@ -117,13 +120,15 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recor
 
 
 def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet) -> None:
-    """Rests are always computed; motions if they are wanted."""
+    """Rests and touches are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
     before, after = (build_case_simulator(one, arm.layout) for one in (arm, arm.with_patch(patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
-    rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.list_features()])
-    rests &= np.array([feature.channel not in (IMU,) for feature in campaign.list_features()])
+    rests = np.array([
+        feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)
+        for feature in campaign.list_features()
+    ])  # fmt: skip
     np.testing.assert_array_equal(everything.nominal, after.nominal)
     np.testing.assert_array_equal(nothing.nominal[rests], after.nominal[rests])
     np.testing.assert_allclose((nothing.nominal - before.nominal)[~rests], 1e-3, rtol=1e-9)
@@ -180,6 +185,16 @@ def test_nothing_is_compared_near_a_touch(touch: MotionFeatures) -> None:
     closed = np.flatnonzero(touch.recording.sensors["switch_closed"].any(axis=1))[0]
     bins = sum(end <= closed for segment in touch.segments for _, end in segment.bins())
     assert 0 < sum(feature.channel == CURRENT for feature in touch.features) < bins
+
+
+def test_an_arm_with_another_surface_or_link_touches_at_another_height(campaign: FeatureSet) -> None:
+    nominal = simulate_touches(campaign, ())
+    assert nominal == pytest.approx([0.0], abs=1e-4)
+    nearer = simulate_touches(campaign, (SurfacePosition(3e-3),))
+    assert nearer - nominal == pytest.approx([-3e-3], abs=1e-9)
+    (one,), longer = campaign.touches, simulate_touches(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),))
+    assert one.tool == "apxs"
+    assert 1e-4 < abs(longer[0] - nominal[0]) < 1.1e-3
 
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
