@@ -79,8 +79,11 @@ def test_base_parameters_alone_are_fitted_without_the_catalogue(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    done = run_simgap(folder, *WORDS, "--terms", "none")
+    files = ("--report", str(tmp_path / "page.html"), "--patch", str(tmp_path / "found"))
+    done = run_simgap(folder, *WORDS, "--terms", "none", *files)
     found = json.loads(done.stdout)
+    assert (tmp_path / "found" / "patched.xml").is_file()
+    assert '<figure class="traces"' in (tmp_path / "page.html").read_text()
     assert (found["findings"], found["verdict"], steps(tmp_path)) == ([], "unknown", [])
     (error,) = found["errors"]
     assert error["base"] < 0.01 * error["nominal"]

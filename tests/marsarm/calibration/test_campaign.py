@@ -19,9 +19,6 @@ from simgap.common.progress import no_progress
 from simgap.serial_arm.chain import error_screw
 from tests.marsarm.calibration.lab import campaign
 
-ZERO_RAD = 3e-4
-"""Tolerance of an encoder zero from a hardstop; at two metres it is 0.6 mm."""
-
 
 @pytest.mark.slow
 def test_the_papers_campaign_is_planned():

@@ -27,9 +27,6 @@ from tests.marsarm.view.lab import ARM, TILTED, records_of, start_loop
 needs_viser = pytest.mark.skipif(
     importlib.util.find_spec("viser") is None, reason="viser is not installed; pip install 'marsarm[view]'"
 )
-needs_av = pytest.mark.skipif(
-    importlib.util.find_spec("av") is None, reason="PyAV is not installed; pip install 'marsarm[movie]'"
-)
 
 
 def test_a_page_is_written_and_reported(log, tmp_path):

@@ -102,9 +102,7 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
 @pytest.mark.parametrize(
     ("right", "wrong", "expected"),
     [
-        ("offset_deg = 0.1", "offset_mrad = 1", "offset_mrad: has another unit; write offset_rad or"),
         ('"encoder-zero"', '"encoder-zeros"', r"type: effect 'encoder-zeros' is not known; did you mean"),
-        ('"wrist"', '"neck"', "joint: 'neck' is not known; there are azimuth"),
         ('"encoder-zero"', '"joint-seized"', r"type: joint-seized comes at a moment; write it as"),
         ('type = "encoder-zero"', "", "type: is missing; write the name of an effect"),
     ],
