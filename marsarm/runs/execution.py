@@ -34,7 +34,7 @@ from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadRequest
 from simgap.common.interruption import describe_interruption
-from simgap.common.progress import Progress, part_of
+from simgap.common.progress import Progress, as_guess, part_of
 
 if TYPE_CHECKING:
     from marsarm.view.watched_run import RecordedRun
@@ -279,8 +279,8 @@ def execute(
         BadRequest: the log cannot be opened; nothing moved.
     """
     share = 1.0 - (DRAWING_SHARE if files.page is None else PAGE_SHARE)
-    if files.movie is not None:
-        share = 0.5 * (1.0 + INITIALISATION_SHARE)
+    if files.movie is not None:  # nobody knows how long it takes to draw
+        share, progress = 0.5 * (1.0 + INITIALISATION_SHARE), as_guess(progress)
     running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
     drawn = DrawnPoses()
     named = (files.picture, files.movie, files.page, files.log)

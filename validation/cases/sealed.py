@@ -21,7 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 from marsarm.common.pool import Runner
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
-from simgap.common.progress import GUESS, Progress
+from simgap.common.progress import Progress, as_guess, part_of
 from simgap.common.toml import describe_first_problem
 from validation.campaigns import Context, Document
 
@@ -151,9 +151,7 @@ def run_steps(
 
 def _stage(progress: Progress, step: str, begin: float) -> Progress:
     """Return the progress of making or of solving; where both are done, the share of each is a guess."""
-    if step != "all":
-        return progress
-    return lambda done, total, what: progress(begin + 0.5 * done / total if total else begin, GUESS, what)
+    return progress if step != "all" else as_guess(part_of(progress, begin, begin + 0.5))
 
 
 def _uncounted(progress: Progress) -> Progress:

@@ -56,7 +56,7 @@ from sim.effects.catalogue import catalogue
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, as_guess, no_progress, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
@@ -219,7 +219,7 @@ def _choose_steps(
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
-        update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        update = part_of(as_guess(progress), 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
         scale = form_normal_equations(_assemble(simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}

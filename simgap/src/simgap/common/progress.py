@@ -129,6 +129,11 @@ def part_of(progress: Progress, begin: float, end: float) -> Progress:
     return update
 
 
+def as_guess(progress: Progress) -> Progress:
+    """Make the progress of work whose share done is a guess."""
+    return lambda done, total, what: progress(done / abs(total) if total else 0.0, GUESS, what)
+
+
 @dataclass(slots=True)
 class ProgressState:
     """State of some work, and the estimate of its time left."""
