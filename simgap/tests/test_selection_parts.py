@@ -10,6 +10,7 @@ from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import repeat_pairs
+from simgap.selection import selection, verdict
 from simgap.selection.acceptance import compare_motions, compare_with_noise
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
@@ -112,7 +113,22 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
     fits = fit_joints(context, (square,), base.sizes)
     without = gather_residuals(base.fits, toy.joint_of.size)
-    assert low <= np.exp(find_log_chance(context, fits[:1], square, without)) <= high
+    assert low <= np.exp(find_log_chance(context, fits[:1], [square], without)) <= high
+
+
+def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = select_effects(draw_toy(1, {"near: sine": 0.1, "near: step": 0.1}), BASE, CATALOGUE, seed=1)
+    monkeypatch.setattr(selection, "find_need", lambda *of: (len(of[-1]) > 1, 0.0))
+    kept, _ = selection.drop_needless(found.context, found.chosen)
+    assert (len(found.chosen.effects), len(kept.effects)) == (2, 1)
+
+
+def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = Toy("near", "twin", lambda x: x**2 + 0.001 * x**3)
+    found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, twin), seed=1)
+    monkeypatch.setattr(verdict, "_cause_p", lambda *of: [0.0] * (len(of[-1]) - 1))
+    (one,) = verdict.find_confidence_sets(found)
+    assert {member.effect.key for member in one.alternatives} == {"near: square", "near: twin"}
 
 
 class Leaking(ToyResiduals):
@@ -139,8 +155,8 @@ def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there(
     quiet = draw_toy(3, {"near: square": 0.02})
     quiet.measured[1] += 3.0 * 0.02 * np.square(quiet.commands[0])
     model = Leaking(quiet.commands, quiet.measured, NAMES)
-    selection = select_effects(model, BASE, CATALOGUE, seed=1)
-    assert [selection.context.joint_of(one) for one in selection.chosen.effects] == [ALL_JOINTS]
-    assert [one.key for one in selection.chosen.effects] == ["near: square"]
-    (column,) = selection.context.union.columns(selection.chosen.effects)
-    assert selection.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)
+    found = select_effects(model, BASE, CATALOGUE, seed=1)
+    assert [found.context.joint_of(one) for one in found.chosen.effects] == [ALL_JOINTS]
+    assert [one.key for one in found.chosen.effects] == ["near: square"]
+    (column,) = found.context.union.columns(found.chosen.effects)
+    assert found.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)

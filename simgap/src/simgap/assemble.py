@@ -25,6 +25,7 @@ from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
 from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (
+    EXCLUDED,
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
@@ -251,11 +252,12 @@ def find_interval(
 ) -> tuple[float, float]:
     """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
 
-    It also holds the intervals that the size has where a member of its set stands for another finding.
+    It also holds the intervals that the size has where a member that fits as well stands for another finding.
     """
     fit = next(fit for fit in chosen.fits if column in fit.columns)
     pairs = [(fit.columns, size_intervals(context, fit))]
-    pairs += [(one.columns, one.intervals) for found in sets for one in found.alternatives[1:]]
+    others = [one for found in sets for one in found.alternatives[1:] if one.p > EXCLUDED]
+    pairs += [(one.columns, one.intervals) for one in others]
     ends = np.concatenate([intervals[columns == column] for columns, intervals in pairs])
     return float(ends[:, 0].min()), float(ends[:, 1].max())
 

@@ -265,7 +265,7 @@ def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effec
     """Divide effects into groups that can be left out together, because none moves the joint of another."""
     layers: list[list[Effect]] = []
     for effect in effects:
-        free = [layer for layer in layers if all(_are_separate(context, effect, one) for one in layer)]
+        free = [layer for layer in layers if all(are_separate(context, effect, one) for one in layer)]
         if free:
             free[0].append(effect)
         else:
@@ -273,7 +273,8 @@ def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effec
     return [tuple(layer) for layer in layers]
 
 
-def _are_separate(context: Context, first: Effect, second: Effect) -> bool:
+def are_separate(context: Context, first: Effect, second: Effect) -> bool:
+    """Return whether two effects can be left out together, because neither moves the joint of the other."""
     columns = [context.union.columns([one])[0] for one in (first, second)]
     return context.sharing.may_share(*columns)
 

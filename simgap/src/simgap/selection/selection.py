@@ -43,6 +43,7 @@ from simgap.selection.descent import Descent
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import (
     add_effects,
+    are_separate,
     fit_base,
     fits_at,
     joints_of,
@@ -294,7 +295,7 @@ def judge(
     candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
         gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)
-        log_chance = find_log_chance(context, [fit], effect, without)
+        log_chance = find_log_chance(context, [fit], [effect], without)
         at_bound = is_at_bound(context, present.effects, effect, fit)
         candidates.append(
             Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, log_chance)
@@ -331,40 +332,65 @@ def drop_needless(
 ) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
+    What is dropped is also tested together, against the model at the start. Of effects that can stand for one
+    another none is needed alone; so the last of them stays, whose loss the others do not make good.
+
     Return also what was left out together, with the model without it, each effect once.
     """
+    whole, kept = present, set[str]()
     while True:
         failed: list[tuple[float, Effect]] = []
         layers = list_layers(context, present.effects)
         left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         for layer, without in left_out:
-            residuals = gather_residuals(without.fits, context.model.joint_of.size)
             for effect in layer:
-                joint = context.joint_of(effect)
-                rows = select_rows(context.model, joint)
-                pair = without.left_out[rows], present.left_out[rows]
-                gain, z = improvement_share(context, rows, *pair), improvement_z(context, rows, *pair)
-                log_chance = find_log_chance(context, fits_at(context, present, joint), effect, residuals)
-                is_sure = z > MIN_Z or knows_noise(context, rows)
-                is_needed = gain >= MIN_SHARE and log_chance <= np.log(FALSE_ALARM) and is_sure
-                failed += [] if is_needed else [(z, effect)]
+                is_needed, z = find_need(context, present, without, [effect])
+                failed += [] if is_needed or effect.key in kept else [(z, effect)]
         if not failed:
             return present, left_out
         weakest, *_ = list_layers(context, [effect for _, effect in sorted(failed, key=lambda one: one[0])])
-        present = leave_out(context, present, weakest)
+        without = leave_out(context, present, weakest)
+        gone = [one for one in whole.effects if one not in without.effects]
+        for effect in weakest:
+            together = [one for one in gone if not are_separate(context, one, effect)]
+            is_needed, _ = find_need(context, whole, without, together)
+            kept |= {effect.key} if is_needed else set()
+        needless = [one for one in weakest if one.key not in kept]
+        if needless:
+            present = without if len(needless) == len(weakest) else leave_out(context, present, needless)
 
 
-def find_log_chance(context: Context, fits: Sequence[JointFit], effect: Effect, without: Array) -> float:
-    """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
+def find_need(
+    context: Context, present: FittedModel, without: FittedModel, effects: Sequence[Effect]
+) -> tuple[bool, float]:
+    """Return whether left-out motions need effects together, and their improvement over its scatter."""
+    joints = {context.joint_of(one) for one in effects}
+    joint = joints.pop() if len(joints) == 1 else ALL_JOINTS
+    rows = select_rows(context.model, joint)
+    pair = without.left_out[rows], present.left_out[rows]
+    residuals = gather_residuals(without.fits, context.model.joint_of.size)
+    log_chance = find_log_chance(context, fits_at(context, present, joint), effects, residuals)
+    z = improvement_z(context, rows, *pair)
+    is_sure = z > MIN_Z or knows_noise(context, rows)
+    is_no_chance = log_chance <= np.log(FALSE_ALARM)
+    return improvement_share(context, rows, *pair) >= MIN_SHARE and is_no_chance and is_sure, z
 
-    It is that of a Wald test, or of a decrease of known noise, times the number of distinct effects that
-    compete (Bonferroni). The noise counts as stationary where repeats show it.
+
+def find_log_chance(
+    context: Context, fits: Sequence[JointFit], effects: Sequence[Effect], without: Array
+) -> float:
+    """Return the logarithm of the probability of effects so strong, beside all others, if none is present.
+
+    It is that of a Wald test, or of a decrease of known noise. For each effect it is multiplied by the number
+    of distinct ones that compete (Bonferroni). The noise counts as stationary where repeats show it.
     """
-    own, std = context.union.columns([effect]), context.model.noise_std
+    own, std = context.union.columns(effects), context.model.noise_std
+    log_choices = len(effects) * float(np.log(max(context.n_distinct, 1.0)))
     if std:
         rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
         log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
-        return min(0.0, float(np.log(context.n_distinct)) + log_p)
-    is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
-    chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
-    return float(np.log(max(min(1.0, context.n_distinct * chance), np.finfo(float).tiny)))
+    else:
+        is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
+        chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
+        log_p = float(np.log(max(chance, np.finfo(float).tiny)))
+    return min(0.0, log_choices + log_p)

@@ -13,7 +13,7 @@ from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
-from simgap.selection.acceptance import improvement_share
+from simgap.selection.acceptance import cross_validate_each, improvement_share, improvement_z
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
     Context,
@@ -99,7 +99,9 @@ def find_layer_sets(
         kept = [k for k, one in enumerate(explained) if one > share * needed]
         fitting.keep(kept)
         scores = [scores[k] for k in kept]
-    rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
+    fits = fitting.finish()
+    left_out = cross_validate_each(context, fits)
+    rivals = list(zip([score.effect for score in scores], fits, left_out, strict=True))
     rivals.sort(key=lambda one: -explain_loss(context, one[1], residuals))
     return [
         find_set(context, selection, without, effect, fit, rivals)
@@ -113,28 +115,53 @@ def find_set(
     without: FittedModel,
     effect: Effect,
     own: JointFit,
-    rivals: Sequence[tuple[Effect, JointFit]],
+    rivals: Sequence[tuple[Effect, JointFit, Array]],
 ) -> ConfidenceSet:
-    """Exclude effects that fit too badly to be the cause of a finding, whose fit is `own`.
+    """Exclude effects that fit too badly to be the cause of a finding, whose fit is `own`, and predict worse.
 
-    Rivals were fitted in place of the findings that are left out; the one that explains most comes first.
+    A test of fits also excludes the cause where the model lacks something else. Left-out motions then do not
+    tell the two apart (Vuong 1989). Rivals were fitted in place of the findings that are left out, the one
+    that explains most first; each has its residuals in left-out motions.
     """
     joints = list(joints_of(context, effect))
     rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
     share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
     others = [
-        (one, fit)
-        for one, fit in rivals
+        (one, fit, left_out)
+        for one, fit, left_out in rivals
         if set(joints) & set(joints_of(context, one)) and not is_at_bound(context, without.effects, one, fit)
     ]
-    chances = _cause_p(context, without, joints, [own, *(fit for _, fit in others)])
+    chances = _cause_p(context, without, joints, [own, *(fit for _, fit, _ in others)])
     first, *rest = (
         Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
-        for (one, fit), p in zip(((effect, own), *others), (1.0, *chances), strict=True)
+        for (one, fit, _), p in zip(((effect, own, None), *others), (1.0, *chances), strict=True)
     )
-    members = sorted((one for one in rest if one.p > EXCLUDED), key=lambda one: -one.p)
-    excluded = tuple(one for one in rest if one.p <= EXCLUDED)
-    return ConfidenceSet(effect, (first, *members), share, excluded)
+    is_member = [
+        one.p > EXCLUDED or predicts_as_well(context, selection, without, rows, fit, left_out)
+        for one, (_, fit, left_out) in zip(rest, others, strict=True)
+    ]
+    members, excluded = (
+        [one for one, flag in zip(rest, is_member, strict=True) if flag == wanted] for wanted in (True, False)
+    )
+    members.sort(key=lambda one: -one.p)
+    return ConfidenceSet(effect, (first, *members), share, tuple(excluded))
+
+
+def predicts_as_well(
+    context: Context,
+    selection: Selection,
+    without: FittedModel,
+    rows: Integers,
+    fit: JointFit,
+    left_out: Array,
+) -> bool:
+    """Return whether left-out motions do not prefer a finding to a rival; False if all are fitted."""
+    if context.model.noise_std:
+        return False
+    theirs = without.left_out.copy()
+    theirs[fit.rows] = left_out
+    z = improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])
+    return float(norm.sf(z)) > EXCLUDED
 
 
 def start_competitor(
