@@ -41,8 +41,9 @@ SAID_ONCE: Final = (
         f"simgap/src/simgap/{name}.py"
         for name in (
             *("assemble", "residuals/noise", "serial_arm/calibrate", "serial_arm/chain", "serial_arm/fit"),
-            *("serial_arm/model", "selection/acceptance", "selection/chance", "selection/fit"),
-            *("selection/joint_fits", "selection/screening", "selection/selection", "selection/sharing"),
+            *("serial_arm/model", "selection/acceptance", "selection/chance"),
+            *("selection/elimination", "selection/fit", "selection/joint_fits"),
+            *("selection/screening", "selection/selection", "selection/sharing"),
         )
     ),
 )

@@ -10,13 +10,14 @@ from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import repeat_pairs
-from simgap.selection import selection, verdict
+from simgap.selection import elimination, verdict
 from simgap.selection.acceptance import compare_motions, compare_with_noise
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
+from simgap.selection.elimination import find_log_chance
 from simgap.selection.fit import gather_residuals
 from simgap.selection.joint_fits import fit_base, fit_joints
-from simgap.selection.selection import find_log_chance, select_effects
+from simgap.selection.selection import select_effects
 from simgap.selection.sharing import ALL_JOINTS, find_sharing
 
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))
@@ -118,9 +119,11 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
 
 def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     found = select_effects(draw_toy(1, {"near: sine": 0.1, "near: step": 0.1}), BASE, CATALOGUE, seed=1)
-    monkeypatch.setattr(selection, "find_need", lambda *of: (len(of[-1]) > 1, 0.0))
-    kept, _ = selection.drop_needless(found.context, found.chosen)
-    assert (len(found.chosen.effects), len(kept.effects)) == (2, 1)
+    monkeypatch.setattr(elimination, "find_need", lambda *of: (len(of[-1]) > 1, 0.0))
+    left, _, kept = elimination.drop_needless(found.context, found.chosen)
+    assert (len(found.chosen.effects), {one.key for one in left.effects}) == (2, kept)
+    again, _, _ = elimination.drop_needless(found.context, left, kept)
+    assert again.effects == left.effects
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,12 +20,11 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
+from simgap.selection.elimination import drop_needless
 from simgap.selection.fit import select_rows
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
-from simgap.selection.selection import drop_needless
 from simgap.selection.verdict import (
-    EXCLUDED,
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
@@ -123,8 +122,9 @@ def select_sure(
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
     """Refit without a finding, and without those that were needed beside it alone."""
     context = selection.context
-    chosen, left_out = drop_needless(context, leave_out(context, selection.chosen, [effect]))
-    return replace(selection, chosen=chosen, left_out=left_out)
+    rest = leave_out(context, selection.chosen, [effect])
+    chosen, left_out, kept = drop_needless(context, rest, selection.kept)
+    return replace(selection, chosen=chosen, left_out=left_out, kept=kept)
 
 
 def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceSet]) -> bool:
@@ -256,7 +256,7 @@ def find_interval(
     """
     fit = next(fit for fit in chosen.fits if column in fit.columns)
     pairs = [(fit.columns, size_intervals(context, fit))]
-    others = [one for found in sets for one in found.alternatives[1:] if one.p > EXCLUDED]
+    others = [one for found in sets for one in found.alternatives[1:] if one.fits_as_well]
     pairs += [(one.columns, one.intervals) for one in others]
     ends = np.concatenate([intervals[columns == column] for columns, intervals in pairs])
     return float(ends[:, 0].min()), float(ends[:, 1].max())

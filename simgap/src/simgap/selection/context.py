@@ -91,6 +91,8 @@ class Selection:
     """Findings that are left out together, and the model without them; each finding once."""
     competitors: dict[str, tuple[Score, ...]]
     """For each finding, by key, the effects that were refitted before it was accepted."""
+    kept: frozenset[str] = frozenset()
+    """Keys of effects that are needed only together with others, which were dropped."""
 
 
 def start_context(

@@ -18,16 +18,13 @@ from simgap.residuals.noise import count_independent
 from simgap.residuals.residuals import ResidualModel, pseudo_huber
 from simgap.selection.acceptance import (
     MIN_SHARE,
-    MIN_Z,
     Candidate,
     choose,
     cross_validate_each,
     explainable_loss,
     improvement_share,
-    improvement_z,
-    knows_noise,
 )
-from simgap.selection.chance import FALSE_ALARM, count_distinct, known_noise_log_p
+from simgap.selection.chance import count_distinct
 from simgap.selection.checkpoint import Checkpoint, Meter
 from simgap.selection.context import (
     Context,
@@ -40,15 +37,13 @@ from simgap.selection.context import (
     start_fitting,
 )
 from simgap.selection.descent import Descent
-from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, select_rows
+from simgap.selection.elimination import drop_needless, find_log_chance
+from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import (
     add_effects,
-    are_separate,
     fit_base,
     fits_at,
     joints_of,
-    leave_out,
-    list_layers,
     merge_findings,
     recut_blocks,
     start_fit,
@@ -58,7 +53,6 @@ from simgap.selection.screening import (
     adjust,
     expected_change,
     list_trials,
-    refit_p,
     score_effect,
     whiten,
 )
@@ -123,8 +117,8 @@ def select_effects(
             if merged := merge_findings(context, present):
                 present, others = merged
                 competitors[present.effects[-1].key] = others
-    chosen, left_out = drop_needless(context, present)
-    return Selection(context, first, chosen, left_out, competitors)
+    chosen, left_out, kept = drop_needless(context, present)
+    return Selection(context, first, chosen, left_out, competitors, kept)
 
 
 def list_again(
@@ -325,72 +319,3 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
             for c, (low, high) in zip(own, bounds, strict=True)
         )
     )
-
-
-def drop_needless(
-    context: Context, present: FittedModel
-) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
-    """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
-
-    What is dropped is also tested together, against the model at the start. Of effects that can stand for one
-    another none is needed alone; so the last of them stays, whose loss the others do not make good.
-
-    Return also what was left out together, with the model without it, each effect once.
-    """
-    whole, kept = present, set[str]()
-    while True:
-        failed: list[tuple[float, Effect]] = []
-        layers = list_layers(context, present.effects)
-        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
-        for layer, without in left_out:
-            for effect in layer:
-                is_needed, z = find_need(context, present, without, [effect])
-                failed += [] if is_needed or effect.key in kept else [(z, effect)]
-        if not failed:
-            return present, left_out
-        weakest, *_ = list_layers(context, [effect for _, effect in sorted(failed, key=lambda one: one[0])])
-        without = leave_out(context, present, weakest)
-        gone = [one for one in whole.effects if one not in without.effects]
-        for effect in weakest:
-            together = [one for one in gone if not are_separate(context, one, effect)]
-            is_needed, _ = find_need(context, whole, without, together)
-            kept |= {effect.key} if is_needed else set()
-        needless = [one for one in weakest if one.key not in kept]
-        if needless:
-            present = without if len(needless) == len(weakest) else leave_out(context, present, needless)
-
-
-def find_need(
-    context: Context, present: FittedModel, without: FittedModel, effects: Sequence[Effect]
-) -> tuple[bool, float]:
-    """Return whether left-out motions need effects together, and their improvement over its scatter."""
-    joints = {context.joint_of(one) for one in effects}
-    joint = joints.pop() if len(joints) == 1 else ALL_JOINTS
-    rows = select_rows(context.model, joint)
-    pair = without.left_out[rows], present.left_out[rows]
-    residuals = gather_residuals(without.fits, context.model.joint_of.size)
-    log_chance = find_log_chance(context, fits_at(context, present, joint), effects, residuals)
-    z = improvement_z(context, rows, *pair)
-    is_sure = z > MIN_Z or knows_noise(context, rows)
-    is_no_chance = log_chance <= np.log(FALSE_ALARM)
-    return improvement_share(context, rows, *pair) >= MIN_SHARE and is_no_chance and is_sure, z
-
-
-def find_log_chance(
-    context: Context, fits: Sequence[JointFit], effects: Sequence[Effect], without: Array
-) -> float:
-    """Return the logarithm of the probability of effects so strong, beside all others, if none is present.
-
-    It is that of a Wald test, or of a decrease of known noise. For each effect it is multiplied by the number
-    of distinct ones that compete (Bonferroni). The noise counts as stationary where repeats show it.
-    """
-    own, std = context.union.columns(effects), context.model.noise_std
-    log_choices = len(effects) * float(np.log(max(context.n_distinct, 1.0)))
-    if std:
-        rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
-        log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
-    else:
-        is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
-        chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
-        log_p = float(np.log(max(chance, np.finfo(float).tiny)))
-    return min(0.0, log_choices + log_p)

@@ -49,7 +49,10 @@ class Alternative:
     sizes: Array
     """(n_sizes,) of the union."""
     p: float
-    """Probability that the finding fits so much better, or more, if this is the cause."""
+    """Probability that the finding fits so much better, or more, if this is the cause; where that is at most
+    EXCLUDED, that of so much better predictions of left-out motions if it is larger."""
+    fits_as_well: bool
+    """True if the first probability exceeds EXCLUDED."""
     columns: Integers
     """Columns of the union that were fitted with it, (n_free,)."""
     intervals: Array
@@ -120,8 +123,11 @@ def find_set(
     """Exclude effects that fit too badly to be the cause of a finding, whose fit is `own`, and predict worse.
 
     A test of fits also excludes the cause where the model lacks something else. Left-out motions then do not
-    tell the two apart (Vuong 1989). Rivals were fitted in place of the findings that are left out, the one
-    that explains most first; each has its residuals in left-out motions.
+    tell the two apart (Vuong 1989).
+
+    Args:
+        rivals: Effects that were fitted in place of the findings that are left out, the one that explains
+            most first; each with its residuals in left-out motions, (n_rows,) over their scales, unitless.
     """
     joints = list(joints_of(context, effect))
     rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
@@ -132,36 +138,37 @@ def find_set(
         if set(joints) & set(joints_of(context, one)) and not is_at_bound(context, without.effects, one, fit)
     ]
     chances = _cause_p(context, without, joints, [own, *(fit for _, fit, _ in others)])
-    first, *rest = (
-        Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
-        for (one, fit, _), p in zip(((effect, own, None), *others), (1.0, *chances), strict=True)
-    )
-    is_member = [
-        one.p > EXCLUDED or predicts_as_well(context, selection, without, rows, fit, left_out)
-        for one, (_, fit, left_out) in zip(rest, others, strict=True)
-    ]
-    members, excluded = (
-        [one for one, flag in zip(rest, is_member, strict=True) if flag == wanted] for wanted in (True, False)
-    )
-    members.sort(key=lambda one: -one.p)
-    return ConfidenceSet(effect, (first, *members), share, tuple(excluded))
+    first = Alternative(effect, own.sizes, 1.0, True, own.columns, size_intervals(context, own))
+    rest = []
+    for (one, fit, left_out), p in zip(others, chances, strict=True):
+        fits_as_well, intervals = p > EXCLUDED, size_intervals(context, fit)
+        if not fits_as_well:
+            p = max(p, prediction_p(context, selection, without, rows, fit, left_out))
+        rest.append(Alternative(one, fit.sizes, p, fits_as_well, fit.columns, intervals))
+    members = sorted((one for one in rest if one.p > EXCLUDED), key=lambda one: -one.p)
+    excluded = tuple(one for one in rest if one.p <= EXCLUDED)
+    return ConfidenceSet(effect, (first, *members), share, excluded)
 
 
-def predicts_as_well(
+def prediction_p(
     context: Context,
     selection: Selection,
     without: FittedModel,
     rows: Integers,
     fit: JointFit,
     left_out: Array,
-) -> bool:
-    """Return whether left-out motions do not prefer a finding to a rival; False if all are fitted."""
+) -> float:
+    """Return the probability that a finding predicts so much better by chance; 0 if no motion is left out.
+
+    Args:
+        rows: Residuals of the joints of the finding, (n,) indices.
+        left_out: Residuals of the rival in left-out motions, (n_rows,) over their scales, unitless, in the rows of its fit.
+    """
     if context.model.noise_std:
-        return False
+        return 0.0
     theirs = without.left_out.copy()
     theirs[fit.rows] = left_out
-    z = improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])
-    return float(norm.sf(z)) > EXCLUDED
+    return float(norm.sf(improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])))
 
 
 def start_competitor(

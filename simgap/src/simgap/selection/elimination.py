@@ -1,0 +1,105 @@
+"""Drop the effects that left-out motions do not need, one after the other, and together.
+
+Residuals are arrays (n,) in the unit of the model, all of them in the order of the model.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect
+from simgap.selection.acceptance import (
+    MIN_SHARE,
+    MIN_Z,
+    improvement_share,
+    improvement_z,
+    knows_noise,
+)
+from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
+from simgap.selection.context import Context, FittedModel
+from simgap.selection.fit import JointFit, gather_residuals, select_rows
+from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_layers
+from simgap.selection.screening import refit_p
+from simgap.selection.sharing import ALL_JOINTS
+
+
+def drop_needless(
+    context: Context, present: FittedModel, kept: frozenset[str] = frozenset()
+) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...], frozenset[str]]:
+    """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
+
+    What is dropped is also tested together, against the model at the start: losses that are too small one by
+    one add up. An effect with which they are too large stays, as those whose keys are `kept` from before do.
+
+    Return also what was left out together, with the model without it, each effect once, and the keys of what
+    is kept.
+    """
+    whole = present
+    while True:
+        layers = list_layers(context, present.effects)
+        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
+        needs = [
+            (effect, *find_need(context, present, without, [effect]))
+            for layer, without in left_out
+            for effect in layer
+        ]
+        failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
+        while weak := [effect for effect, *_ in failed if effect.key not in kept]:
+            weakest, *_ = list_layers(context, weak)
+            without = leave_out(context, present, weakest)
+            gone = [one for one in whole.effects if one not in without.effects]
+            for effect in weakest:
+                is_needed, _ = find_need(context, whole, without, list_together(context, effect, gone))
+                kept |= {effect.key} if is_needed else set()
+            needless = [one for one in weakest if one.key not in kept]
+            if needless:
+                is_all = len(needless) == len(weakest)
+                present = without if is_all else leave_out(context, present, needless)
+                break
+        else:
+            return present, left_out, kept
+
+
+def list_together(context: Context, effect: Effect, others: Sequence[Effect]) -> list[Effect]:
+    """List an effect with those of the others that move what it moves, or what one of these moves."""
+    found, rest = [effect], [one for one in others if one is not effect]
+    while near := [one for one in rest if not all(are_separate(context, one, known) for known in found)]:
+        found, rest = [*found, *near], [one for one in rest if one not in near]
+    return found
+
+
+def find_need(
+    context: Context, present: FittedModel, without: FittedModel, effects: Sequence[Effect]
+) -> tuple[bool, float]:
+    """Return whether left-out motions need effects together, and their improvement over its scatter."""
+    joints = sorted({context.joint_of(one) for one in effects})
+    joints = [ALL_JOINTS] if ALL_JOINTS in joints else joints
+    rows = np.sort(np.concatenate([select_rows(context.model, joint) for joint in joints]))
+    fits = [fit for joint in joints for fit in fits_at(context, present, joint)]
+    pair = without.left_out[rows], present.left_out[rows]
+    residuals = gather_residuals(without.fits, context.model.joint_of.size)
+    is_no_chance = find_log_chance(context, fits, effects, residuals) <= np.log(FALSE_ALARM)
+    z = improvement_z(context, rows, *pair)
+    is_sure = z > MIN_Z or knows_noise(context, rows)
+    return improvement_share(context, rows, *pair) >= MIN_SHARE and is_no_chance and is_sure, z
+
+
+def find_log_chance(
+    context: Context, fits: Sequence[JointFit], effects: Sequence[Effect], without: Array
+) -> float:
+    """Return the logarithm of the probability of effects so strong, beside all others, if none is present.
+
+    It is that of a Wald test, or of a decrease of known noise. For each effect it is multiplied by the number
+    of distinct ones that compete (Bonferroni). The noise counts as stationary where repeats show it.
+    """
+    own, std = context.union.columns(effects), context.model.noise_std
+    log_choices = len(effects) * float(np.log(max(context.n_distinct, 1.0)))
+    if std:
+        rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
+        log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
+    else:
+        is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
+        chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
+        log_p = float(np.log(max(chance, np.finfo(float).tiny)))
+    return min(0.0, log_choices + log_p)
