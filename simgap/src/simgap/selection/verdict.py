@@ -162,7 +162,8 @@ def prediction_p(
 
     Args:
         rows: Residuals of the joints of the finding, (n,) indices.
-        left_out: Residuals of the rival in left-out motions, (n_rows,) over their scales, unitless, in the rows of its fit.
+        left_out: Residuals of the rival in left-out motions, (n_rows,) over their scales, unitless; n_rows is
+            that of its fit.
     """
     if context.model.noise_std:
         return 0.0
