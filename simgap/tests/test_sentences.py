@@ -153,6 +153,12 @@ def test_more_than_three_members_are_told_one_level_above(found, known, words):
     assert words in lines(findings=(found,))[1]
 
 
+def test_a_set_of_more_than_three_effects_lists_none_of_them():
+    many = finding(effects=("lift: creep", "lift: hum", "lift: wobble", "lift: sag"))
+    text = " ".join([*lines(findings=(many,)), *detail_lines(diagnosis(findings=(many,)))])
+    assert not any(word in text for word in ("creep", "hum", "wobble", "sag", "0.44"))
+
+
 def test_an_empty_set_says_none_of_these_and_keeps_the_place():
     where, what, *_ = lines(findings=(NO_EFFECT,))
     assert where == "Where: lift."
@@ -246,6 +252,17 @@ def test_a_joint_without_gravity_load_shows_only_ratios_to_the_gain():
     said = detail_lines(diagnosis(base=(GAIN, ARMATURE, gain)))
     assert "At pan, only ratios to the gain can be known of: armature." in said
     assert not any("At lift" in line for line in said)
+
+
+def test_details_give_interval_share_and_what_the_remainder_depends_on():
+    said = detail_lines(diagnosis(remaining=(REST,)))
+    assert said[0].endswith(
+        "With 90 % probability coulomb_Nm from 0.41 to 0.47. "
+        "Without it, 80 % of the explainable error of its joint comes back."
+    )
+    assert said[1] == (
+        "No effect explains what remains: 1.1 mrad at pan in slow motion, 40 % of which position explains."
+    )
 
 
 def test_three_refusals_are_listed_and_the_others_counted():

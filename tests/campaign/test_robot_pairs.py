@@ -1,5 +1,6 @@
 """Files and score of the pairs of logs of one robot, before and after."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from validation.cases.pairs import CHANGES, RobotPairs, SealedPair, score_pairs
+from validation.cases.pairs import CHANGES, KIND_SHARES, RobotPairs, SealedPair, score_pairs
+from validation.cases.robot import plan_robot_cases
 from validation.cases.robot_draw import DrawnEffect, Truth
-from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot
+from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot
 from validation.cases.robot_table import list_hypotheses
 
 CLAMP = DrawnEffect("command clamp, high", "swing", "actuation", 0.3, 0.5, 4.0, ("actuation",))
@@ -30,6 +32,11 @@ def result(*effects: str) -> dict[str, Any]:
 
 def count_hits(*solved: tuple[SealedPair, dict[str, Any]]) -> list[int]:
     return [one["hits"] for one in score_pairs(solved).document["bars"].values()]
+
+
+def test_of_forty_pairs_sixteen_have_no_change() -> None:
+    plans = plan_robot_cases(40, 7, tuple(ARMS), KIND_SHARES)
+    assert Counter(one.kind for one in plans) == {"none": 16, "single": 24}
 
 
 def test_the_numbers_of_every_joint_may_change() -> None:

@@ -1,6 +1,7 @@
 """Truth, files and score of the cases of servos with poor models."""
 
 import math
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ import pytest
 from simgap.arrays import Array
 from simgap.loading import load
 from simgap.robot import Robot
-from validation.cases.robot import write_logs, write_robot
+from validation.cases.robot import plan_robot_cases, write_logs, write_robot
 from validation.cases.robot_draw import DrawnEffect, Truth, record_logs
 from validation.cases.robot_score import SealedCase
-from validation.cases.robot_setup import HELD_OUT, PERIOD_S, PLAN, load_robot, sample_times
+from validation.cases.robot_setup import HELD_OUT, PERIOD_S, PLAN, SERVOS, load_robot, sample_times
 from validation.cases.robot_truth import Nuisances
-from validation.cases.servo import score_cases
+from validation.cases.servo import KIND_SHARES, score_cases
 from validation.cases.servo_truth import ServoPlant
 
 MODEL = "servo_200g_100mm"
@@ -58,6 +59,11 @@ def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path:
     (off,) = [one for one in read.fit if not one.joints["servo"].enabled.value.all()]
     np.testing.assert_array_equal(off.joints["servo"].enabled.value > 0.5, sample_times() < 3.0)
     assert robot.model.dof_damping[0] == robot.model.dof_armature[0] == 0.0
+
+
+def test_sixty_cases_have_their_kinds() -> None:
+    plans = plan_robot_cases(60, 7, tuple(SERVOS), KIND_SHARES)
+    assert Counter(one.kind for one in plans) == {"none": 20, "single": 14, "pair": 13, "triple": 13}
 
 
 def test_only_a_single_wrong_effect_is_sure_and_wrong() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fsw.dictionary import commands, evrs, faults
-from fsw.dictionary.enums import Joint
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr, Severity
 
 EVRS = [
@@ -28,6 +28,13 @@ def test_a_contact_without_a_lever_tells_its_torque_only():
     assert contact.message == "unexpected contact: ELBOW resists with 63 N m, about 52 N at the tool"
     contact = faults.UnexpectedContact(Joint.ELBOW, 63.4, 0.0)
     assert contact.message == "unexpected contact: ELBOW resists with 63 N m"
+
+
+@pytest.mark.parametrize("kind", EVRS)
+def test_the_message_of_every_event_can_be_formatted(kind):
+    of_type = {Joint: Joint.ELBOW, Mode: Mode.STOWED, str: "word", float: 0.5, int: 3, bool: True}
+    types = typing.get_type_hints(kind)
+    assert kind(*(of_type[types[field.name]] for field in fields(kind))).message
 
 
 @pytest.mark.parametrize("kind", EVRS)

@@ -10,14 +10,19 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import (
+    BEND,
     MOST_MISSING_M,
     TASK_TOLERANCE,
+    find_straight,
     refine_roots,
+    solve_fixed_point,
+    solve_straight,
 )
 from fsw.kinematics.statics import evaluate_pose, settle, settle_output, task_error, task_jacobian
-from fsw.kinematics.transforms import select_targets
+from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import (
+    GRAVITIES,
     assert_consistent,
     assert_no_root_twice,
     assert_roots_meet,
@@ -70,6 +75,28 @@ def test_newton_solves_the_arm_at_rest_and_tells_the_error_that_is_left(name, gr
     assert gravity.any() or not found.torque_Nm.any()
 
 
+def test_a_tool_that_points_the_other_way_is_no_root():
+    config = config_of()
+    q, p, a = deflected_targets(config, "drill", 30, RIGID)
+    found = refine_roots(config.arm, "drill", p, -a, RIGID, q)
+    X = tool_pose(config.arm, forward(config.arm, found.output_rad), "drill")
+    faces = dot(X.R[:, 0], -a) > 0.999
+    assert not (found.converged & ~faces).any()
+    assert (np.abs(task_error(X, p, X.R[:, 0])[3:]) < 1e-15).all()
+    assert (np.abs(task_error(X, p, -X.R[:, 0])[3:]).max(axis=0) >= 1.0).all()
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
+def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
+    config = config_of(name)
+    q, p, a = deflected_targets(config, "apxs", 20, MARS_R_m_s2)
+    for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
+        found = refine_roots(config.arm, "apxs", far, a, gravity, q)
+        assert not found.converged.any()
+        assert (found.error[np.isfinite(found.error)] > 0.1).all()
+
+
 def test_the_task_jacobian_agrees_with_finite_differences():
     config, h = config_of("calibrated:3"), 1e-6
     q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
@@ -112,7 +139,24 @@ def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_
     np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
 
 
+def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
+    n, trial = 200, trial_of("nominal", "mars", "apxs")
+    q = in_limits(config_of(), np.random.default_rng(1), n, shrink=0.1)
+    q[0] = trial.arm.soft_max_rad[0] + 0.3
+    q[2] = np.where(np.abs(q[2]) < 0.6, 0.8, q[2])
+    q[4] = np.random.default_rng(2).uniform(0.2, 1.0, n) - trial.arm.orthogonal["apxs"].clock_rad
+    X = trial.tool_pose(q)
+    far, every = np.ones(n), np.ones(n, bool)
+    roots = solve_fixed_point(trial.arm, "apxs", X.p, X.R[:, 0], MARS_R_m_s2, q, far, every)
+    assert not roots.followed.any()
+    # the first iteration gives a rough estimate
+    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
+
+
 N_STRAIGHT = 300
+CASES = pytest.mark.parametrize(
+    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:16", "tilted")]
+)
 
 
 def straight_poses(name, gravity):
@@ -124,9 +168,7 @@ def straight_poses(name, gravity):
     return solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
 
 
-@pytest.mark.parametrize(
-    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:16", "tilted")]
-)
+@CASES
 def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_arm_does_not_reach(
     name, gravity
 ):
@@ -140,6 +182,23 @@ def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_
     beyond = (solved.result.verdict == BranchVerdict.VALID) & (missing > 0)
     assert beyond.sum() > 5
     assert missing[beyond].max() < MOST_MISSING_M
+
+
+@CASES
+def test_a_root_keeps_the_shoulder_and_the_wrist_of_its_start(name, gravity):
+    solved, pull = straight_poses(name, gravity), GRAVITIES[gravity]
+    roots = closed_form(solved.trial.arm, "drill", solved.p, solved.a)
+    straight = find_straight(roots)
+    assert (np.abs(roots.from_fold[1][straight]) < BEND).all()
+    gravity_R = np.zeros(3) if pull is None else pull
+    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, gravity_R, straight)
+    assert found.converged.sum() > N_STRAIGHT
+    shape = solved.trial.arm.orthogonal["drill"]
+    before, after = (
+        fold_distances(shape, q[:, found.converged])[[0, 2]] >= 0
+        for q in (roots.output_rad[:, straight], found.output_rad)
+    )
+    np.testing.assert_array_equal(before, after)
 
 
 N = 110

@@ -71,6 +71,21 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(shown):
     assert [entry.name for entry in log.evrs] == [evr["name"] for evr in json.loads(done.stdout)["evrs"]]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("is_initialised")
+def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path):
+    done = marsarm(tmp_path, "place", "--no-surface", "--json", "--log", "run.mcap")
+    assert done.returncode == 3, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "faulted"
+    assert report["error_mm"] is None
+    assert "NoContact" in [evr["name"] for evr in report["evrs"]]
+    assert "Retract accepted" not in [evr["message"] for evr in report["evrs"]]
+    log = read_log(tmp_path / "run.mcap")
+    assert not log["/drive"]["brake_release"][-1].any()
+    assert not log["/drive"]["power_on"][-1].any()
+
+
 @pytest.mark.parametrize("value", ["nonsense", " OFF "])
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
     done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)

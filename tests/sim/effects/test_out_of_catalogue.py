@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsw.config import CYCLE_HZ
 from helpers.marks import slow_but
 from sim.arms import BuiltArm, arm_named
 from sim.diagnosis_campaign import SessionFailed, campaign_sessions, run_session, start_session
@@ -59,7 +60,16 @@ SHOWN: dict[str, tuple[str, ...]] = {
     "SwayingRover": (),
 }
 """Readings that an effect changes; none if it moves the turret."""
-
+SENSORS = (
+    "SaturatingMotor",
+    "DriftingCurrent",
+    "MagneticResolver",
+    "HeaterOnLine",
+    "RemanentCore",
+    "WrongBit",
+    "VibratedImu",
+)
+"""Effects that change readings only."""
 READINGS = ("current_A", "encoder_count", "resolver_rad", "gravity_R_m_s2")
 LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5, "gravity_R_m_s2": 3e-3, "turret": 2e-5}
 EACH = pytest.mark.parametrize("name", KINDS)
@@ -125,3 +135,32 @@ def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
         assert moved[reading] > LEAST[reading], reading
     again = record_session.__wrapped__(hypothesis_at(name).typical())
     assert all(value == 0.0 for value in differences(again, with_it).values())
+
+
+@pytest.mark.parametrize("name", slow_but(SENSORS, *SENSORS[::2]))
+def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
+    """Flight software may react to wrong readings later; before the move all else is unchanged."""
+    with_it, without = record_session(hypothesis_at(name).typical()), record_session()
+    others = set(READINGS) - set(SHOWN[name])
+    assert all(np.array_equal(with_it[other][:64], without[other][:64]) for other in others)
+
+
+def change(name: str, reading: str, times: float) -> np.ndarray:
+    with_it = record_session(hypothesis_at(name).typical(times))
+    moved: np.ndarray = with_it[reading] - record_session()[reading]
+    return moved
+
+
+@pytest.mark.parametrize("name", ["SaturatingMotor", "RemanentCore"])
+def test_of_twice_the_size_a_wrong_current_is_twice_as_wrong(name: str) -> None:
+    once, twice = change(name, "current_A", 1.0), change(name, "current_A", 2.0)
+    np.testing.assert_allclose(twice[:100], 2.0 * once[:100], atol=1e-12)
+
+
+def test_a_current_drifts_with_time_and_a_heater_is_on_or_off() -> None:
+    drifted_A, heater_A = (
+        change(name, "current_A", 1.0)[:, 2] for name in ("DriftingCurrent", "HeaterOnLine")
+    )
+    np.testing.assert_allclose(drifted_A, 6e-3 * np.arange(1, len(drifted_A) + 1) / CYCLE_HZ, atol=1e-12)
+    on = np.arange(1, len(heater_A) + 1) >= 2.5 * CYCLE_HZ
+    np.testing.assert_allclose(heater_A, 0.05 * on, atol=1e-12)
