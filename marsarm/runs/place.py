@@ -25,7 +25,7 @@ from sim.world import inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress
+from simgap.common.progress import Progress, as_guess, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.watched_run import RecordedRun
@@ -102,7 +102,8 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
 def _carry_out(
     request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
 ) -> PlaceReport:
-    last = initialise(job.arm, request.seed, progress)
+    guessing = progress if request.files.movie is None else as_guess(progress)
+    last = initialise(job.arm, request.seed, guessing)
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))

@@ -29,7 +29,7 @@ from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
-from simgap.common.progress import GUESS, Progress, no_progress
+from simgap.common.progress import GUESS, Progress, as_guess, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.watched_run import RecordedRun
@@ -66,11 +66,11 @@ def _carry_out(
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)
     on_this_day = replace(arm, effects=(*ambient, *arm.effects))
-    last = initialise(on_this_day, request.seed, progress)
+    last = initialise(on_this_day, request.seed, as_guess(progress))
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
-    progress(INITIALISATION_SHARE, 1.0, "teaching")
+    progress(INITIALISATION_SHARE, GUESS, "teaching")
     try:
         arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:

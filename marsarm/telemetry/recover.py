@@ -166,7 +166,7 @@ def _find_specs(
     """Return the channels, from the header or, if it is lost, from the chunks."""
     try:
         if header:
-            return decode_topics(header)
+            return tuple(one for one in decode_topics(header) if one.is_flight)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         for chunk, _, plain in chunks:
@@ -176,7 +176,8 @@ def _find_specs(
                         schemas[record.id] = record
                     if isinstance(record, Channel):
                         channels[record.id] = record
-        return tuple(spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
+        specs = (spec_of_channel(one, schemas[one.schema_id]) for _, one in sorted(channels.items()))
+        return tuple(one for one in specs if one.is_flight)
     except PARSE_ERRORS:
         return ()
 

@@ -90,6 +90,11 @@ class TopicSpec:
         layout = {} if self.layout is None else {LAYOUT_KEY: self.layout.to_json()}
         return layout | ({TRUTH_KEY: TRUTH_TEXT} if self.is_truth else {})
 
+    @property
+    def is_flight(self) -> bool:
+        """True if a reader takes it; logs of 0.3 also have channels for other tools."""
+        return self.topic in ENTRIES or self.layout is not None
+
 
 def layout_spec(
     number: int, topic: str, kind: str, doc: str | None, layout: Layout, is_truth: bool

@@ -17,6 +17,8 @@ COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Factor on the friction at WARM_C that gives that at COLD_C."""
 NO_PADDING_M = 1e3
+FARTHEST_SURFACE_M: Final = 0.05
+"""Largest offset of a surface from its measured position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,9 @@ class ContactStiffness(Effect):
 class SurfacePosition(Effect):
     """Offset of the true rock face along its normal from its measured position."""
 
-    offset_m: Annotated[float, ParameterSpec(-0.05, 0.05, unit="m", typical=3e-3, neutral=0.0)]
+    offset_m: Annotated[
+        float, ParameterSpec(-FARTHEST_SURFACE_M, FARTHEST_SURFACE_M, unit="m", typical=3e-3, neutral=0.0)
+    ]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Shift the rock, if there is one."""

@@ -107,5 +107,8 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
         "What: nothing changed that these logs show.",
     )
     assert following == "Not seen: smaller changes; the limits of each joint follow."
-    limits = "Beside what was found, changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
+    limits = "Changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
     assert comparison_details(nothing)[-1] == limits
+    beside = f"Beside what was found, c{limits[1:]}"
+    assert comparison_details(Comparison(found, (limit,)))[-1] == beside
+    assert comparison_lines(replace(nothing, limits=()))[3] == "No base parameter can be told."

@@ -50,7 +50,7 @@ from sim.effects.effect import (
     nominal_hardware,
     params_with_effects,
 )
-from sim.effects.environment import SurfacePosition
+from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
 from sim.effects.gears import OutputFriction
 from sim.frames import p_R_from_N
 from sim.loop import SimulationOptions
@@ -129,11 +129,15 @@ def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     nominal, less, more = (
         solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
     )
-    return FeatureSet(
+    found = FeatureSet(
         tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
         tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
         tuple(_list_touches(recordings)),
     )
+    # a switch that closes farther above the surface than any surface may be did not touch it
+    is_near = simulate_touches(found, ()) <= FARTHEST_SURFACE_M
+    near = (one for one, is_one in zip(found.touches, is_near, strict=True) if is_one)
+    return replace(found, touches=tuple(near))
 
 
 def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
@@ -143,7 +147,8 @@ def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
         touch = find_touch(one)
         if touch is None or one.world.surface is None:
             continue
-        closed = np.flatnonzero(one.sensors["switch_closed"][touch])
+        switches = one.sensors["switch_closed"]
+        closed = np.flatnonzero(switches[touch] & ~switches[0])
         tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
         feature = Feature(TOUCH, "surface", "touch", one.block, (one.temperature_C, *still), "touch")
         yield TouchFeature(find_turning_points(one, touch), tool, feature)

@@ -12,6 +12,7 @@ from simgap.common.progress import (
     GUESS,
     EarlierRun,
     ProgressState,
+    as_guess,
     format_duration,
     keep_run,
     part_of,
@@ -126,6 +127,19 @@ def test_a_guessed_share_tells_a_time_only_beside_an_earlier_run(
     part(0.25, GUESS, "fit")
     assert state.share == pytest.approx(begin + 0.25 * (end - begin))
     assert (state.left_s(12.0) is None) == (earlier is None)
+
+
+def test_at_the_end_of_the_work_no_time_is_left() -> None:
+    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 10.0)], 20.0))
+    state.update(1.0, 1.0, "fit", 25.0)
+    assert state.left_text(25.0) == "0 s left"
+
+
+def test_what_nobody_knows_stays_unknown_in_a_guess_and_in_a_stage() -> None:
+    state = ProgressState(0.0)
+    for progress in (as_guess, lambda progress: part_of(progress, 0.2, 0.6)):
+        progress(lambda *report: state.update(*report, 1.0))(0.0, 0.0, "reading")
+    assert (state.what, state.first_share) == ("reading", None)
 
 
 def test_a_last_step_that_takes_longer_than_in_the_earlier_run_tells_no_time() -> None:

@@ -21,6 +21,8 @@ from marsarm.telemetry.format import (
 )
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recover import recover
+from simgap.common.progress import no_progress
 
 N_CYCLES = 30
 LAYOUT = [["angle_rad", "<f8", None]]
@@ -100,6 +102,17 @@ def test_the_header_says_what_the_messages_are_and_others_are_passed_over(tmp_pa
     assert set(log.time_ns) == {"/b"}
     assert log["/b"]["angle_rad"].tolist() == [0.5]
     assert log.truth == {"/b"}
+
+
+def test_channels_of_older_logs_that_say_nothing_of_their_layout_are_passed_over(tmp_path: Path) -> None:
+    about = {"id": 1, "schema": "s", "layout": LAYOUT, "truth": False, "derived": False}
+    topics = {"/a": about, "/tf": about | {"id": 2, "layout": None, "derived": True}}
+    messages = [("/a", 0, 5, 0.5), ("/tf", 0, 5, 0.0)]
+    path = written(tmp_path / "old.mcap", messages, {"channels": json.dumps(topics)})
+    assert set(read_log(path).time_ns) == {"/a"}
+    report = recover(path, tmp_path / "new.mcap", no_progress)
+    assert set(report.saved) == {"/a"}
+    assert set(read_log(tmp_path / "new.mcap").time_ns) == {"/a"}
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,10 @@ def part_of(progress: Progress, begin: float, end: float) -> Progress:
     """Make the progress of one stage, which begins and ends at these shares of the whole work."""
 
     def update(done: float, total: float, what: str) -> None:
-        share = min(done / abs(total), 1.0) if total else 0.0
+        if total == 0:
+            progress(0.0, 0.0, what)
+            return
+        share = min(done / abs(total), 1.0)
         progress(begin + (end - begin) * share, GUESS if total < 0 else 1.0, what)
 
     return update
@@ -131,7 +134,7 @@ def part_of(progress: Progress, begin: float, end: float) -> Progress:
 
 def as_guess(progress: Progress) -> Progress:
     """Make the progress of work whose share done is a guess."""
-    return lambda done, total, what: progress(done / abs(total) if total else 0.0, GUESS, what)
+    return lambda done, total, what: progress(done / abs(total) if total else 0.0, total and GUESS, what)
 
 
 @dataclass(slots=True)
@@ -182,6 +185,8 @@ class ProgressState:
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
         if self.earlier is not None:
+            if self.share >= 1.0:
+                return 0.0, 0.0
             begun_s = self.first_s if first else self.started_s
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)

@@ -99,11 +99,11 @@ def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
             console.print(part.title)
             plain_console(max(Console().width, WHOLE_WIDTH)).print(_console_table(part, ""))
         else:
-            console.print(_console_table(part, part.title))
+            console.print(_console_table(part, part.title), crop=False)
 
 
 def _console_table(part: ReportTable, title: str) -> Table:
-    """Make a table for the console; columns of numbers are aligned right."""
+    """Make a table for the console; columns of numbers are aligned right and not wrapped."""
     made = Table(title=title or None, title_justify="left", show_header=bool(part.head))
     for k in range(max(map(len, (part.head, *part.rows)))):
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]
@@ -111,6 +111,7 @@ def _console_table(part: ReportTable, title: str) -> Table:
         made.add_column(
             part.head[k] if part.head else "",
             justify="right" if is_number else "left",
+            min_width=max(map(len, cells), default=0) if is_number else None,
             no_wrap=part.is_whole,
             overflow="fold",
         )

@@ -99,8 +99,8 @@ COMPARISON = "comparison 1"
 def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     """Return where something changed, what, how far the error falls with it, and what is not seen."""
     where, what, _, following = verdict_lines(made.found)
-    small = "smaller changes; the limits of each joint follow" if made.limits else "any base parameter"
-    limits = f"Not seen: {small}."
+    small = "Not seen: smaller changes; the limits of each joint follow."
+    limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
         return (
             "Where: nowhere; one model fits both sets of logs.",
@@ -116,7 +116,8 @@ def comparison_details(made: Comparison) -> list[str]:
     """Return a sentence for each change, for each one that is not named, and the limits of all joints."""
     joints = dict.fromkeys(one.place for one in made.limits)
     limits = (_limit_words([one for one in made.limits if one.place == joint]) for joint in joints)
-    return [*finding_lines(made.found), *(f"Beside what was found, {one}." for one in limits)]
+    beside = "Beside what was found, changes" if made.found.findings else "Changes"
+    return [*finding_lines(made.found), *(f"{beside} may lie within {one}." for one in limits)]
 
 
 def comparison_document(made: Comparison) -> dict[str, Any]:
@@ -140,6 +141,6 @@ def _how_far(made: Comparison) -> str:
 
 
 def _limit_words(limits: Sequence[Limit]) -> str:
-    """Return the changes of base parameters that may have happened unseen."""
+    """Return the limits of the changes of base parameters that may have happened unseen."""
     words = [f"{one.name} of {one.place} from {one.low:+.3g} to {one.high:+.3g}" for one in limits]
-    return f"changes may lie within {', '.join(words)} (90 %)"
+    return f"{', '.join(words)} (90 %)"

@@ -9,6 +9,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
+from marsarm.diagnosis.arm import feature_set
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import build_case_simulator, resimulate
 from marsarm.diagnosis.arm.feature_set import (
@@ -39,7 +40,7 @@ from marsarm.diagnosis.arm.finite_differences import (
     perturb_both_sides,
     simulate_side,
 )
-from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
 from marsarm.diagnosis.arm.simulator import (
     SHORT_SETTLING,
@@ -195,6 +196,24 @@ def test_an_arm_with_another_surface_or_link_touches_at_another_height(campaign:
     (one,), longer = campaign.touches, simulate_touches(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),))
     assert one.tool == "apxs"
     assert 1e-4 < abs(longer[0] - nominal[0]) < 1.1e-3
+
+
+def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(
+    campaign: FeatureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (one,) = campaign.touches
+    recording, touch = one.turning_points.recording, find_touch(one.turning_points.recording)
+    switches = recording.sensors["switch_closed"]
+    stuck, early = switches.copy(), switches.copy()
+    stuck[:, recording.params.tool_switches["drill"][0]] = True
+    early[10:, switches[touch]] = True
+    stuck_log, early_log = (
+        replace(recording, sensors={**recording.sensors, "switch_closed": one}) for one in (stuck, early)
+    )
+    (found,) = build_feature_set([stuck_log]).touches
+    assert found.tool == one.tool
+    monkeypatch.setattr(feature_set, "FARTHEST_SURFACE_M", 0.01)  # the log begins 0.019 m above the surface
+    assert not build_feature_set([early_log]).touches
 
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
