@@ -102,9 +102,7 @@ def find_layer_sets(
         kept = [k for k, one in enumerate(explained) if one > share * needed]
         fitting.keep(kept)
         scores = [scores[k] for k in kept]
-    fits = fitting.finish()
-    left_out = cross_validate_each(context, fits)
-    rivals = list(zip([score.effect for score in scores], fits, left_out, strict=True))
+    rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
     rivals.sort(key=lambda one: -explain_loss(context, one[1], residuals))
     return [
         find_set(context, selection, without, effect, fit, rivals)
@@ -118,58 +116,59 @@ def find_set(
     without: FittedModel,
     effect: Effect,
     own: JointFit,
-    rivals: Sequence[tuple[Effect, JointFit, Array]],
+    rivals: Sequence[tuple[Effect, JointFit]],
 ) -> ConfidenceSet:
     """Exclude effects that fit too badly to be the cause of a finding, whose fit is `own`, and predict worse.
 
     A test of fits also excludes the cause where the model lacks something else. Left-out motions then do not
-    tell the two apart (Vuong 1989).
-
-    Args:
-        rivals: Effects that were fitted in place of the findings that are left out, the one that explains
-            most first; each with its residuals in left-out motions, (n_rows,) over their scales, unitless.
+    tell the two apart (Vuong 1989). Rivals were fitted in place of the findings that are left out; the one
+    that explains most comes first.
     """
     joints = list(joints_of(context, effect))
     rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
     share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
     others = [
-        (one, fit, left_out)
-        for one, fit, left_out in rivals
+        (one, fit)
+        for one, fit in rivals
         if set(joints) & set(joints_of(context, one)) and not is_at_bound(context, without.effects, one, fit)
     ]
-    chances = _cause_p(context, without, joints, [own, *(fit for _, fit, _ in others)])
-    first = Alternative(effect, own.sizes, 1.0, True, own.columns, size_intervals(context, own))
-    rest = []
-    for (one, fit, left_out), p in zip(others, chances, strict=True):
-        fits_as_well, intervals = p > EXCLUDED, size_intervals(context, fit)
-        if not fits_as_well:
-            p = max(p, prediction_p(context, selection, without, rows, fit, left_out))
-        rest.append(Alternative(one, fit.sizes, p, fits_as_well, fit.columns, intervals))
+    chances = _cause_p(context, without, joints, [own, *(fit for _, fit in others)])
+    first, *rest = (
+        Alternative(one, fit.sizes, p, p > EXCLUDED, fit.columns, size_intervals(context, fit))
+        for (one, fit), p in zip(((effect, own), *others), (1.0, *chances), strict=True)
+    )
+    unfit = [k for k, one in enumerate(rest) if not one.fits_as_well]
+    fits = [others[k][1] for k in unfit]
+    for k, p in zip(unfit, prediction_chances(context, selection, without, rows, fits), strict=True):
+        rest[k] = replace(rest[k], p=max(rest[k].p, p))
     members = sorted((one for one in rest if one.p > EXCLUDED), key=lambda one: -one.p)
     excluded = tuple(one for one in rest if one.p <= EXCLUDED)
     return ConfidenceSet(effect, (first, *members), share, excluded)
 
 
-def prediction_p(
+def prediction_chances(
     context: Context,
     selection: Selection,
     without: FittedModel,
     rows: Integers,
-    fit: JointFit,
-    left_out: Array,
-) -> float:
-    """Return the probability that a finding predicts so much better by chance; 0 if no motion is left out.
+    fits: Sequence[JointFit],
+) -> list[float]:
+    """Return the probability, for the fit of each rival, that a finding predicts so much better by chance.
+
+    It is 0 where no motion is left out.
 
     Args:
         rows: Residuals of the joints of the finding, (n,) indices.
-        left_out: Residuals of the rival in left-out motions, (n_rows,) over their scales, unitless; n_rows is
-            that of its fit.
     """
     if context.model.noise_std:
-        return 0.0
-    theirs = without.left_out.copy()
-    theirs[fit.rows] = left_out
-    return float(norm.sf(improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])))
+        return [0.0] * len(fits)
+    chances = []
+    for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
+        theirs = without.left_out.copy()
+        theirs[fit.rows] = left_out
+        z = improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])
+        chances.append(float(norm.sf(z)))
+    return chances
 
 
 def start_competitor(
