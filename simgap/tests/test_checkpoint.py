@@ -103,6 +103,16 @@ def test_the_progress_goes_on_from_where_it_was(whole: tuple[list[bytes], int], 
     assert again[0][0] == pytest.approx(shares[-1], abs=0.05)
 
 
+def test_after_the_last_round_as_much_is_left_as_was_expected_after_it() -> None:
+    shares: list[float] = []
+    meter = Meter(lambda share, _: shares.append(share))
+    meter.begin_round(100, 0.5)
+    meter.advance("screening", 100)
+    meter.end_rounds()
+    meter.advance("fit", 25)
+    assert shares == pytest.approx([100 / (110 + 50), 125 / (125 + 25)])
+
+
 def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path: Path) -> None:
     def fail() -> None:
         with Checkpoint(tmp_path / "steps") as checkpoint:

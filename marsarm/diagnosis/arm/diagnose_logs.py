@@ -157,6 +157,7 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
         BadOutput: A cached file cannot be written.
     """
     arm = drawing(job)
+    progress(0.0, 0.0, "reading the logs")
     fitted = load_checked_recordings(job.logs, job.base, arm)
     base = job.base or fitted[0].params
     held_out_recordings = load_checked_recordings(job.held_out, base, arm)

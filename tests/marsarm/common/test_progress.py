@@ -115,18 +115,31 @@ def _times_s(size: float) -> Array:
     return size * np.interp(np.linspace(0.0, 1.0, 101), shares, times_s)
 
 
+def tell_left_s(stage: tuple[float, float], total: float) -> tuple[float, float] | None:
+    """Return the time left after a quarter of a stage, which is reported with this total."""
+    state, times_s = ProgressState(0.0), iter((5.0, 10.0))
+    part = part_of(lambda *report: state.update(*report, next(times_s)), *stage)
+    part(0.0, total, "fit")
+    part(0.25 * abs(total), total, "fit")
+    return state.left_s(12.0)
+
+
 @pytest.mark.parametrize("stage", [(0.0, 1.0), (0.2, 0.6)])
-@pytest.mark.parametrize("earlier", [None, EarlierRun((0.0, 0.2, 0.6, 1.0), (0.0, 20.0, 60.0, 100.0))])
-def test_a_guessed_share_tells_a_time_only_beside_an_earlier_run(
-    stage: tuple[float, float], earlier: EarlierRun | None
+def test_a_guessed_share_tells_a_range_from_half_to_twice_what_a_counted_one_tells(
+    stage: tuple[float, float],
 ) -> None:
-    state, times_s = ProgressState(0.0, earlier), iter((5.0, 10.0))
-    begin, end = stage
-    part = part_of(lambda *report: state.update(*report, next(times_s)), begin, end)
-    part(0.0, GUESS, "fit")
-    part(0.25, GUESS, "fit")
-    assert state.share == pytest.approx(begin + 0.25 * (end - begin))
-    assert (state.left_s(12.0) is None) == (earlier is None)
+    counted, guessed = tell_left_s(stage, 1.0), tell_left_s(stage, GUESS)
+    assert counted is not None
+    assert guessed == pytest.approx((counted[0] / 2.0, counted[1] * 2.0))
+
+
+def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells() -> None:
+    told = []
+    for total in (1.0, GUESS):
+        state = ProgressState(0.0, EarlierRun((0.0, 0.6, 1.0), (0.0, 60.0, 100.0)))
+        state.update(0.25, total, "fit", 10.0)
+        told.append(state.left_s(12.0))
+    assert told[0] == told[1]
 
 
 def test_at_the_end_of_the_work_no_time_is_left() -> None:

@@ -2,7 +2,7 @@
 
 On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line after a second, then ever more rarely.
 The time left follows from an earlier run for the same request on this machine. Without one it follows from
-the share done, as a range while a step of the work lasts, or is not told where that share is a guess.
+the share done, as a range while a step of the work lasts, or where that share is a guess.
 """
 
 import json
@@ -108,6 +108,8 @@ Progress = Callable[[float, float, str], None]
 
 GUESS: Final = -1.0
 """Total amount of work whose share done is a guess, as what is found decides how much is left."""
+GUESS_SPREAD: Final = 2.0
+"""Factor by which the time left may be larger or smaller than that which follows from a guessed share."""
 
 WAITS_S: Final = (1.2, 8.8, 20.0, 30.0, 60.0)
 """Times before each line where there is no terminal; the last one is repeated.
@@ -181,7 +183,8 @@ class ProgressState:
     def left_s(self, now_s: float) -> tuple[float, float] | None:
         """Estimate the least and the most time left; None before there is an estimate.
 
-        The least is right if the present step ends now, the most if nothing of it is done.
+        The least is right if the present step ends now, the most if nothing of it is done. A guessed share
+        divides and multiplies them by GUESS_SPREAD.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
         if self.earlier is not None:
@@ -191,11 +194,12 @@ class ProgressState:
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
             return (left_s, left_s) if left_s > 0.0 else None  # the last step takes longer than it did
-        if self.is_guess or reached_s <= self.first_s:
+        if reached_s <= self.first_s:
             return None
+        spread = GUESS_SPREAD if self.is_guess else 1.0
         rest = (1.0 - self.share) / (self.share - first)
         least_s = (reached_s - self.first_s) * rest - (now_s - reached_s)
-        return max(least_s, 0.0), (now_s - self.first_s) * rest
+        return max(least_s, 0.0) / spread, (now_s - self.first_s) * rest * spread
 
     def left_text(self, now_s: float) -> str:
         """Return the time left as text."""

@@ -77,6 +77,10 @@ class Meter:
             self._ended_expected += self._expected
         self._begin, self._expected, self._after = self._done, expected, after
 
+    def end_rounds(self) -> None:
+        """Begin what follows the last round; it takes the rounds that were expected after it."""
+        self.begin_round(round(self._after * self._expected), 0.0)
+
     def advance(self, text: str, count: int) -> None:
         """Count candidates."""
         self._done += count
