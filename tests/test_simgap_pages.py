@@ -13,6 +13,11 @@ from simgap.report.traces import Trace, make_traces
 from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED, MISSING, Browser, find_chromium
 
 WIDTHS = (320, 400, 1400)
+TRACKS = """
+[...document.querySelectorAll(".bars figure")].map((figure) =>
+  new Set([...figure.querySelectorAll(".track")].map((one) => one.getBoundingClientRect().width)).size)
+"""
+"""Number of different widths of the bars' tracks in each figure of errors."""
 FOUND = diagnosis(
     findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
     base=(GAIN, ARMATURE),
@@ -41,6 +46,7 @@ def test_a_page_fits_every_width_in_both_schemes_without_an_error(page, tmp_path
                 assert browser.evaluate("document.documentElement.scrollWidth") == width
                 n_traces = browser.evaluate("document.querySelectorAll('.traces path.trace').length")
                 assert n_traces == {"check": 10, "diagnosis": 10}[name]
+                assert browser.evaluate(TRACKS) == {"check": [], "diagnosis": [1, 1]}[name]
                 assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
         assert not browser.problems
         assert len(browser.requests) == 2 * len(WIDTHS)

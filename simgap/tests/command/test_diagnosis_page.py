@@ -107,6 +107,17 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
     assert 'class="floor"' not in text
 
 
+def test_bars_and_traces_begin_with_the_error_that_is_largest_over_its_noise(tmp_path):
+    errors = tuple(replace(one, kind="simulation") for one in (PAN, LIFT))
+    text = text_of(tmp_path, result=replace(FOUND, errors=errors))
+    assert re.findall("<h3>(.*?)</h3>", text) == ["lift", "pan", "lift", "pan"]
+    unknown = tuple(map(without_floor, errors))
+    assert re.findall("<h3>(.*?)</h3>", text_of(tmp_path, result=replace(FOUND, errors=unknown))) == [
+        *("pan", "lift"),
+        *("pan", "lift"),
+    ]
+
+
 def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
     print_parts(diagnosis_parts(made(tmp_path)))
     shown = " ".join(capsys.readouterr().out.split())

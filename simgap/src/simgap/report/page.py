@@ -80,6 +80,15 @@ def figure_style() -> str:
     return f"<style>{_read('figures.css')}</style>"
 
 
+def _rank_errors(diagnosis: Diagnosis) -> list[JointError]:
+    """Return the errors, that which is largest over its noise first; without noise in the order of joints."""
+
+    def share(one: JointError) -> float:
+        return one.nominal / one.noise_floor if one.noise_floor > 0.0 and isfinite(one.nominal) else 0.0
+
+    return sorted(diagnosis.errors, key=share, reverse=True)
+
+
 def _error_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.errors:
         return []
@@ -87,13 +96,15 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
     is_judged = bool(diagnosis.judged_motions)
     judged = "motions that took no part" if is_judged else "the fitted motions: none was held out"
     legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
-    mark = "The line across the bars is" if has_floor(diagnosis) else "No repeated motion shows"
+    unknown = "No repeated motion shows the noise floor"
+    bars = "".join(_error_bars(one, len(kinds) > 1) for one in _rank_errors(diagnosis))
+    mark = "The line across the bars is the noise floor; what is largest over it comes first"
     return [
         heading("How far the error shrinks"),
-        paragraph(f"Mean error by joint on {judged}. {mark} the noise floor."),
+        paragraph(f"Mean error by joint on {judged}. {mark if has_floor(diagnosis) else unknown}."),
         *([paragraph(diagnosis.method)] if diagnosis.method else []),
         f'<p class="legend">{legend}</p>',
-        f'<div class="bars">{"".join(_error_bars(one, len(kinds) > 1) for one in diagnosis.errors)}</div>',
+        f'<div class="bars">{bars}</div>',
     ]
 
 
@@ -120,6 +131,8 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     chosen = choose_traces(traces)
     if not chosen:
         return []
+    rank = {(one.joint, one.kind): k for k, one in enumerate(_rank_errors(diagnosis))}
+    chosen = dict(sorted(chosen.items(), key=lambda one: rank.get(one[0], len(rank))))
     kinds = {kind for _, kind in chosen}
     named = {joint if len(kinds) == 1 else f"{joint}, {kind}": own for (joint, kind), own in chosen.items()}
     return [
