@@ -14,7 +14,6 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
 gap_app = VerbApp(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
     "Example: marsarm gap demo --seed 3",
-    no_args_is_help=True,
 )
 
 

@@ -22,7 +22,6 @@ ToOption = Annotated[
 
 log_app = VerbApp(
     help="Inspect, plot, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
-    no_args_is_help=True,
 )
 
 

@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
@@ -34,6 +34,8 @@ LEAST_LIKENESS: Final = 0.75
 """Least ratio of `difflib` for an option to be suggested: `--tol` has 0.91 to `--tool`, `--foo` 0.73."""
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
+WHOLE: Final = 1000
+"""Length of a sentence that a list of commands does not cut."""
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
 
@@ -111,9 +113,24 @@ class VerbCommand(TyperCommand):
             )
             self.callback, self.params = whole.callback, whole.params
 
+    def get_short_help_str(self, limit: int = WHOLE) -> str:
+        """Return the first sentence of the help; typer cuts it."""
+        return super().get_short_help_str(max(limit, WHOLE))
+
+
+class VerbGroup(TyperGroup):
+    """Verbs with a name in common."""
+
+    def get_short_help_str(self, limit: int = WHOLE) -> str:
+        """Return the first sentence of the help; typer cuts it."""
+        return super().get_short_help_str(max(limit, WHOLE))
+
 
 class VerbApp(typer.Typer):
-    """Command line, or a part of it, whose commands are verbs."""
+    """Command line, or a part of it, whose commands are verbs; with rich, `--help` takes twice the time."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(cls=VerbGroup, rich_markup_mode=None, no_args_is_help=True, **settings)
 
     def command(self, name: str | None = None, **_: Any) -> Callable[..., Any]:
         """Make a command of a verb."""
@@ -133,7 +150,6 @@ def make_app(program: str, about: str) -> VerbApp:
     app = VerbApp(
         name=program,
         help=about,
-        no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
@@ -193,8 +209,11 @@ def _run(app: typer.Typer, program: str) -> NoReturn:
     try:
         status = app(prog_name=program, standalone_mode=False)
     except typer.TyperException as error:
-        message = _describe_usage_error(error)
-        if message:
+        context = getattr(error, "ctx", None)
+        if context is not None and error.message == context.get_help():  # a verb is missing
+            print(error.message)
+        else:
+            message = _describe_usage_error(error)
             if "--json" in sys.argv:
                 print(json.dumps({"error": message}))
             print(message, file=sys.stderr)
@@ -203,7 +222,7 @@ def _run(app: typer.Typer, program: str) -> NoReturn:
 
 
 def _describe_usage_error(error: typer.TyperException) -> str:
-    """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
+    """Return one sentence about wrong usage."""
     message = error.format_message().rstrip(".")
     if hasattr(error, "possibilities"):  # of which any short word is like `--json`
         wrong: str = vars(error)["option_name"]
@@ -216,4 +235,4 @@ def _describe_usage_error(error: typer.TyperException) -> str:
         message = f"{parameter.get_error_hint()}: takes {parameter.nargs} {number}{plural}"
     context = getattr(error, "ctx", None)
     advice = "" if context is None else f"; `{context.command_path} --help` lists what there is"
-    return f"{message}{advice}" if message else ""
+    return f"{message}{advice}"

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 FRAME_PATTERN: Final = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>[0-9]+)')
 """Line of a traceback as text, which is all that a worker process sends."""
-MARKUP: Final = re.compile(r"\[[a-z#/@][^\[]*?\]")
-"""What rich takes for markup; its own function for this takes a tenth of the time of `--help` to load."""
 
 
 def describe_failed_effect(error: Exception) -> str | None:
@@ -133,12 +131,7 @@ def _read_parameters(work: Callable[..., VerbResult]) -> tuple[inspect.Parameter
 def _help_text(doc: str) -> str:
     """Return a docstring with each paragraph on one line, so that the screen decides its lines."""
     paragraphs = doc.split("\n\n")
-    return _plain("\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs))
-
-
-def _plain(help_text: str) -> str:
-    """Return a help text in which brackets are brackets, not markup."""
-    return MARKUP.sub(r"\\\g<0>", help_text)
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
 def _carry_out(
@@ -171,7 +164,7 @@ def _request_options(request_type: Any, group: Any) -> Iterator[inspect.Paramete
         kind = Annotated[_typer_type(field), _typer_option(field, field.option)]  # type: ignore[valid-type]
         yield _parameter(field.name, kind, None if default == () else default)
         if field.option.help_without is not None and default is not None:
-            flag = typer.Option(f"--no-{field.label}", help=_plain(field.option.help_without))
+            flag = typer.Option(f"--no-{field.label}", help=field.option.help_without)
             yield _parameter(f"no_{field.name}", Annotated[bool, flag], False)
 
 
@@ -185,8 +178,8 @@ def _typer_type(field: Field) -> Any:
 
 def _typer_option(field: Field, option: Option) -> Any:
     if option.is_argument:
-        return typer.Argument(help=_plain(option.help), metavar=option.metavar)
-    return typer.Option(option.name or f"--{field.label}", help=_plain(option.help), metavar=option.metavar)
+        return typer.Argument(help=option.help, metavar=option.metavar)
+    return typer.Option(option.name or f"--{field.label}", help=option.help, metavar=option.metavar)
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
