@@ -47,6 +47,8 @@ DRAWING_SHARE: Final = 0.1
 """Share of the picture, without a movie, which takes as long as the run itself."""
 PAGE_SHARE: Final = 0.15
 """Share of picture and page: 5.5 s of 37 s."""
+MOVIE_BEGINS: Final = 0.25
+"""Share of a run after which its movie is drawn: 22 s of 97 s."""
 PICTURE_SIZE = (1280, 720)
 MOVIE_SHADOWS = 1024
 """Side of a shadow map in pixels: coarser than for a picture, and several times faster."""
@@ -81,6 +83,11 @@ class Artifacts:
     """Reason why the log is not complete."""
     events: tuple[tuple[float, Evr], ...] = ()
     """Time [s] and event of each event of the ground."""
+
+
+def progress_before_movie(files: RunFiles, progress: Progress) -> Progress:
+    """Return the progress of a run without its movie, which is a guess beside one."""
+    return progress if files.movie is None else part_of(as_guess(progress), 0.0, MOVIE_BEGINS)
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationResult:
@@ -279,9 +286,10 @@ def execute(
         BadRequest: the log cannot be opened; nothing moved.
     """
     share = 1.0 - (DRAWING_SHARE if files.page is None else PAGE_SHARE)
+    running = part_of(progress_before_movie(files, progress), INITIALISATION_SHARE, share)
+    drawing = part_of(progress, share, 1.0)
     if files.movie is not None:  # nobody knows how long it takes to draw
-        share, progress = 0.5 * (1.0 + INITIALISATION_SHARE), as_guess(progress)
-    running, drawing = part_of(progress, INITIALISATION_SHARE, share), part_of(progress, share, 1.0)
+        drawing = part_of(as_guess(progress), MOVIE_BEGINS, 1.0)
     drawn = DrawnPoses()
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())

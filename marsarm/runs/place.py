@@ -12,7 +12,14 @@ from fsw.dictionary.types import match_name, vector3
 from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
 from marsarm.render.picture import check_movie_path
-from marsarm.runs.execution import Execution, execute, execution_not_begun, initialise, open_view
+from marsarm.runs.execution import (
+    Execution,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+    progress_before_movie,
+)
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.recorder import run_header
 from sim.arms import BuiltArm, effects_of_run
@@ -25,7 +32,7 @@ from sim.world import inside_rover
 from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, as_guess, no_progress
+from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.watched_run import RecordedRun
@@ -102,8 +109,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
 def _carry_out(
     request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
 ) -> PlaceReport:
-    guessing = progress if request.files.movie is None else as_guess(progress)
-    last = initialise(job.arm, request.seed, guessing)
+    last = initialise(job.arm, request.seed, progress_before_movie(request.files, progress))
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))

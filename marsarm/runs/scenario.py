@@ -14,6 +14,7 @@ from marsarm.runs.execution import (
     execution_not_begun,
     initialise,
     open_view,
+    progress_before_movie,
 )
 from marsarm.runs.request import RunRequest
 from marsarm.telemetry.recorder import run_header
@@ -66,11 +67,12 @@ def _carry_out(
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)
     on_this_day = replace(arm, effects=(*ambient, *arm.effects))
-    last = initialise(on_this_day, request.seed, as_guess(progress))
+    before_movie = progress_before_movie(request.files, progress)
+    last = initialise(on_this_day, request.seed, as_guess(before_movie))
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
-    progress(INITIALISATION_SHARE, GUESS, "teaching")
+    before_movie(INITIALISATION_SHARE, GUESS, "teaching")
     try:
         arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:

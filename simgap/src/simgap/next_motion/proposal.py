@@ -23,8 +23,8 @@ from simgap.selection.fit import STEP, Union, scale_residuals
 
 AT_ONCE: Final = 32
 """Motions that are simulated together, between two reports of the progress."""
-SCREENED: Final = 0.4
-"""Share of the time after the simulation of all motions, for the progress."""
+SCREENED: Final = 0.7
+"""Share of the time after the simulation of all motions, for the progress: 6.7 s of 9.1 s for a servo arm."""
 
 Report = Callable[[float, str], None]
 """Takes the share that is done and a text."""
