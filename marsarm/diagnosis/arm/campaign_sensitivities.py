@@ -123,7 +123,7 @@ def compute_sensitivities(
         return load_sensitivities(path)
     check_cache_folder(kept_in)
     steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
-    found = _difference_all(_Campaign(paths, names, arm), run, progress, steps)
+    found = _difference_all(_Campaign(paths, names, arm), run, as_guess(progress), steps)
     save_sensitivities(path, found)
     return found
 
@@ -219,7 +219,7 @@ def _choose_steps(
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
-        update = part_of(as_guess(progress), 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
         scale = form_normal_equations(_assemble(simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}

@@ -35,7 +35,7 @@ from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, part_of
+from simgap.common.progress import Progress, as_guess, part_of
 from simgap.report.sentences import level
 
 Kind = Literal["none", "known", "left out"]
@@ -90,6 +90,7 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
     BadRequest if the request is wrong, or the cache cannot be written.
     """
     check_options(request)
+    progress = as_guess(progress)
     campaign = load_demo_campaign(request, progress)
     with TemporaryDirectory() as name:
         recording = part_of(progress, RECORDING_BEGINS, DIAGNOSIS_BEGINS)

@@ -26,7 +26,7 @@ from sim.scenario.records import shorten
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder, file_sha256
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.files.columns import hint_at
 
 CAMPAIGN_SHARE: Final = 0.9
@@ -156,7 +156,7 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
         BadRequest: A cached file of the campaign cannot be read.
         BadOutput: A cached file cannot be written.
     """
-    arm = drawing(job)
+    arm, progress = drawing(job), as_guess(progress)
     progress(0.0, 0.0, "reading the logs")
     fitted = load_checked_recordings(job.logs, job.base, arm)
     base = job.base or fitted[0].params

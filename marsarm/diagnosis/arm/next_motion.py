@@ -30,7 +30,7 @@ from sim.initialisation import true_reference
 from simgap.common.files import cache_folder, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
-from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.next_motion.proposal import Curve, Proposal
 from simgap.next_motion.rivals import choose_rivals
 from simgap.next_motion.separation import Slopes, choose_motion, scale_slopes
@@ -64,7 +64,7 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     BadRequest and NotForDiagnosis as in `diagnose`, RobotError if nothing is left to tell apart, and
     PlantDiverged if a simulated arm broke.
     """
-    job = prepare_diagnosis(request)
+    job, progress = prepare_diagnosis(request), as_guess(progress)
     case = diagnose_logs(job, part_of(progress, 0.0, DIAGNOSED))
     assert case.model is not None
     group = choose_rivals(case.diagnosis.rivals)
