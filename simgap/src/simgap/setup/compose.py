@@ -18,6 +18,7 @@ from simgap.common.progress import GUESS, Progress
 from simgap.common.toml import parse_record
 from simgap.files.columns import ColumnInfo, LongGap
 from simgap.files.log_file import LogFile, open_whole
+from simgap.files.motion_rows import SLOWEST
 from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
@@ -209,8 +210,10 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
     }
     draft.reasons["time_step_s",] = f"the control period in {n_steps} steps, by the time step of the model"
     draft.reasons["control_rate_Hz",] = "the rate of the log"
+    most_Hz = f"{rate_Hz / SLOWEST:g}"
     draft.ask(
-        "does the loop that computes torques run faster than the log? Write its rate", "control_rate_Hz"
+        f"does the loop that computes torques run faster than the log? Write its rate, at most {most_Hz}",
+        "control_rate_Hz",
     )
     sites = [model.site(k).name for k in range(model.nsite)]
     tools = [one for one in sites if set(split_words(one)) & TOOL_WORDS]
