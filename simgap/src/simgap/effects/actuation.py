@@ -233,7 +233,8 @@ class SupplySag(Effect):
 
     def act(self, size: Array, tick: Tick) -> None:
         """Scale limits and gains by the voltage under the load of the last step."""
-        load = np.mean(np.abs(tick.motor_Nm) / np.array(self.torque_Nm_all), axis=1)
+        torque_Nm = np.array(self.torque_Nm_all)
+        load = np.abs(tick.motor_Nm) @ (1.0 / torque_Nm) / torque_Nm.size
         voltage = np.maximum(1.0 - size[:, 0] * load, 0.0)[:, None]
         tick.torque_limit_Nm *= voltage
         tick.gain *= voltage

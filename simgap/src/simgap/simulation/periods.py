@@ -51,10 +51,10 @@ class Actuators:
 
     def __init__(self, compiled: Compiled, batch: mujoco.batch.Batch, fields: Fields) -> None:
         """Expand their numbers, and set them."""
-        self._robot, self._places, self._fields = compiled.robot, compiled.actuator, fields
+        self._places = compiled.actuator
         self._limits = batch.expand("actuator_forcerange")
         self._gain, self._bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
-        self._factor = np.zeros_like(fields.kp_Nm_rad)
+        self._nominal = control_laws(compiled.robot, fields.kp_Nm_rad, fields.kd_Nms_rad)
         self.limit(fields.torque_limit_Nm)
         self.scale(np.ones_like(fields.kp_Nm_rad))
 
@@ -66,12 +66,9 @@ class Actuators:
 
     def scale(self, factor: Array) -> None:
         """Multiply nominal gains of the first simulations by factors, (n, n_joints)."""
-        n = factor.shape[0]
-        if np.array_equal(factor, self._factor[:n]):
-            return
-        self._factor[:n] = factor
-        kp, kd = self._fields.kp_Nm_rad[:n] * factor, self._fields.kd_Nms_rad[:n] * factor
-        self._gain[:n, self._places, 0], self._bias[:n, self._places, :3] = control_laws(self._robot, kp, kd)
+        n, (gain, bias) = factor.shape[0], self._nominal
+        self._gain[:n, self._places, 0] = gain[:n] * factor
+        self._bias[:n, self._places, :3] = bias[:n] * factor[..., None]
 
 
 class Periods:
