@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015
-LOAD_TOLERANCE_NM: Final = 2.8
-"""Largest difference of a torque from the wanted one. On a gear of 1e5 N m/rad it is 28 urad, which makes the
-0.2 mrad by which a calibrated hardstop scatters 1 % larger. In 5 of 40 calibrated arms the elevation misses
-by 0.7 to 2.5 N m, as the elbow is at its limit.
+MOST_SHIFT_RAD: Final = 28e-6
+"""Largest wind-up of a gear by the difference of a torque from the wanted one. It makes the 0.2 mrad by which
+a calibrated hardstop scatters 1 % larger. In 5 of 40 calibrated arms the elevation has 7 to 25 urad, as the
+elbow is at its limit.
 """
 
 PoseName = Literal["start_rad", "park_rad", "second_start_rad"]
@@ -145,7 +145,9 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     start = np.array([getattr(params.hardstop, pose)[joint] for pose, joint in FREE_ANGLES])
     low, high = [joint.soft_min_rad for joint in limits], [joint.soft_max_rad for joint in limits]
     solution = least_squares(torque_error_Nm, start, bounds=(low, high), xtol=1e-10)
-    if np.abs(solution.fun).max() > LOAD_TOLERANCE_NM:
+    joints = params.joints.in_order()
+    stiffness_Nm_rad = np.array([joints[joint].gear_stiffness_Nm_rad for joint in EQUALISED_JOINTS])
+    if np.abs(solution.fun / stiffness_Nm_rad).max() > MOST_SHIFT_RAD:
         raise NoPlan(f"the best torques differ from the wanted ones by {np.round(solution.fun, 1)} N m")
     return _with_free_angles(params, solution.x)
 

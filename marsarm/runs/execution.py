@@ -86,7 +86,7 @@ class Artifacts:
 
 
 def progress_before_movie(files: RunFiles, progress: Progress) -> Progress:
-    """Return the progress of a run without its movie, which is a guess beside one."""
+    """Return the progress of a run; with a movie it is a guess, because the time to draw is one."""
     return progress if files.movie is None else part_of(as_guess(progress), 0.0, MOVIE_BEGINS)
 
 
@@ -287,8 +287,9 @@ def execute(
     """
     share = 1.0 - (DRAWING_SHARE if files.page is None else PAGE_SHARE)
     running = part_of(progress_before_movie(files, progress), INITIALISATION_SHARE, share)
-    drawing = part_of(progress, share, 1.0)
-    if files.movie is not None:  # nobody knows how long it takes to draw
+    if files.movie is None:
+        drawing = part_of(progress, share, 1.0)
+    else:
         drawing = part_of(as_guess(progress), MOVIE_BEGINS, 1.0)
     drawn = DrawnPoses()
     named = (files.picture, files.movie, files.page, files.log)

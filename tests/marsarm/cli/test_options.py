@@ -23,7 +23,7 @@ from simgap.common.app import give_address
 from simgap.common.errors import BadRequest
 from simgap.common.options import Option, check_options, option_fields
 from simgap.common.verb import VerbResult, verb
-from tests.marsarm.command import ROOT
+from tests.marsarm.command import ROOT, marsarm
 
 VERBS = {
     PlaceRequest: runs.place,
@@ -148,3 +148,17 @@ def test_the_option_cluster_may_stand_without_an_address(words, address):
     complete = list(give_address(words))
     assert complete[complete.index("--cluster") + 1] == address
     assert [word for word in complete if word != "auto"] == [word for word in words if word != "auto"]
+
+
+def test_without_a_verb_the_help_is_printed(tmp_path):
+    told = marsarm(tmp_path, "log")
+    assert (told.returncode, told.stderr) == (2, "")
+    assert told.stdout.startswith("Usage: marsarm log [OPTIONS] COMMAND [ARGS]...")
+    assert told.stdout == marsarm(tmp_path, "log", "--help").stdout
+
+
+def test_a_list_of_verbs_has_whole_sentences(tmp_path):
+    words = " ".join(marsarm(tmp_path, "--help").stdout.split())
+    assert "place Unstow, place an instrument on a rock, and retract." in words
+    assert "why arm and simulation differ, or try it." in words
+    assert "..." not in words.partition("Commands:")[2]

@@ -35,7 +35,9 @@ LEAST_LIKENESS: Final = 0.75
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
 WHOLE: Final = 1000
-"""Length of a sentence that a list of commands does not cut."""
+"""Characters of a sentence that a list of commands shows: more than any has."""
+WIDEST: Final = 110
+"""Most columns of a help text, as of the lines of the documents."""
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
 
@@ -114,7 +116,7 @@ class VerbCommand(TyperCommand):
             self.callback, self.params = whole.callback, whole.params
 
     def get_short_help_str(self, limit: int = WHOLE) -> str:
-        """Return the first sentence of the help; typer cuts it."""
+        """Return the first sentence of the help; typer would cut it at `limit`."""
         return super().get_short_help_str(max(limit, WHOLE))
 
 
@@ -122,7 +124,7 @@ class VerbGroup(TyperGroup):
     """Verbs with a name in common."""
 
     def get_short_help_str(self, limit: int = WHOLE) -> str:
-        """Return the first sentence of the help; typer cuts it."""
+        """Return the first sentence of the help; typer would cut it at `limit`."""
         return super().get_short_help_str(max(limit, WHOLE))
 
 
@@ -151,7 +153,7 @@ def make_app(program: str, about: str) -> VerbApp:
         name=program,
         help=about,
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
     )
 
     def print_version(is_asked: bool) -> None:
@@ -209,8 +211,7 @@ def _run(app: typer.Typer, program: str) -> NoReturn:
     try:
         status = app(prog_name=program, standalone_mode=False)
     except typer.TyperException as error:
-        context = getattr(error, "ctx", None)
-        if context is not None and error.message == context.get_help():  # a verb is missing
+        if type(error).__name__ == "NoArgsIsHelpError":  # a verb is missing
             print(error.message)
         else:
             message = _describe_usage_error(error)

@@ -234,7 +234,7 @@ class SupplySag(Effect):
     def act(self, size: Array, tick: Tick) -> None:
         """Scale limits and gains by the voltage under the load of the last step."""
         torque_Nm = np.array(self.torque_Nm_all)
-        load = np.abs(tick.motor_Nm) @ (1.0 / torque_Nm) / torque_Nm.size
+        load = np.sum(np.abs(tick.motor_Nm) / torque_Nm, axis=1) / torque_Nm.size
         voltage = np.maximum(1.0 - size[:, 0] * load, 0.0)[:, None]
         tick.torque_limit_Nm *= voltage
         tick.gain *= voltage

@@ -7,7 +7,7 @@ import html
 import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from math import degrees, floor, isfinite, log10
+from math import degrees, floor, inf, isfinite, log10
 from pathlib import Path
 from typing import Any, Final
 
@@ -84,9 +84,13 @@ def _rank_errors(diagnosis: Diagnosis) -> list[JointError]:
     """Return the errors, that which is largest over its noise first; without noise in the order of joints."""
 
     def share(one: JointError) -> float:
-        return one.nominal / one.noise_floor if one.noise_floor > 0.0 and isfinite(one.nominal) else 0.0
+        return (
+            (one.nominal if isfinite(one.nominal) else inf) / one.noise_floor
+            if one.noise_floor > 0.0
+            else 0.0
+        )
 
-    return sorted(diagnosis.errors, key=share, reverse=True)
+    return sorted(diagnosis.errors, key=share, reverse=True) if has_floor(diagnosis) else [*diagnosis.errors]
 
 
 def _error_part(diagnosis: Diagnosis) -> list[str]:

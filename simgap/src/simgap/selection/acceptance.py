@@ -189,17 +189,9 @@ def worsens_another(context: Context, present: FittedModel, candidate: Candidate
 
 def cross_validate(context: Context, fits: Sequence[JointFit]) -> Array:
     """Predict residuals without the fold of their motion, over their scales, (n_rows,); 0 without a fit."""
-    (found,) = cross_validate_models(context, [fits])
-    return found
-
-
-def cross_validate_models(context: Context, models: Sequence[Sequence[JointFit]]) -> list[Array]:
-    """Predict the residuals of several models as `cross_validate` does, each by the fits of its joints."""
-    left_out = iter(cross_validate_each(context, [fit for fits in models for fit in fits]))
-    found = [np.zeros(context.model.joint_of.size) for _ in models]
-    for residuals, fits in zip(found, models, strict=True):
-        for fit in fits:
-            residuals[fit.rows] = next(left_out)
+    found = np.zeros(context.model.joint_of.size)
+    for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
+        found[fit.rows] = left_out
     return found
 
 

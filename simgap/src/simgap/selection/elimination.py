@@ -19,7 +19,7 @@ from simgap.selection.acceptance import (
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
 from simgap.selection.context import Context, FittedModel
 from simgap.selection.fit import JointFit, gather_residuals, select_rows
-from simgap.selection.joint_fits import are_separate, fits_at, leave_out, leave_out_each, list_layers
+from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_layers
 from simgap.selection.screening import refit_p
 from simgap.selection.sharing import ALL_JOINTS
 
@@ -38,7 +38,7 @@ def drop_needless(
     whole = present
     while True:
         layers = list_layers(context, present.effects)
-        left_out = tuple(zip(layers, leave_out_each(context, present, layers), strict=True))
+        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         needs = [
             (effect, *find_need(context, present, without, [effect]))
             for layer, without in left_out

@@ -14,7 +14,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, refer_to
-from simgap.selection.acceptance import MIN_SHARE, cross_validate, cross_validate_models, improvement_share
+from simgap.selection.acceptance import MIN_SHARE, cross_validate, improvement_share
 from simgap.selection.context import (
     Context,
     FittedModel,
@@ -209,40 +209,20 @@ def start_fit(
 def fit_joints(
     context: Context, effects: Sequence[Effect], sizes: Array, known: Sequence[JointFit] = ()
 ) -> tuple[JointFit, ...]:
-    """Fit base and effects of every joint, from sizes (n_sizes,), as `fit_models` does."""
-    (fits,) = fit_models(context, [(effects, sizes)], known)
-    return fits
+    """Fit base and effects of every joint; all joints together if an effect is judged at all of them.
 
-
-def fit_models(
-    context: Context, models: Sequence[tuple[Sequence[Effect], Array]], known: Sequence[JointFit] = ()
-) -> list[tuple[JointFit, ...]]:
-    """Fit base and effects of every joint in several models, which share calls of the simulation.
-
-    All joints are fitted together if an effect is judged at all of them. The residuals are those with the new
-    sizes of all joints: a joint was fitted with the others as they were.
-
-    Args:
-        models: Effects of each model, and the sizes from which its fits start, (n_sizes,).
-        known: Fits of the same residual model, at sizes that are near.
+    The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
+    Known fits are of the same residual model, at sizes that are near.
     """
-    every = [*range(len(context.model.joints))]
-    joints = [
-        [ALL_JOINTS] if any(context.joint_of(one) == ALL_JOINTS for one in effects) else every
-        for effects, _ in models
-    ]
-    starts = [
-        start_fit(context, effects, joint, sizes, known)
-        for (effects, sizes), own in zip(models, joints, strict=True)
-        for joint in own
-    ]
-    found = iter(fit_together(context, starts, "fit"))
-    fitted = [tuple(next(found) for _ in own) for own in joints]
-    apart = [k for k, fits in enumerate(fitted) if len(fits) > 1]
-    points = [(ALL_JOINTS, merge_sizes(context, models[k][1], fitted[k])) for k in apart]
-    for k, (_, sizes), rows in zip(apart, points, simulate(context, points, "fit"), strict=True):
-        fitted[k] = tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fitted[k])
-    return fitted
+    joints = [*range(len(context.model.joints))]
+    if any(context.joint_of(one) == ALL_JOINTS for one in effects):
+        joints = [ALL_JOINTS]
+    fits = fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    if len(fits) == 1:
+        return tuple(fits)
+    sizes = merge_sizes(context, sizes, fits)
+    (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
+    return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
 
 def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[JointFit, ...]:
@@ -273,26 +253,12 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Arr
 
 def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
     """Refit the model without some of its effects."""
-    (without,) = leave_out_each(context, present, [effects])
-    return without
-
-
-def leave_out_each(
-    context: Context, present: FittedModel, groups: Sequence[Sequence[Effect]]
-) -> list[FittedModel]:
-    """Refit the model without each of some groups of its effects."""
-    models = []
-    for effects in groups:
-        gone = {effect.key for effect in effects}
-        sizes = present.sizes.copy()
-        sizes[context.union.columns(effects)] = 0.0
-        models.append((tuple(one for one in present.effects if one.key not in gone), sizes))
-    fitted = resume_step(fit_models, context, models, present.fits)
-    left_out = resume_step(cross_validate_models, context, fitted)
-    return [
-        FittedModel(rest, fits[0].sizes, fits, left)
-        for (rest, _), fits, left in zip(models, fitted, left_out, strict=True)
-    ]
+    gone = {effect.key for effect in effects}
+    rest = tuple(one for one in present.effects if one.key not in gone)
+    sizes = present.sizes.copy()
+    sizes[context.union.columns(effects)] = 0.0
+    fits = resume_step(fit_joints, context, rest, sizes, present.fits)
+    return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

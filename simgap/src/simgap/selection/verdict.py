@@ -73,75 +73,40 @@ class ConfidenceSet:
 
 def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
     """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause."""
-    context = selection.context
-    rivals = resume_step(fit_rivals, context, selection)
     found: dict[str, ConfidenceSet] = {}
-    for (layer, without), own in zip(selection.left_out, rivals, strict=True):
-        sets = resume_step(find_layer_sets, context, selection, without, layer, own)
+    for layer, without in selection.left_out:
+        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
         found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
 
-def fit_rivals(context: Context, selection: Selection) -> list[list[tuple[Effect, JointFit]]]:
-    """Refit the competitors of the findings that are left out together, for each such layer the best first.
+def find_layer_sets(
+    context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
+) -> list[ConfidenceSet]:
+    """Refit the competitors of findings that are left out together; the findings are fitted already.
 
     Those that soon explain less than RIVAL_SHARE of a finding are excluded.
     """
-    residuals = [
-        gather_residuals(without.fits, context.model.joint_of.size) for _, without in selection.left_out
-    ]
-    needed = [
-        min(explain_loss(context, fit, left) for fit in fits_of(context, selection, layer))
-        for (layer, _), left in zip(selection.left_out, residuals, strict=True)
-    ]
-    asked = [
-        (k, score)
-        for k, (layer, without) in enumerate(selection.left_out)
-        for score in list_competitors(selection, without, layer)
-    ]
-    layers = selection.left_out
-    starts = [start_competitor(context, layers[k][1], layers[k][0], score) for k, score in asked]
-    fitting = start_fitting(context, starts, "refit")
-    for share in SHARES:
-        fitting.advance(FEW_ITERATIONS)
-        kept = [
-            i
-            for i, ((k, _), fit) in enumerate(zip(asked, fitting.descents, strict=True))
-            if explain_loss(context, fit, residuals[k]) > share * needed[k]
-        ]
-        fitting.keep(kept)
-        asked = [asked[i] for i in kept]
-    found: list[list[tuple[Effect, JointFit]]] = [[] for _ in layers]
-    for (k, score), fit in zip(asked, fitting.finish(), strict=True):
-        found[k].append((score.effect, fit))
-    for own, left in zip(found, residuals, strict=True):
-        own.sort(key=lambda one: -explain_loss(context, one[1], left))
-    return found
-
-
-def fits_of(context: Context, selection: Selection, layer: Sequence[Effect]) -> list[JointFit]:
-    """Return the fit of the chosen model at the joint of each finding."""
-    return [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]
-
-
-def list_competitors(selection: Selection, without: FittedModel, layer: Sequence[Effect]) -> list[Score]:
-    """List what competes with findings that are left out together, each once and not in the model."""
     known = {effect.key for effect in (*layer, *without.effects)}
     every = [one for effect in layer for one in selection.competitors[effect.key]]
-    return [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
-
-
-def find_layer_sets(
-    context: Context,
-    selection: Selection,
-    without: FittedModel,
-    layer: Sequence[Effect],
-    rivals: Sequence[tuple[Effect, JointFit]],
-) -> list[ConfidenceSet]:
-    """Find the sets of findings that are left out together, from their rivals, the best first."""
+    scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
+    fitting = start_fitting(
+        context, [start_competitor(context, without, layer, score) for score in scores], "refit"
+    )
+    residuals = gather_residuals(without.fits, context.model.joint_of.size)
+    findings = [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]
+    needed = min(explain_loss(context, fit, residuals) for fit in findings)
+    for share in SHARES:
+        fitting.advance(FEW_ITERATIONS)
+        explained = [explain_loss(context, one, residuals) for one in fitting.descents]
+        kept = [k for k, one in enumerate(explained) if one > share * needed]
+        fitting.keep(kept)
+        scores = [scores[k] for k in kept]
+    rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
+    rivals.sort(key=lambda one: -explain_loss(context, one[1], residuals))
     return [
         find_set(context, selection, without, effect, fit, rivals)
-        for effect, fit in zip(layer, fits_of(context, selection, layer), strict=True)
+        for effect, fit in zip(layer, findings, strict=True)
     ]
 
 
