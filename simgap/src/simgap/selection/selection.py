@@ -73,9 +73,8 @@ member, and a compliance has too narrow an interval."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
-REFIT_COST: Final = 13
-"""Candidates that an effect of the shortlist takes, for the progress alone: the median of ten rounds on three
-robots, from 10 to 26."""
+REFIT_COST: Final = 7
+"""Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
 
 
 def select_effects(
