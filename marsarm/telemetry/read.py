@@ -194,7 +194,7 @@ def _build_log(path: Path, found: McapContent, header: dict[str, str], selection
     if size > MAX_UNPACKED_BYTES:
         why = f"unpacks to {size / 1e9:.1f} GB, {MAX_UNPACKED_BYTES / 1e9:.1f} GB at most are read at once"
         raise LogNotReadable(path, f"{why}; ask for a part, from one time to another")
-    specs = [one for one in decode_topics(header) if one.is_flight]
+    specs = decode_topics(header)
     from_start = not chosen or chosen[0] == found.chunks[0]
     wanted = [one for one in specs if selection.topics is None or one.topic in selection.topics]
     packets, times, bodies = _take_messages(chosen, wanted, selection, from_start)

@@ -166,7 +166,7 @@ def _find_specs(
     """Return the channels, from the header or, if it is lost, from the chunks."""
     try:
         if header:
-            return tuple(one for one in decode_topics(header) if one.is_flight)
+            return decode_topics(header)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         for chunk, _, plain in chunks:

@@ -141,12 +141,13 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
 
 
 def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
-    """Return the channels that a header lists, by rising number; the comments of definitions are lost.
+    """Return the flight channels that a header lists, by rising number; comments of definitions are lost.
 
     A damaged header raises KeyError, TypeError, AttributeError or ValueError.
     """
     listed = json.loads(header[CHANNELS_KEY])
-    return tuple(sorted((_decode_topic(*one) for one in listed.items()), key=lambda one: one.id))
+    specs = sorted((_decode_topic(*one) for one in listed.items()), key=lambda one: one.id)
+    return tuple(one for one in specs if one.is_flight)
 
 
 def _decode_topic(topic: str, about: Mapping[str, Any]) -> TopicSpec:

@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
 
@@ -34,8 +34,6 @@ LEAST_LIKENESS: Final = 0.75
 """Least ratio of `difflib` for an option to be suggested: `--tol` has 0.91 to `--tool`, `--foo` 0.73."""
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
-WHOLE: Final = 1000
-"""Characters of a sentence that a list of commands shows: more than any has."""
 WIDEST: Final = 110
 """Most columns of a help text, as of the lines of the documents."""
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
@@ -115,28 +113,28 @@ class VerbCommand(TyperCommand):
             )
             self.callback, self.params = whole.callback, whole.params
 
-    def get_short_help_str(self, limit: int = WHOLE) -> str:
-        """Return the first sentence of the help; typer would cut it at `limit`."""
-        return super().get_short_help_str(max(limit, WHOLE))
-
-
-class VerbGroup(TyperGroup):
-    """Verbs with a name in common."""
-
-    def get_short_help_str(self, limit: int = WHOLE) -> str:
-        """Return the first sentence of the help; typer would cut it at `limit`."""
-        return super().get_short_help_str(max(limit, WHOLE))
-
 
 class VerbApp(typer.Typer):
     """Command line, or a part of it, whose commands are verbs; with rich, `--help` takes twice the time."""
 
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(cls=VerbGroup, rich_markup_mode=None, no_args_is_help=True, **settings)
+    def __init__(self, help: str, **settings: Any) -> None:
+        super().__init__(
+            help=help, short_help=_summary(help), rich_markup_mode=None, no_args_is_help=True, **settings
+        )
 
     def command(self, name: str | None = None, **_: Any) -> Callable[..., Any]:
         """Make a command of a verb."""
-        return super().command(name, cls=VerbCommand)
+
+        def add(work: Callable[..., Any]) -> Callable[..., Any]:
+            short_help = _summary(work.__doc__ or "")
+            return super(VerbApp, self).command(name, cls=VerbCommand, short_help=short_help)(work)
+
+        return add
+
+
+def _summary(about: str) -> str:
+    """Return the first paragraph of a help text: a sentence that a list of verbs shows whole."""
+    return " ".join(about.partition("\n\n")[0].split())
 
 
 def give_address(words: Sequence[str]) -> Iterator[str]:
