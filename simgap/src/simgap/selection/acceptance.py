@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Integers
+from simgap.arrays import Array, Integers, bounded_step
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, pseudo_huber
@@ -220,8 +220,7 @@ def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Arra
 def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
-    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
-    changes in sizes do to the other motions is not known where it is STEP times less than what each alone
+    Derivatives are known to about STEP: what changes in sizes do to the other motions is not known where it is STEP times less than what each alone
     does to all motions, and the step does not go there.
     """
     model, free = context.model, fit.columns
@@ -234,12 +233,9 @@ def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array
     unit = np.sqrt(np.maximum(curvature @ a**2 + prior, 1e-300))
     is_other = ~np.isin(model.motion_of[fit.rows], sorted(fold))
     a, slope, curvature = a[is_other], slope[is_other], curvature[is_other]
+    normal = a.T @ (a * curvature[:, None]) + np.diag(prior)
     gradient = a.T @ slope + prior * at
-    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
-    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
-    unit = unit[go]
-    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
-    at[go] -= inverse @ (gradient[go] / unit) / unit
+    step = bounded_step(normal, gradient, low - at, high - at, unit, STEP**2)
     found = fit.sizes.copy()
-    found[free] = np.clip(at, low, high)
+    found[free] = np.clip(at + step, low, high)
     return found

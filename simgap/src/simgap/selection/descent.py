@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, bounded_step
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, root_weight
 from simgap.selection.fit import STEP, Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
@@ -129,17 +129,12 @@ class Descent:
         a, prior, at = self._slopes() * robust[:, None], self._prior_weight**2, self.sizes[self.free]
         gradient = a.T @ (self.residuals * robust) + prior * at
         hessian = a.T @ a + np.diag(prior)
-        is_held = ((at <= self._low) & (gradient > 0)) | ((at >= self._high) & (gradient < 0))
-        go = np.flatnonzero(~is_held)
-        if not len(go):
-            return self.sizes, 0.0
-        block = hessian[np.ix_(go, go)]
-        scale = np.diag(block) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
-        step = np.linalg.solve(block + self._damping * np.diag(scale), -gradient[go])
+        scale = np.diag(hessian) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
+        damped = hessian + self._damping * np.diag(scale)
+        step = bounded_step(damped, gradient, self._low - at, self._high - at, np.sqrt(scale))
         end = self.sizes.copy()
-        end[self.free[go]] = np.clip(at[go] + step, self._low[go], self._high[go])
-        step = end[self.free[go]] - at[go]
-        return end, -float(2.0 * gradient[go] @ step + step @ block @ step)
+        end[self.free] = np.clip(at + step, self._low, self._high)  # rounding
+        return end, -float(2.0 * gradient @ step + step @ damped @ step)
 
     def _slopes(self) -> Array:
         """Return derivatives at the present sizes, (n_rows, p), that fit to the points passed."""
@@ -168,6 +163,7 @@ class Descent:
             self.sizes, self.residuals = trial, moved
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
+            self._damping = max(self._damping, STEP**2)
             self.has_converged = is_small and was_exact
             self._unknown[:] = is_small
         elif was_exact:
