@@ -23,9 +23,8 @@ from simgap.selection.context import Context, Score, list_joints, resume_step, s
 from simgap.selection.fit import JointFit, Union
 from simgap.selection.sharing import ALL_JOINTS, find_sharing, relative_reach
 
-FACTORS: Final = (0.3, -1.0, 3.0)
-"""Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
-negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
+WIDEST: Final = 3.0
+"""Largest factor, up or down, from the typical size of an effect to the second size that is tried."""
 LEAST_SHARE: Final = 0.3
 """Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
 
@@ -39,23 +38,36 @@ class Trial:
     """One size vector of the union for each direction, (n_sizes,) each."""
 
 
-def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
-    """List the trials of an effect: one direction for each of its sizes, for each factor."""
+def try_typical(union: Union, effect: Effect, at: Array) -> Trial:
+    """Return the trial of an effect at its typical size: one direction for each of its sizes."""
+    return _try_sizes(union, effect, at, [size.typical for size in effect.sizes])
+
+
+def try_wanted(union: Union, trial: Trial, at: Array, share: Array) -> Trial:
+    """Return the trial at the size that the first one asks for.
+
+    Args:
+        share: Shares of its sizes with which it explains most, (n_points,), without a unit.
+    """
+    effect = trial.effect
+    sizes = []
+    for size, one in zip(effect.sizes, share, strict=False):
+        factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST)
+        sizes.append(size.typical * (np.copysign(factor, one) if size.low < 0.0 else factor))
+    return _try_sizes(union, effect, at, [*sizes, *(size.typical for size in effect.sizes[len(sizes) :])])
+
+
+def _try_sizes(union: Union, effect: Effect, at: Array, own: Sequence[float]) -> Trial:
     columns = union.columns([effect])
-    trials = []
-    for factor in FACTORS:
-        points = []
-        for column, size in zip(columns, effect.sizes, strict=True):
-            point = at.copy()
-            signed = factor if size.low < 0.0 else abs(factor)
-            point[column] = np.clip(signed * size.typical, size.low, size.high)
-            points.append(point)
-        if effect.has_shape:  # the other sizes say nothing while the first is 0
-            points[0][columns[1:]] = [size.typical for size in effect.sizes[1:]]
-            points = points[:1]
-        if any(np.any(point != at) for point in points):
-            trials.append(Trial(effect, tuple(points)))
-    return trials
+    points = []
+    for column, size, amount in zip(columns, effect.sizes, own, strict=True):
+        point = at.copy()
+        point[column] = np.clip(amount, size.low, size.high)
+        points.append(point)
+    if effect.has_shape:  # the other sizes say nothing while the first is 0
+        points[0][columns[1:]] = own[1:]
+        points = points[:1]
+    return Trial(effect, tuple(points))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +125,12 @@ def whiten(fits: Sequence[JointFit], model: ResidualModel, scales: Array) -> Whi
     )
 
 
+def find_share(white: Whitened, cleared: Array) -> Array:
+    """Return the shares of cleared changes, (n_points,), whose sum explains most of the residual."""
+    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+    return np.asarray(solution)
+
+
 def score_effect(
     white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array
 ) -> tuple[Score, Array, Array]:
@@ -127,7 +145,7 @@ def score_effect(
     direction = np.zeros(white.residual.size)
     for trial, change in zip(trials, changes, strict=True):
         cleared = white.clear(change)
-        solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+        solution = find_share(white, cleared)
         change = cleared @ solution
         if change @ change > direction @ direction:
             direction = change

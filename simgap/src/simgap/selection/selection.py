@@ -5,7 +5,7 @@ Effects at different joints are selected side by side. An effect at a body compe
 `without` has the residuals of a model without an effect, (n,), in the unit of the residual model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -52,11 +52,13 @@ from simgap.selection.screening import (
     Trial,
     adjust,
     expected_change,
-    list_trials,
+    find_share,
     score_effect,
+    try_typical,
+    try_wanted,
     whiten,
 )
-from simgap.selection.sharing import ALL_JOINTS
+from simgap.selection.sharing import ALL_JOINTS, Point
 
 SHORTLIST: Final = 8
 """Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots,
@@ -165,36 +167,28 @@ def screen(
         is_open = effect.key not in taken and context.joint_of(effect) in groups
         if is_open and len(effect.parts) == 1:
             groups[context.joint_of(effect)].append(effect)
-    trials = [
-        (joint, trial)
-        for joint, effects in groups.items()
-        for effect in effects
-        for trial in list_trials(context.union, effect, present.sizes)
+    union, at = context.union, present.sizes
+    first = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
+    refits = [(joint, at) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
+    n_trials = 2 * len(context.sharing.plan(_list_points(first)))
+    context.meter.begin_round(n_trials + REFIT_COST * len(context.sharing.plan(refits)), rounds_after)
+    fits = {joint: fits_at(context, present, joint) for joint in groups}
+    white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
+    changes = try_all(context, fits, first)
+    shares = [
+        find_share(white[joint], white[joint].clear(change))
+        for (joint, _), change in zip(first, changes, strict=True)
     ]
-    # a large change at one joint would hide a small one at another in the same candidate
-    trials.sort(key=lambda pair: -expected_change(context, *pair))
-    points = [(joint, point) for joint, trial in trials for point in trial.points]
-    refits = [(joint, present.sizes) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
-    expected = len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
-    context.meter.begin_round(expected, rounds_after)
-    moved = iter(simulate(context, points, "screening"))
-    tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
-    for joint, trial in trials:
-        simulated = [next(moved) for _ in trial.points]
-        tried.setdefault((joint, trial.effect.key), []).append((trial, simulated))
+    second = [
+        (joint, try_wanted(union, trial, at, share))
+        for (joint, trial), share in zip(first, shares, strict=True)
+    ]
+    again = try_all(context, fits, second)
     best: dict[int, list[Score]] = {joint: [] for joint in groups}
     directions: dict[int, list[Array]] = {joint: [] for joint in groups}
     rest: dict[int, Array] = {}
-    fits = {joint: fits_at(context, present, joint) for joint in groups}
-    white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
-    for (joint, _), of_effect in tried.items():
-        now = np.concatenate([fit.residuals for fit in fits[joint]])
-        changes = [
-            np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
-            for _, simulated in of_effect
-        ]
-        own = [trial for trial, _ in of_effect]
-        score, direction, left = score_effect(white[joint], own, changes, present.sizes)
+    for (joint, typical), (_, wanted), *own in zip(first, second, changes, again, strict=True):
+        score, direction, left = score_effect(white[joint], [typical, wanted], own, at)
         if score.gain > max((one.gain for one in best[joint]), default=-np.inf):
             rest[joint] = left
         best[joint].append(score)
@@ -214,6 +208,26 @@ def list_best(ranked: Sequence[Score]) -> list[Score]:
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
+
+
+def _list_points(trials: Sequence[tuple[int, Trial]]) -> list[Point]:
+    return [(joint, point) for joint, trial in trials for point in trial.points]
+
+
+def try_all(
+    context: Context, fits: Mapping[int, Sequence[JointFit]], trials: Sequence[tuple[int, Trial]]
+) -> list[Array]:
+    """Simulate trials, each at its joint; return what each changes in the residuals, (n_rows, n_points)."""
+    # a large change at one joint would hide a small one at another in the same candidate
+    order = sorted(range(len(trials)), key=lambda k: -expected_change(context, *trials[k]))
+    moved = iter(simulate(context, _list_points([trials[k] for k in order]), "screening"))
+    changes: dict[int, Array] = {}
+    for k in order:
+        joint, trial = trials[k]
+        now = np.concatenate([fit.residuals for fit in fits[joint]])
+        simulated = [next(moved) for _ in trial.points]
+        changes[k] = np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
+    return [changes[k] for k in range(len(trials))]
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Array]:
