@@ -220,8 +220,10 @@ def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Arra
 def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
-    Derivatives are known to about STEP: what changes in sizes do to the other motions is not known where it is STEP times less than what each alone
-    does to all motions, and the step does not go there.
+    At the optimum of all motions the gradient is 0, but for sizes that a bound holds. What the derivatives say
+    there is error, so the step follows from the motions that are left out.
+    Derivatives are known to about STEP: what changes in sizes do to the other motions is not known where it
+    is STEP times less than what each alone does to all motions, and the step does not go there.
     """
     model, free = context.model, fit.columns
     sizes = context.union.sizes_at(free)
@@ -232,9 +234,11 @@ def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array
     a, at = fit.jacobian / scale[:, None], fit.sizes[free]
     unit = np.sqrt(np.maximum(curvature @ a**2 + prior, 1e-300))
     is_other = ~np.isin(model.motion_of[fit.rows], sorted(fold))
-    a, slope, curvature = a[is_other], slope[is_other], curvature[is_other]
+    every = a.T @ slope + prior * at
+    is_held = ((at <= low) & (every > 0.0)) | ((at >= high) & (every < 0.0))
+    gradient = np.where(is_held, every, 0.0) - a[~is_other].T @ slope[~is_other]
+    a, curvature = a[is_other], curvature[is_other]
     normal = a.T @ (a * curvature[:, None]) + np.diag(prior)
-    gradient = a.T @ slope + prior * at
     step = bounded_step(normal, gradient, low - at, high - at, unit, STEP**2)
     found = fit.sizes.copy()
     found[free] = np.clip(at + step, low, high)
