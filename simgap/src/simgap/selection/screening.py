@@ -38,36 +38,42 @@ class Trial:
     """One size vector of the union for each direction, (n_sizes,) each."""
 
 
-def try_typical(union: Union, effect: Effect, at: Array) -> Trial:
-    """Return the trial of an effect at its typical size: one direction for each of its sizes."""
-    return _try_sizes(union, effect, at, [size.typical for size in effect.sizes])
+def try_typical(union: Union, effect: Effect, at: Array) -> Trial | None:
+    """Return the trial of an effect at its typical size, a direction for each size; None if bounds forbid it."""
+    amounts = []
+    for size in effect.sizes:
+        is_free = size.high >= min(size.typical, -size.low)
+        amounts.append(size.typical if is_free else -size.typical)
+    return _try_sizes(union, effect, at, amounts)
 
 
 def try_wanted(union: Union, trial: Trial, at: Array, share: Array) -> Trial:
-    """Return the trial at the size that the first one asks for.
+    """Return the trial at the size that the first one asks for; larger, if the first one changed nothing.
 
     Args:
         share: Shares of its sizes with which it explains most, (n_points,), without a unit.
     """
-    effect = trial.effect
-    sizes = []
-    for size, one in zip(effect.sizes, share, strict=False):
-        factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST)
-        sizes.append(size.typical * (np.copysign(factor, one) if size.low < 0.0 else factor))
-    return _try_sizes(union, effect, at, [*sizes, *(size.typical for size in effect.sizes[len(sizes) :])])
+    effect, columns = trial.effect, union.columns([trial.effect])
+    amounts = [point[c] for point, c in zip(trial.points, columns, strict=False)]
+    for k, one in enumerate(share):
+        factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
+        is_turned = one < 0.0 and effect.sizes[k].low < 0.0
+        amounts[k] *= -factor if is_turned else factor
+    amounts += [trial.points[0][c] for c in columns[len(amounts) :]]  # of a shape
+    return _try_sizes(union, effect, at, amounts) or trial
 
 
-def _try_sizes(union: Union, effect: Effect, at: Array, own: Sequence[float]) -> Trial:
-    columns = union.columns([effect])
-    points = []
-    for column, size, amount in zip(columns, effect.sizes, own, strict=True):
+def _try_sizes(union: Union, effect: Effect, at: Array, amounts: Sequence[float]) -> Trial | None:
+    columns, points = union.columns([effect]), []
+    inside = [np.clip(one, size.low, size.high) for one, size in zip(amounts, effect.sizes, strict=True)]
+    for column, amount in zip(columns, inside, strict=True):
         point = at.copy()
-        point[column] = np.clip(amount, size.low, size.high)
+        point[column] = amount
         points.append(point)
     if effect.has_shape:  # the other sizes say nothing while the first is 0
-        points[0][columns[1:]] = own[1:]
+        points[0][columns[1:]] = inside[1:]
         points = points[:1]
-    return Trial(effect, tuple(points))
+    return Trial(effect, tuple(points)) if any(np.any(point != at) for point in points) else None
 
 
 @dataclass(frozen=True, slots=True)

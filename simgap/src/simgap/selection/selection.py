@@ -168,7 +168,8 @@ def screen(
         if is_open and len(effect.parts) == 1:
             groups[context.joint_of(effect)].append(effect)
     union, at = context.union, present.sizes
-    first = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
+    tried = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
+    first = [(joint, trial) for joint, trial in tried if trial is not None]
     refits = [(joint, at) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
     n_trials = 2 * len(context.sharing.plan(_list_points(first)))
     context.meter.begin_round(n_trials + REFIT_COST * len(context.sharing.plan(refits)), rounds_after)
