@@ -220,10 +220,10 @@ def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Arra
 def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
-    At the optimum of all motions the gradient is 0, but for sizes that a bound holds. What the derivatives say
-    there is error, so the step follows from the motions that are left out.
-    Derivatives are known to about STEP: what changes in sizes do to the other motions is not known where it
-    is STEP times less than what each alone does to all motions, and the step does not go there.
+    At the optimum of all motions the gradient is 0, but for sizes that a bound holds: what else derivatives
+    say there is their error. So the step follows from the fold. Derivatives are known to about STEP: what
+    changes in sizes do to the other motions is not known where it is STEP times less than what each alone
+    does to all motions, and the step does not go there.
     """
     model, free = context.model, fit.columns
     sizes = context.union.sizes_at(free)

@@ -39,7 +39,7 @@ class Trial:
 
 
 def try_typical(union: Union, effect: Effect, at: Array) -> Trial | None:
-    """Return the trial of an effect at its typical size, a direction for each size; None if bounds forbid it."""
+    """Return the trial of an effect at its typical sizes, one direction each; None if bounds forbid them."""
     amounts = []
     for size in effect.sizes:
         is_free = size.high >= min(size.typical, -size.low)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import steady_effect
 from simgap.residuals.noise import count_independent
@@ -175,37 +175,34 @@ def screen(
     context.meter.begin_round(n_trials + REFIT_COST * len(context.sharing.plan(refits)), rounds_after)
     fits = {joint: fits_at(context, present, joint) for joint in groups}
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
-    changes = try_all(context, fits, first)
-    shares = [
-        find_share(white[joint], white[joint].clear(change))
-        for (joint, _), change in zip(first, changes, strict=True)
-    ]
+    changes = simulate_trials(context, fits, first)
     second = [
-        (joint, try_wanted(union, trial, at, share))
-        for (joint, trial), share in zip(first, shares, strict=True)
+        (joint, try_wanted(union, trial, at, find_share(white[joint], white[joint].clear(change))))
+        for (joint, trial), change in zip(first, changes, strict=True)
     ]
-    again = try_all(context, fits, second)
-    best: dict[int, list[Score]] = {joint: [] for joint in groups}
-    directions: dict[int, list[Array]] = {joint: [] for joint in groups}
-    rest: dict[int, Array] = {}
+    again = simulate_trials(context, fits, second)
+    scores: dict[int, list[tuple[Score, Array, Array]]] = {joint: [] for joint in groups}
     for (joint, typical), (_, wanted), *own in zip(first, second, changes, again, strict=True):
-        score, direction, left = score_effect(white[joint], [typical, wanted], own, at)
-        if score.gain > max((one.gain for one in best[joint]), default=-np.inf):
-            rest[joint] = left
-        best[joint].append(score)
-        directions[joint].append(direction)
-    ranked = []
-    for joint, scores in best.items():
-        # a misfit that the best effect explains is no memory of the noise
-        n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
-        ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
+        scores[joint].append(score_effect(white[joint], [typical, wanted], own, at))
+    shortlist = [
+        one for joint, of_joint in scores.items() for one in list_best(context, white[joint].rows, of_joint)
+    ]
     count = len if context.model.noise_std else count_distinct  # probabilities are exact then
-    n_distinct = float(sum(count(group) for group in directions.values()))
-    return [score for group in ranked for score in list_best(group)], n_distinct
+    n_distinct = sum(count([direction for _, direction, _ in of_joint]) for of_joint in scores.values())
+    return shortlist, float(n_distinct)
 
 
-def list_best(ranked: Sequence[Score]) -> list[Score]:
-    """List the first SHORTLIST effects of a ranking with their variations: a refit tells them apart."""
+def list_best(context: Context, rows: Integers, scores: Sequence[tuple[Score, Array, Array]]) -> list[Score]:
+    """List the SHORTLIST best effects of a joint, with their variations: a refit tells them apart.
+
+    Each has a score, its largest change, and what it leaves in the rows, as `score_effect` returns them.
+    """
+    if not scores:
+        return []
+    # a misfit that the best effect explains is no memory of the noise
+    _, _, rest = max(scores, key=lambda one: one[0].gain)
+    n = count_independent(context.model, rows, rest)
+    ranked = sorted((one for one, *_ in scores), key=lambda one: -adjust(one.gain, len(one.effect.sizes), n))
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
@@ -215,7 +212,7 @@ def _list_points(trials: Sequence[tuple[int, Trial]]) -> list[Point]:
     return [(joint, point) for joint, trial in trials for point in trial.points]
 
 
-def try_all(
+def simulate_trials(
     context: Context, fits: Mapping[int, Sequence[JointFit]], trials: Sequence[tuple[int, Trial]]
 ) -> list[Array]:
     """Simulate trials, each at its joint; return what each changes in the residuals, (n_rows, n_points)."""
