@@ -25,6 +25,9 @@ from simgap.selection.sharing import ALL_JOINTS, find_sharing, relative_reach
 
 WIDEST: Final = 3.0
 """Largest factor, up or down, from the typical size of an effect to the second size that is tried."""
+MOST_TRIALS: Final = 4
+"""Most sizes of an effect that are tried. Two halvings of the logarithm of WIDEST find the onset of a limit
+within a third."""
 LEAST_SHARE: Final = 0.3
 """Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
 
@@ -47,20 +50,38 @@ def try_typical(union: Union, effect: Effect, at: Array) -> Trial | None:
     return _try_sizes(union, effect, at, amounts)
 
 
-def try_wanted(union: Union, trial: Trial, at: Array, share: Array) -> Trial:
-    """Return the trial at the size that the first one asks for; larger, if the first one changed nothing.
+def try_next(
+    union: Union, white: "Whitened", at: Array, trials: Sequence[Trial], changes: Sequence[Array]
+) -> Trial | None:
+    """Return the next trial of an effect; None if those that were made tell enough.
 
-    Args:
-        share: Shares of its sizes with which it explains most, (n_points,), without a unit.
+    The second is at the sizes that the first asks for, or at larger ones if the first changed nothing. A
+    limit acts from some size on, and soon too much: further ones are between one that changed nothing and
+    one that changed too much.
     """
-    effect, columns = trial.effect, union.columns([trial.effect])
-    amounts = [point[c] for point, c in zip(trial.points, columns, strict=False)]
-    for k, one in enumerate(share):
-        factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
-        is_turned = one < 0.0 and effect.sizes[k].low < 0.0
-        amounts[k] *= -factor if is_turned else factor
-    amounts += [trial.points[0][c] for c in columns[len(amounts) :]]  # of a shape
-    return _try_sizes(union, effect, at, amounts) or trial
+    effect, columns = trials[0].effect, union.columns([trials[0].effect])
+    if len(trials) == 1:
+        share = find_share(white, white.clear(changes[0]))
+        amounts = [point[c] for point, c in zip(trials[0].points, columns, strict=False)]
+        for k, one in enumerate(share):
+            factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
+            is_turned = one < 0.0 and effect.sizes[k].low < 0.0
+            amounts[k] *= -factor if is_turned else factor
+        amounts += [trials[0].points[0][c] for c in columns[len(amounts) :]]  # of a shape
+        return _try_sizes(union, effect, at, amounts)
+    acts = [bool(np.any(change)) for change in changes]
+    if len(columns) > 1 or all(acts) or not any(acts):
+        return None
+    too_much = min(
+        (k for k, does in enumerate(acts) if does), key=lambda k: abs(trials[k].points[0][columns[0]])
+    )
+    (share,) = find_share(white, white.clear(changes[too_much]))
+    if share > 1.0 / WIDEST:
+        return None
+    sizes = [abs(one.points[0][columns[0]]) for one in trials]
+    none = max(size for size, does in zip(sizes, acts, strict=True) if not does)
+    between = np.sqrt(none * sizes[too_much])
+    return _try_sizes(union, effect, at, [np.copysign(between, trials[0].points[0][columns[0]])])
 
 
 def _try_sizes(union: Union, effect: Effect, at: Array, amounts: Sequence[float]) -> Trial | None:

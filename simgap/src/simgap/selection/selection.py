@@ -49,13 +49,14 @@ from simgap.selection.joint_fits import (
     start_fit,
 )
 from simgap.selection.screening import (
+    MOST_TRIALS,
     Trial,
+    Whitened,
     adjust,
     expected_change,
-    find_share,
     score_effect,
+    try_next,
     try_typical,
-    try_wanted,
     whiten,
 )
 from simgap.selection.sharing import ALL_JOINTS, Point
@@ -75,6 +76,8 @@ member, and a compliance has too narrow an interval."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
+ROUNDING: Final = 1e-12
+"""Change over the largest residual below which it is rounding."""
 REFIT_COST: Final = 7
 """Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
 
@@ -168,22 +171,17 @@ def screen(
         if is_open and len(effect.parts) == 1:
             groups[context.joint_of(effect)].append(effect)
     union, at = context.union, present.sizes
-    tried = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
-    first = [(joint, trial) for joint, trial in tried if trial is not None]
+    typical = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
+    first = [(joint, trial) for joint, trial in typical if trial is not None]
     refits = [(joint, at) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
     n_trials = 2 * len(context.sharing.plan(_list_points(first)))
     context.meter.begin_round(n_trials + REFIT_COST * len(context.sharing.plan(refits)), rounds_after)
     fits = {joint: fits_at(context, present, joint) for joint in groups}
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
-    changes = simulate_trials(context, fits, first)
-    second = [
-        (joint, try_wanted(union, trial, at, find_share(white[joint], white[joint].clear(change))))
-        for (joint, trial), change in zip(first, changes, strict=True)
-    ]
-    again = simulate_trials(context, fits, second)
+    tried = try_sizes(context, fits, white, first, at)
     scores: dict[int, list[tuple[Score, Array, Array]]] = {joint: [] for joint in groups}
-    for (joint, typical), (_, wanted), *own in zip(first, second, changes, again, strict=True):
-        scores[joint].append(score_effect(white[joint], [typical, wanted], own, at))
+    for (joint, _), trials, changes in tried:
+        scores[joint].append(score_effect(white[joint], trials, changes, at))
     shortlist = [
         one for joint, of_joint in scores.items() for one in list_best(context, white[joint].rows, of_joint)
     ]
@@ -212,6 +210,33 @@ def _list_points(trials: Sequence[tuple[int, Trial]]) -> list[Point]:
     return [(joint, point) for joint, trial in trials for point in trial.points]
 
 
+def try_sizes(
+    context: Context,
+    fits: Mapping[int, Sequence[JointFit]],
+    white: Mapping[int, Whitened],
+    first: Sequence[tuple[int, Trial]],
+    at: Array,
+) -> list[tuple[tuple[int, Trial], list[Trial], list[Array]]]:
+    """Simulate effects at sizes that follow from what smaller or larger ones have changed.
+
+    Return for each first trial all trials of its effect, with the changes of the residuals.
+    """
+    tried: list[tuple[tuple[int, Trial], list[Trial], list[Array]]] = [(one, [], []) for one in first]
+    wanted = {k: trial for k, (_, trial) in enumerate(first)}
+    while wanted:
+        found = simulate_trials(context, fits, [(first[k][0], trial) for k, trial in wanted.items()])
+        for (k, trial), change in zip(wanted.items(), found, strict=True):
+            tried[k][1].append(trial)
+            tried[k][2].append(change)
+        following = {
+            k: try_next(context.union, white[first[k][0]], at, *tried[k][1:])
+            for k in wanted
+            if len(tried[k][1]) < MOST_TRIALS
+        }
+        wanted = {k: trial for k, trial in following.items() if trial is not None}
+    return tried
+
+
 def simulate_trials(
     context: Context, fits: Mapping[int, Sequence[JointFit]], trials: Sequence[tuple[int, Trial]]
 ) -> list[Array]:
@@ -224,7 +249,9 @@ def simulate_trials(
         joint, trial = trials[k]
         now = np.concatenate([fit.residuals for fit in fits[joint]])
         simulated = [next(moved) for _ in trial.points]
-        changes[k] = np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
+        change = np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
+        # another batch may change the last bit
+        changes[k] = np.where(np.abs(change) > ROUNDING * np.max(np.abs(now)), change, 0.0)
     return [changes[k] for k in range(len(trials))]
 
 
