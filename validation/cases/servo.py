@@ -11,9 +11,10 @@ from typing import ClassVar, Final
 from marsarm.common.rates import check_rate
 from validation.campaigns import Context, Document
 from validation.cases import sealed
+from validation.cases.bars import score_bars
 from validation.cases.robot import RobotCases
 from validation.cases.robot_draw import Kind
-from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, score_bars
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up
 from validation.cases.robot_setup import SERVOS
 from validation.cases.sealed import CaseScore
 
