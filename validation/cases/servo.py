@@ -4,7 +4,7 @@ The robot plug-in with another truth (`servo_truth`), other shares of kinds, and
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -68,9 +68,5 @@ def is_sure_and_wrong(case: SealedCase, result: Document) -> bool:
 
 
 def campaign(context: Context, cases: int = 60, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases of servos as `run_steps` does.
-
-    They are in servo-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed cases of servos as `run_steps` does."""
     return sealed.run_steps(context, ServoCases(tuple(SERVOS)), cases, step, partial)
