@@ -49,18 +49,18 @@ from simgap.selection.joint_fits import (
     start_fit,
 )
 from simgap.selection.screening import (
+    SHORTLIST,
     Trial,
     adjust,
+    expect_round,
     expected_change,
+    group_effects,
     list_trials,
     score_effect,
     whiten,
 )
 from simgap.selection.sharing import ALL_JOINTS
 
-SHORTLIST: Final = 8
-"""Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots,
-what was then accepted was sixth in the screen at worst."""
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged. In these cases, the accepted one was the fourth
 at worst."""
@@ -73,8 +73,6 @@ member, and a compliance has too narrow an interval."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
-REFIT_COST: Final = 7
-"""Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
 
 
 def select_effects(
@@ -159,12 +157,7 @@ def screen(
 
     Return also how many effects are distinct.
     """
-    taken = {effect.key for effect in present.effects}
-    groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
-    for effect in context.catalogue:
-        is_open = effect.key not in taken and context.joint_of(effect) in groups
-        if is_open and len(effect.parts) == 1:
-            groups[context.joint_of(effect)].append(effect)
+    groups = group_effects(context, open_joints, {effect.key for effect in present.effects})
     trials = [
         (joint, trial)
         for joint, effects in groups.items()
@@ -174,9 +167,7 @@ def screen(
     # a large change at one joint would hide a small one at another in the same candidate
     trials.sort(key=lambda pair: -expected_change(context, *pair))
     points = [(joint, point) for joint, trial in trials for point in trial.points]
-    refits = [(joint, present.sizes) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
-    expected = len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
-    context.meter.begin_round(expected, rounds_after)
+    context.meter.begin_round(expect_round(context, groups, present.sizes), rounds_after)
     moved = iter(simulate(context, points, "screening"))
     tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
     for joint, trial in trials:
