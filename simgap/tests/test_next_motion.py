@@ -162,7 +162,7 @@ def test_torques_are_compared_along_the_motion_though_no_command_is_known():
 
 
 def test_a_finding_without_a_rival_leaves_nothing_to_tell_apart():
-    with pytest.raises(RobotError, match="nothing to tell apart"):
+    with pytest.raises(RobotError, match="no motion is needed"):
         choose_rivals([rival(DELAY, 0.02)])
 
 
