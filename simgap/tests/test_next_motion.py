@@ -85,7 +85,7 @@ def test_a_motion_that_a_rival_cannot_make_is_never_proposed():
 
 
 TIME_s = np.arange(0.0, 3.0, 0.01)
-ROBOT = pendulum(kp=3.0)
+ROBOT = pendulum(kp=3.0, period_s=0.01)
 PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
 EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
 DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
