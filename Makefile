@@ -76,17 +76,8 @@ lint: $(VENV)/tests
 	$(BIN)/python -m validation requirements --brief || failed=1; \
 	exit $$failed
 
-# setuptools warns of each folder that is installed as it stands.
-$(VENV)/ready: $(VENV)/locked pyproject.toml simgap/pyproject.toml
-	@PYTHONWARNINGS=ignore $(INSTALL) --no-build-isolation -e simgap -e .
-	@touch $@
-
-$(VENV)/tests: $(VENV)/ready requirements-test.lock
-	@$(call say,installing the packages of the tests)
-	@$(INSTALL) --require-hashes -r requirements-test.lock || { $(call say,$(NOT_INSTALLED)); exit 1; }
-	@touch $@
-
-$(VENV)/locked: requirements.lock
+# Setuptools, of half 1, installs this project, and warns of each folder that is installed as it stands.
+$(VENV)/ready: requirements.lock pyproject.toml simgap/pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  $(call say,$(PYTHON) is missing or older than 3.11. Install Python 3.11 or later or name one: make PYTHON=python3.12); exit 1; }
 	@$(call say,setting up $(VENV) with $$($(PYTHON) -V))
@@ -96,9 +87,16 @@ $(VENV)/locked: requirements.lock
 	@$(call say,installing the packages of requirements.lock; about 150 MB the first time)
 	@sed -n '/^pip==/,/^    #/p' requirements.lock | $(FIRST_PIP) $(QUIETLY) install $(ONLY) --require-hashes -r /dev/stdin \
 	  || { $(call say,$(NOT_INSTALLED)); exit 1; }
-	@for half in 0 1; do awk "/^[^ #]/ {n++} n % 2 == $$half" requirements.lock > $(VENV)/half$$half; done
-	@$(INSTALL) --require-hashes -r $(VENV)/half0 & $(INSTALL) --require-hashes -r $(VENV)/half1 && wait $$! \
+	@for half in 0 1; do \
+	  awk -v half=$$half '/^[^ #]/ {mine = /^setuptools==/ ? half : n++ % 2 == half} mine' requirements.lock > $(VENV)/half$$half; done
+	@$(INSTALL) --require-hashes -r $(VENV)/half0 & $(INSTALL) --require-hashes -r $(VENV)/half1 \
+	  && PYTHONWARNINGS=ignore $(INSTALL) --no-build-isolation -e simgap -e . && wait $$! \
 	  || { wait; $(call say,$(NOT_INSTALLED)); exit 1; }
+	@touch $@
+
+$(VENV)/tests: $(VENV)/ready requirements-test.lock
+	@$(call say,installing the packages of the tests)
+	@$(INSTALL) --require-hashes -r requirements-test.lock || { $(call say,$(NOT_INSTALLED)); exit 1; }
 	@touch $@
 
 clean:

@@ -1,11 +1,10 @@
-"""Measure speeds in two minutes, and the memory of a run without a log.
+"""Measure speeds, and the memory of a run without a log.
 
 Recording: processor time of the plant's truth and of the recorder in a cycle of `contact-science`. Opening
 and closing the log count once in the run. So would other processes of the recorder, which has none. The
 slowest writes are those that close a chunk.
 
-Reading: a log of ten minutes into numpy arrays, compared with the stock reader of MCAP. Sample logs of any
-length repeat the beginning of a hardstop initialisation.
+Sample logs of any length repeat the beginning of a hardstop initialisation.
 """
 
 import os
@@ -13,7 +12,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from itertools import cycle, islice
 from pathlib import Path
 from statistics import median
@@ -21,25 +20,20 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
-from mcap.reader import make_reader
 
 import sim.loop
 from fsw.config import CYCLE_HZ
 from fsw.cycle import step
 from fsw.dictionary.commands import CalibrateAll
 from fsw.estimate.reference import Reference
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.transforms import Array
 from marsarm.accuracy.budget import run_budget
 from marsarm.accuracy.request import BudgetRequest
 from marsarm.runs.execution import FRAME_CYCLES
 from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
 from marsarm.telemetry.format import CHUNK_CYCLES
-from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from sim.arms import arm_named
-from sim.frames import approach_from, p_R_from_N, random_targets
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
@@ -48,7 +42,6 @@ from sim.scenario.file import load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.setting import Surface, World
 from validation.campaigns import Context, Document
-from validation.kinematics import Trial, arm_of
 
 REPEATS = 5
 TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
@@ -199,56 +192,12 @@ def record_log(path: Path, cycles: int, chunk_cycles: int = CHUNK_CYCLES) -> Pat
     return path
 
 
-LOG_CYCLES: Final = 38_400
-"""Ten minutes at 64 Hz."""
-
-
-def stock_to_numpy(path: Path) -> dict[str, Any]:
-    """Read all messages with every CRC checked, and return those of each topic as an array of bytes."""
-    bodies: dict[str, list[bytes]] = {}
-    with path.open("rb") as file:
-        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-            bodies.setdefault(channel.topic, []).append(message.data)
-    return {topic: np.frombuffer(b"".join(found), np.uint8) for topic, found in bodies.items()}
-
-
-def seconds(job: Callable[[], Any]) -> float:
-    """Measure the processor time of a job, which other processes do not affect much."""
-    began = time.process_time()
-    job()
-    return time.process_time() - began
-
-
-def log_reading(cycles: int = LOG_CYCLES) -> dict[str, Any]:
-    """Measure processor times for all channels; each ratio is the median of alternating pairs."""
-    with TemporaryDirectory() as folder:
-        path = record_log(Path(folder) / "run.mcap", cycles)
-        pairs_s = [
-            (seconds(lambda: read_log(path)), seconds(lambda: stock_to_numpy(path))) for _ in range(REPEATS)
-        ]
-        return {
-            "cycles": cycles,
-            "bytes": path.stat().st_size,
-            "all_channels_s": median(ours for ours, _ in pairs_s),
-            "stock_to_numpy_s": median(stock for _, stock in pairs_s),
-            "ratio_to_stock_to_numpy": median(stock / ours for ours, stock in pairs_s),
-        }
-
-
 FROM_CYCLE: Final = 2_000
 BY_CYCLE: Final = 10_000
 MOST_GROWTH_MB: Final = 20.0
 """Largest growth of the resident memory from `FROM_CYCLE` to the end of a run."""
 BUDGET_LIMIT_S: Final = 3.0
 BUDGET_RUNS: Final = 3
-IK_TARGETS: Final = 10_000
-IK_SINGLE_TARGETS: Final = 100
-IK_REPEATS: Final = 5
-IK_TOOL: Final = "apxs"
-KINDS: Final = ("workspace", "vectors")
-"""Targets of the workspace, and those of random joint vectors."""
-MARS_R_m_s2: Final = np.array([0.0, 0.0, 3.711])
-ARMS: Final = ("nominal", "calibrated:3")
 
 
 def campaign(context: Context) -> Document:
@@ -257,8 +206,6 @@ def campaign(context: Context) -> Document:
         "machine": {"python": platform.python_version(), "machine": platform.machine()},
         "closed_loop": closed_loop(),
         "recording": recording(),
-        "kinematics_speed": kinematics_speed(),
-        "log_reading": log_reading(),
         "budget": budget_speed(),
         "memory": memory(),
     }
@@ -302,61 +249,4 @@ def budget_speed() -> Document:
         "seconds": min(took_s),
         "limit_s": BUDGET_LIMIT_S,
         "in_bounds": min(took_s) < BUDGET_LIMIT_S,
-    }
-
-
-def kinematics_speed() -> Document:
-    """Measure the inverse kinematics in microseconds for each target, with all branches and checks."""
-    return {
-        "rigid": {kind: _time_rigid(*_draw_targets(kind)) for kind in KINDS},
-        "compensated": {f"{name}, {kind}": _time_compensated(name, kind) for name in ARMS for kind in KINDS},
-    }
-
-
-def _rng() -> np.random.Generator:
-    return np.random.default_rng(11)
-
-
-def _draw_targets(kind: str) -> tuple[Array, Array]:
-    """Draw positions [m] and unit approach vectors in the rover frame, (3, n) each."""
-    if kind == "workspace":
-        p_N_m, angles_rad = random_targets(_rng(), IK_TARGETS)
-        return p_R_from_N(p_N_m.T).T, approach_from(angles_rad)
-    arm = arm_of("nominal")
-    q = _rng().uniform(arm.soft_min_rad[:, None], arm.soft_max_rad[:, None], (5, IK_TARGETS))
-    X_RT = Trial("nominal", arm, IK_TOOL, None).tool_pose(q)
-    return X_RT.p, X_RT.R[:, 0]
-
-
-def _us(job: Callable[[], Any], count: int) -> float:
-    """Measure a job in microseconds for each of its `count` parts."""
-    began = time.perf_counter()
-    job()
-    return 1e6 * (time.perf_counter() - began) / count
-
-
-def _time_rigid(p_m: Array, approach: Array) -> float:
-    """Measure a batch of targets."""
-    arm = arm_of("nominal")
-    return median(
-        _us(lambda: inverse_kinematics(arm, IK_TOOL, p_m, approach), IK_TARGETS) for _ in range(IK_REPEATS)
-    )
-
-
-def _time_compensated(name: str, kind: str) -> Document:
-    """Measure a batch on Mars, and single targets: those near double roots take longer."""
-    arm = arm_of(name)
-    p_m, approach = _draw_targets(kind)
-
-    def solve(p_m: Array, approach: Array) -> None:
-        inverse_kinematics(arm, IK_TOOL, p_m, approach, MARS_R_m_s2)
-
-    alone = list(zip(p_m.T[:IK_SINGLE_TARGETS], approach.T[:IK_SINGLE_TARGETS], strict=True))
-    batch_us = [_us(partial(solve, p_m, approach), IK_TARGETS) for _ in range(IK_REPEATS)]
-    single_us = [[_us(partial(solve, *one), 1) for one in alone] for _ in range(IK_REPEATS)]
-    single_ms = 1e-3 * np.median(single_us, axis=0)
-    return {
-        "batch_us": median(batch_us),
-        "single_ms": float(np.median(single_ms)),
-        "single_p99_ms": float(np.percentile(single_ms, 99)),
     }

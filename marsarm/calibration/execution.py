@@ -1,4 +1,4 @@
-"""Execution of a calibration: measure or read poses, fit, check, verify, write the files."""
+"""Execution of a calibration: measure or read poses, fit, check, write the files, verify."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -290,11 +290,16 @@ class CalibrateReport:
 
 
 def run_calibration(request: CalibrateRequest, progress: Progress = no_progress) -> CalibrateReport:
-    """Measure or read a campaign, fit, check, verify and write; BadRequest if request or data are wrong."""
+    """Measure or read a campaign, fit, check and verify; BadRequest if request or data are wrong.
+
+    Each file is written as soon as it can be: what follows may fail.
+    """
     arm, base = _check_request(request)
     measured = _measuring_share(request)
     try:
         campaign = _take_campaign(request, arm, part_of(progress, 0.0, measured))
+        if request.save_data is not None:
+            save_campaign(campaign, request.save_data)
         drawing = _drawing_of(campaign) if arm is None else arm.model
         if base is None and request.params is not None:
             base = load_params(campaign.arm_name, request.params, request.mismatch)
@@ -306,15 +311,13 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
         tools = None if arm is None else register_tools(arm, request.seed)
         params = calibrated_params(found, tools)
         check_params(params, "the calibrated arm")
+        if request.out is not None:
+            save_parameter_file(found, params, request.out)
         verification = None
         if arm is not None and request.verify:
             verification = verify_calibration(
                 arm, params, request.verify, request.seed, part_of(progress, measured, 1.0)
             )
-        if request.save_data is not None:
-            save_campaign(campaign, request.save_data)
-        if request.out is not None:
-            save_parameter_file(found, params, request.out)
     except BadParams as error:
         raise BadRequest(str(error)) from error
     return CalibrateReport(request, found, params, verification)

@@ -1,11 +1,10 @@
-"""Proportions of hits and medians with exact confidence intervals, and exact tests of proportions.
+"""Proportions of hits with exact confidence intervals, and exact tests of proportions.
 
 Intervals of three-sigma accuracy, of the coverage of bounds, and of their width.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -31,30 +30,6 @@ class Rate:
     most: float
     """Upper end of the interval."""
 
-    def __str__(self) -> str:
-        if not self.of:
-            return "no case"
-        between = f"{100 * self.least:.1f} to {100 * self.most:.1f}"
-        return f"{100 * self.share:.1f} % ({self.hits} of {self.of}; {between})"
-
-
-@dataclass(frozen=True, slots=True)
-class Median:
-    """Median with its exact interval; NaN with an infinite interval if there are no values."""
-
-    of: int
-    median: float
-    least: float
-    most: float
-
-    def __str__(self) -> str:
-        if not self.of:
-            return "no case"
-        between = "too few to say"
-        if isfinite(self.most):
-            between = f"{100 * self.least:.1f} to {100 * self.most:.1f}"
-        return f"{100 * self.median:.1f} % (of {self.of}; {between})"
-
 
 @dataclass(frozen=True, slots=True)
 class RateBar:
@@ -79,16 +54,6 @@ def check_rate(outcomes: Iterable[bool], rate: float, is_most: bool) -> RateBar:
     hits, of = sum(found), len(found)
     p = binom.sf(hits - 1, of, rate) if is_most else binom.cdf(hits, of, rate)
     return RateBar(hits, of, rate, is_most, float(p) if of else 1.0)
-
-
-def median_with_interval(values: Sequence[float]) -> Median:
-    """Return the median, with an interval between two of the values by the binomial distribution."""
-    known = np.sort([value for value in values if np.isfinite(value)])
-    if not known.size:
-        return Median(0, float("nan"), float("-inf"), float("inf"))
-    below = int(binom.ppf((1.0 - LEVEL) / 2.0, known.size, 0.5)) - 1
-    least, most = (known[below], known[-1 - below]) if below >= 0 else (-np.inf, np.inf)
-    return Median(known.size, float(np.median(known)), float(least), float(most))
 
 
 def rate_of(outcomes: Iterable[bool]) -> Rate:

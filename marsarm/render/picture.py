@@ -17,6 +17,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 from typing import Any, Final, Literal, Protocol
 
 import mujoco
@@ -26,13 +27,17 @@ from numpy.typing import NDArray
 from marsarm.render.rays import RayCamera
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_path, check_output
+from simgap.common.interruption import block_signals
 
 Image = NDArray[np.uint8]
 Renderer = Literal["opengl", "rays", "none"]
 
 FRAMES_PER_S: Final = 16
 FINER: Final = 2
-"""Factor of the pixels along a side of a picture that OpenGL draws: else the edges of shadows are saws."""
+"""Factor of the pixels along a side of a picture that OpenGL draws: else the edges of shadows are saws.
+
+So many pixels need no further samples of each, which take a third of the time to draw.
+"""
 APT: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
@@ -177,9 +182,16 @@ def _open_camera(
     reason = unavailable_reason()
     if reason is None:
         finer_size = (finer * size[0], finer * size[1])
-        return GlCamera(model, camera_id, finer_size), PictureResult(file, "opengl")
+        samples = model.vis.quality.offsamples if finer == 1 else 0
+        return GlCamera(model, camera_id, finer_size, samples), PictureResult(file, "opengl")
     hint = f"drawn without OpenGL ({reason}); for the real picture: {APT}"
     return RayCamera(model, camera_id, size), PictureResult(file, "rays", hint)
+
+
+def probe_in_background() -> None:
+    """Begin to find out whether OpenGL can draw here; who asks before that is known, asks again."""
+    with block_signals():  # the main thread receives them
+        Thread(target=unavailable_reason, daemon=True).start()
 
 
 PROBE_TIMEOUT_S = 30.0
@@ -242,7 +254,9 @@ def _new_context(width: int, height: int) -> Any:
 class GlCamera:
     """Camera of the model that uses MuJoCo's renderer."""
 
-    def __init__(self, model: mujoco.MjModel, camera_id: int, size: tuple[int, int]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, camera_id: int, size: tuple[int, int], samples: int = 0
+    ) -> None:
         self._model = model
         self._rect = mujoco.MjrRect(0, 0, *size)
         self._view = mujoco.MjvCamera()
@@ -252,15 +266,15 @@ class GlCamera:
         self._scene = mujoco.MjvScene(model, maxgeom=10_000)
         self._gl = _new_context(*size)
         self._gl.make_current()
-        self._context = self._offscreen_context(size)
+        self._context = self._offscreen_context(size, samples)
 
-    def _offscreen_context(self, size: tuple[int, int]) -> mujoco.MjrContext:
-        """Make a drawing context of this size, independent of the size that the model sets."""
-        visual = self._model.vis.global_
-        model_size = visual.offwidth, visual.offheight
-        visual.offwidth, visual.offheight = size
+    def _offscreen_context(self, size: tuple[int, int], samples: int) -> mujoco.MjrContext:
+        """Make a drawing context of this size and samples a pixel, independent of what the model sets."""
+        visual, quality = self._model.vis.global_, self._model.vis.quality
+        model_size, model_samples = (visual.offwidth, visual.offheight), quality.offsamples
+        (visual.offwidth, visual.offheight), quality.offsamples = size, samples
         context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        visual.offwidth, visual.offheight = model_size
+        (visual.offwidth, visual.offheight), quality.offsamples = model_size, model_samples
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
         return context
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.evrs import Severity
 from marsarm.common.options import DEFAULT_PORT
 from marsarm.render.rays import Triangles, join_triangles
-from marsarm.view.frames import SAMPLE_CYCLES, Event, Trail, ViewFrames
+from marsarm.view.frames import Event, Trail, ViewFrames
 from marsarm.view.scene import (
     ARROW_HEAD_M,
     ARROW_M_PER_N,
@@ -302,7 +302,7 @@ class LiveView(RecordedRun):
         if record.tick < self._last_tick:
             self._trail = None
         super().watch(record)
-        if record.tick % SAMPLE_CYCLES == 0 and time.monotonic() - self._drawn_s >= DRAW_PERIOD_S:
+        if self.is_due(record.tick) and time.monotonic() - self._drawn_s >= DRAW_PERIOD_S:
             self._drawn_s = time.monotonic()
             self._draw()
 

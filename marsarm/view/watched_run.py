@@ -223,6 +223,10 @@ class RecordedRun:
         """Return whether a run has begun."""
         return bool(self._records)
 
+    def is_due(self, tick: int) -> bool:
+        """Return whether the cycle at a tick is a sample, which has the truth."""
+        return tick % SAMPLE_CYCLES == 0
+
     def watch(self, record: CycleRecord) -> None:
         """Keep the events of a cycle, and its state if a sample is due."""
         if record.tick < self._last_tick:  # another run, which follows the last one
@@ -233,7 +237,7 @@ class RecordedRun:
         if record.outputs.tool is not None:
             self._tool = int(record.outputs.tool.tool)
         self._events += [Event(time_s, evr.severity, evr.message) for evr in record.outputs.evrs]
-        if record.tick % SAMPLE_CYCLES:
+        if not self.is_due(record.tick):
             return
         self._records.append(record)
         self._times_s.append(time_s)

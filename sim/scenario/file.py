@@ -1,26 +1,21 @@
 """Scenarios from TOML, checked strictly: one message has every problem, its key, and what would be right."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib import resources
-from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, Preload, SetParam
-from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.context import check_force, replace_param
 from sim.arms import UnknownArm, arm_named, nominal_params
 from sim.effects.effect import Effect
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.effects import read_effect
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
-from sim.scenario.rehearsal import find_refusals
-from sim.scenario.tables import prevents_completion, read_check, read_command, read_fault, read_taught_point
+from sim.scenario.tables import read_check, read_command, read_fault, read_taught_point
 from sim.setting import MAX_TILT_RAD, WARM_C, Scene, Surface, World
 from simgap.common.errors import RobotError
 from simgap.common.toml import parse_toml, read_text
@@ -138,8 +133,6 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
     ]
     _check_misfits(params, faults, effects, findings)
     _check_ending(checks, findings)
-    if head is not None:
-        _check_sequence(params, head.start, commands, faults, findings)
     if head is None or world is None or None in (*taught, *commands, *faults, *effects, *checks):
         return None
     return Scenario(
@@ -228,39 +221,3 @@ def _check_ending(checks: list[Check | None], findings: Findings) -> None:
     elif Done in ends and len(ends) > 1:
         text = '"done" asks for no fault; write "recovered" for a sequence that goes on after one'
         findings.report(("check",), text)
-
-
-def _check_sequence(
-    params: Params,
-    start: StartPose,
-    commands: list[Command | None],
-    faults: list[Injection | None],
-    findings: Findings,
-) -> None:
-    """Report commands that flight software would certainly refuse, as far as the file was read."""
-    read_commands: tuple[Command, ...] = _without_none(
-        list(takewhile(lambda command: command is not None, commands))
-    )
-    read_faults = _without_none(faults)
-    bound = [fault.during for fault in read_faults if prevents_completion(fault.fault)]
-    faulting = [number for number in bound if number is not None]
-    timed = any(fault.during is None for fault in read_faults) or None in faults
-    during = [fault.during for fault in read_faults if fault.during is not None]
-    troubled = range(1, len(read_commands) + 1) if timed else during
-    mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
-    refused = find_refusals(read_commands, mode, faulting, troubled)
-    for number, problem in sorted([*refused, *_invalid_commands(params, read_commands)]):
-        findings.report(("command", number - 1), problem)
-
-
-def _invalid_commands(params: Params, commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
-    """List commands, by number from 1, that flight software refuses for their own arguments."""
-    for number, command in enumerate(commands, start=1):
-        problem: str | None = None
-        if isinstance(command, SetParam):
-            changed = replace_param(params, command)
-            params, problem = (params, changed) if isinstance(changed, str) else (changed, None)
-        elif isinstance(command, Preload):
-            problem = check_force(params, command)
-        if problem is not None:
-            yield number, problem

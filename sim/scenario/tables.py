@@ -13,8 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import AUTO, Limits, NameMark, match_name, vector3
 from fsw.executive.context import check_arguments, known_names
 from fsw.kinematics.closed_form import BRANCHES
-from sim.effects.environment import PowerLoss
-from sim.effects.faults import InjectedFault, RockGone, SensorFault
+from sim.effects.faults import InjectedFault, RockGone
 from sim.frames import p_R_from_N
 from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
 from sim.scenario.records import (
@@ -39,15 +38,6 @@ CHECK_CLASSES: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind 
 FAULT_CLASS_BY_NAME: Final[dict[str, type[InjectedFault]]] = {
     upper_snake(kind): kind for kind in FAULT_CLASSES
 }
-
-
-def prevents_completion(fault: InjectedFault) -> bool:
-    """Return whether no move can be completed with this fault."""
-    match fault:
-        case PowerLoss() | SensorFault(kind="nan"):
-            return True
-        case _:
-            return False
 
 
 @dataclass(frozen=True, slots=True)

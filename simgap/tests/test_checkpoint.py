@@ -221,6 +221,7 @@ def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth
     assert all(before[0] <= after[0] for before, after in pairwise(reports))
     assert max(abs(share - calls / model.calls) for share, calls in reports) < 0.25
     assert reports[-1][0] < 1.0
+    assert all(share > 0.0 for share, _ in reports[2:])  # also while the base parameters are fitted
 
 
 def test_a_round_that_takes_longer_than_expected_never_seems_done() -> None:

@@ -21,6 +21,7 @@ from simgap.effects.effect import Effect
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.next_motion import family
 from simgap.next_motion.family import list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
 from simgap.next_motion.rivals import choose_rivals
@@ -84,7 +85,7 @@ def test_a_motion_that_a_rival_cannot_make_is_never_proposed():
 
 
 TIME_s = np.arange(0.0, 3.0, 0.01)
-ROBOT = pendulum(kp=3.0)
+ROBOT = pendulum(kp=3.0, period_s=0.01)
 PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
 EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
 DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
@@ -119,6 +120,13 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
             assert np.max(np.abs(np.diff(command))) <= 1.01 * plan.speed_rad_s * 0.01
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare few motions, which takes less time."""
+    monkeypatch.setattr(family, "MOST", 12)
+
+
+@pytest.mark.usefixtures("few")
 def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_each(tmp_path):
     proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
     assert proposal.choice.tells_apart
@@ -137,6 +145,7 @@ def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion
     assert next_lines(proposal)[0].startswith("None of ")
 
 
+@pytest.mark.usefixtures("few")
 def test_torques_are_compared_along_the_motion_though_no_command_is_known():
     logs = Logs(tuple(two_joint_arm.simulated(two_joint_arm.arm(), seed, noise_rad=1e-5) for seed in (1, 2)))
     logs = Logs(tuple(replace(one, name=str(k)) for k, one in enumerate(logs.motions)))
@@ -153,7 +162,7 @@ def test_torques_are_compared_along_the_motion_though_no_command_is_known():
 
 
 def test_a_finding_without_a_rival_leaves_nothing_to_tell_apart():
-    with pytest.raises(RobotError, match="nothing to tell apart"):
+    with pytest.raises(RobotError, match="no motion is needed"):
         choose_rivals([rival(DELAY, 0.02)])
 
 

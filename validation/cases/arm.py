@@ -43,7 +43,6 @@ from validation.cases.arm_score import (
     ResultFile,
     classes_json,
     load_classes,
-    make_tables,
     score,
 )
 from validation.cases.arm_truth import (
@@ -150,9 +149,10 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         for case, result in solved:
             check_result(case, result)
         found = score(load_classes(folder / CAMPAIGN_FOLDER), solved)
-        is_right = found.covered.hits == found.reported.of
-        in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
-        return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
+        bars, spurious = found.document["bars"], found.document["named, but not of the case"]
+        is_right = bars["set coverage"]["hits"] == bars["reported"]["of"]
+        in_bounds = bars["false alarms"]["hits"] == spurious["hits"] == 0 and is_right
+        return CaseScore(found.document, found.tables, in_bounds or self.kinds is None)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Score of blind cases of this arm: results compared with the truth, level by level, and its tables.
+"""Score of blind cases of this arm: results compared with the truth, level by level.
 
 The classes, detection limits, families and locations of a campaign are published before its cases.
 """
@@ -6,18 +6,19 @@ The classes, detection limits, families and locations of a campaign are publishe
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from marsarm.common.rates import Median, Rate, median_with_interval, rate_of
+from marsarm.common.rates import rate_of
 from marsarm.diagnosis.model import DiagnosisModel
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from simgap.common.toml import read_json
 from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
-from validation.cases.sealed import Table
+from validation.cases.bars import JudgedEffect, level_bars, score_bars
+from validation.cases.sealed import CaseScore
 
 CLASSES_FILE: Final = "classes.json"
 
@@ -155,42 +156,13 @@ def load_classes(campaign: Path) -> EquivalenceClasses:
     })  # fmt: skip
 
 
-BOOTSTRAP_DRAWS: Final = 2000
+WRONG_RATES: Final = (0.08, 0.14, 0.20)
+"""Bars of wrong places, families and effects outside the catalogue."""
 
 ResultDocument = Mapping[str, Any]
 """Result document of a case (see `marsarm diagnose --json`), with `seconds`."""
 FindingDocument = Mapping[str, Any]
 SolvedCase = tuple[TrueCase, ResultDocument]
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Rates over cases."""
-
-    cases: int
-    false_alarm: Rate
-    """No-effect cases with a verdict other than "none"."""
-    reported: Rate
-    """Effects of the catalogue, from the detection limit of the selection on, for which a finding stands."""
-    place: Rate
-    """Of those reported: that finding, or what is the same here, has the location."""
-    effect: Rate
-    """Of those reported: that finding is of the right class."""
-    covered: Rate
-    """Of those reported with a place: the set at the reported level holds the truth."""
-    spurious: Rate
-    """Named effects that are not effects of the case, in cases with effects of the catalogue."""
-    interval: Rate
-    """True amplitudes within their 90 % intervals, where the effect itself is named."""
-    wrong: Mapping[str, Rate]
-    """Cases outside the catalogue with a wrong statement, by level: place, family, effect."""
-    by_effect: Mapping[str, tuple[float, float]]
-    """Intervals of these rates, from a bootstrap over effects."""
-    outside_reported: Rate
-    """Cases outside the catalogue with a finding, or with something that remains."""
-    seconds: Median
-    """CPU seconds for a case."""
-    max_seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,45 +174,39 @@ class _Assigned:
     finding: FindingDocument | None
 
 
-def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> Score:
+def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> CaseScore:
     """Score all cases by the equivalence classes of their campaign."""
-    nothing = [result for true, result in solved if true.kind == "none"]
-    outside = [(true, result) for true, result in solved if true.kind == "out-of-catalogue"]
+    alarms = [result["verdict"] != "none" for true, result in solved if true.kind == "none"]
+    outside = [(true.effects[0], result) for true, result in solved if true.kind == "out-of-catalogue"]
+    wrong = [(_says_wrong_place(*one), _says_wrong_family(*one), any(_named(one[1]))) for one in outside]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     assigned = [one for true, result in inside for one in _assign(classes, true, result)]
-    clear = [one for one in assigned if one.times_family_wise >= 1.0]
-    given = [(one.effect, one.finding) for one in clear if one.finding is not None]
-    named = [(true, one) for true, result in inside for one in _named(result)]
+    clear = [_judge(classes, one) for one in assigned if one.times_family_wise >= 1.0]
     seconds = [float(result["seconds"]) for _, result in solved]
-    wrong = {
-        "place": [_says_wrong_place(true.effects[0], result) for true, result in outside],
-        "family": [_says_wrong_family(true.effects[0], result) for true, result in outside],
-        "effect": [any(_named(result)) for _, result in outside],
-    }
-    names = [true.effects[0].name for true, _ in outside]
-    return Score(
-        cases=len(solved),
-        false_alarm=rate_of(result["verdict"] != "none" for result in nothing),
-        reported=rate_of(one.finding is not None for one in clear),
-        place=rate_of(
-            bool(classes.locations(one.name, one.place) & classes.locations(found["effect"], found["place"]))
-            for one, found in given
-        ),
-        effect=rate_of(
-            _class(classes, one) == classes.of(found["effect"], found["place"]) for one, found in given
-        ),
-        covered=rate_of(_is_covered(classes, one, found) for one, found in given if found["level"] != "none"),
-        spurious=rate_of(
+    more = {
+        "named, but not of the case": rate_of(
             not _classes(classes, one) & {_class(classes, effect) for effect in true.effects}
-            for true, one in named
+            for true, result in inside
+            for one in _named(result)
         ),
-        interval=rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
-        wrong={level: rate_of(hits) for level, hits in wrong.items()},
-        by_effect={level: _bootstrap_over(names, hits) for level, hits in wrong.items()},
-        outside_reported=rate_of(result["verdict"] != "none" for _, result in outside),
-        seconds=median_with_interval(seconds),
-        max_seconds=max(seconds, default=float("nan")),
-    )
+        "90 % intervals that cover": rate_of(
+            hit for true, result in inside for hit in _interval_hits(true, result)
+        ),
+        "outside, reported": rate_of(result["verdict"] != "none" for _, result in outside),
+        "cpu seconds, median": median(seconds),
+        "cpu seconds, longest": max(seconds),
+    }
+    return score_bars(level_bars(alarms, wrong, clear, WRONG_RATES), len(solved), to_json(more))
+
+
+def _judge(classes: EquivalenceClasses, one: _Assigned) -> JudgedEffect:
+    true, found = one.effect, one.finding
+    if found is None:
+        return JudgedEffect(False)
+    first = found["effect"], found["place"]
+    has_place = bool(classes.locations(true.name, true.place) & classes.locations(*first))
+    covered = None if found["level"] == "none" else _is_covered(classes, true, found)
+    return JudgedEffect(True, has_place, _class(classes, true) == classes.of(*first), covered)
 
 
 def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument) -> list[_Assigned]:
@@ -300,18 +266,6 @@ def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
     return any(not right & one for one in families)
 
 
-def _bootstrap_over(names: Sequence[str], hits: Sequence[bool]) -> tuple[float, float]:
-    """Return the 95 % interval of a rate over draws of effects with replacement; NaN without a case."""
-    kinds, of = np.unique(list(names), return_inverse=True)
-    if not kinds.size:
-        return float("nan"), float("nan")
-    count, wrong = np.bincount(of), np.bincount(of, weights=np.asarray(hits, float))
-    drawn = np.random.default_rng(0).integers(kinds.size, size=(BOOTSTRAP_DRAWS, kinds.size))
-    rates = wrong[drawn].sum(axis=1) / count[drawn].sum(axis=1)
-    least, most = np.quantile(rates, (0.025, 0.975))
-    return float(least), float(most)
-
-
 def _named(result: ResultDocument) -> list[FindingDocument]:
     return [one for one in result["findings"] if one["level"] == "effect"]
 
@@ -336,33 +290,3 @@ def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
             value = effect.values[size["name"].removeprefix("ln_")]
             hits.append(bool(size["low_90"] <= value <= size["high_90"]))
     return hits
-
-
-def make_tables(score: Score) -> tuple[Table, ...]:
-    """Return the tables of the page; intervals are exact, 95 %, those by effect from a bootstrap."""
-    bars = (
-        ("no effect called one", "9 % or fewer", score.false_alarm),
-        ("reported, from the limit of the selection on", "85 %", score.reported),
-        ("right place, of those", "95 %", score.place),
-        ("right effect as first choice, of those", "88 %", score.effect),
-        ("in the set of the level that was reported", "95 %", score.covered),
-        ("named, but not of the case", "", score.spurious),
-        ("90 % intervals that cover", "85 to 95 %", score.interval),
-        ("CPU seconds for a case, median", "10 or fewer", f"{score.seconds.median:.1f}"),
-        ("the longest", "", f"{score.max_seconds:.1f}"),
-    )
-    outside = [
-        (f"wrong {level}, {bar} % or fewer", _outside_text(score.wrong[level], score.by_effect[level]))
-        for level, bar in (("place", 8), ("family", 14), ("effect", 20))
-    ]
-    outside.append(("something is reported", str(score.outside_reported)))
-    rows = tuple((name, wanted, str(value)) for name, wanted, value in bars)
-    return (
-        Table(f"{score.cases} blind cases", ("", "wanted", "found"), rows),
-        Table("Outside the catalogue", ("", "found"), tuple(outside)),
-    )
-
-
-def _outside_text(rate: Rate, by_effect: tuple[float, float]) -> str:
-    between = " to ".join(f"{100 * one:.1f}" for one in by_effect)
-    return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {between})" if rate.of else "no case"

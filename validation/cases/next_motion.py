@@ -25,6 +25,7 @@ from simgap.result import Diagnosis
 from simgap.robot import Robot
 from validation.campaigns import Context, Document
 from validation.cases import sealed
+from validation.cases.bars import score_bars
 from validation.cases.robot import DIAGNOSIS_SEED, INDEX_FILE, ROBOT_FILE, ROBOTS_FOLDER, to_document
 from validation.cases.robot_draw import (
     Kind,
@@ -35,7 +36,7 @@ from validation.cases.robot_draw import (
     measure,
     temperature_degC,
 )
-from validation.cases.robot_score import SealedCase, members, pair_up, plain_place, score_bars
+from validation.cases.robot_score import SealedCase, members, pair_up, plain_place
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
 from validation.cases.sealed import CaseScore
@@ -173,9 +174,5 @@ def make_next(truth: Truth, planned: Motion) -> Motion:
 
 
 def campaign(context: Context, cases: int = 40, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases as `run_steps` does.
-
-    They are in next-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed cases as `run_steps` does."""
     return sealed.run_steps(context, NextCases(tuple(SERVOS)), cases, step, partial)

@@ -24,6 +24,7 @@ from simgap.common.errors import RobotError
 from simgap.result import Comparison
 from validation.campaigns import Context, Document
 from validation.cases import sealed
+from validation.cases.bars import score_bars
 from validation.cases.robot import (
     DIAGNOSIS_SEED,
     PlannedRobotCase,
@@ -41,14 +42,7 @@ from validation.cases.robot_draw import (
     make_truth,
     record_logs,
 )
-from validation.cases.robot_score import (
-    SealedCase,
-    find_equivalents,
-    first_choice,
-    pair_up,
-    plain_place,
-    score_bars,
-)
+from validation.cases.robot_score import SealedCase, find_equivalents, first_choice, pair_up, plain_place
 from validation.cases.robot_setup import ARMS, MODELS, limit_noncentrality
 from validation.cases.robot_table import ENTRIES, list_hypotheses
 from validation.cases.sealed import CaseScore, SealedTruth
@@ -180,9 +174,5 @@ def campaign(
     partial: bool = False,
     robots: str = ",".join(ARMS),
 ) -> Document:
-    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does.
-
-    They are in robot-pairs-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does."""
     return sealed.run_steps(context, RobotPairs(tuple(robots.split(","))), cases, step, partial)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -67,6 +67,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     """True if the logs have samples that an audit refuses."""
 
     name: ClassVar[str] = "robot-cases"
+    least_seed: ClassVar[int] = 1
     suffix: ClassVar[str] = ".parquet"
     truth_type: ClassVar[TypeAdapter[SealedTruth[SealedCase]]] = TypeAdapter(SealedTruth[SealedCase])
     result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(dict[str, Any])
@@ -237,9 +238,7 @@ def campaign(
 ) -> Document:
     """Make, solve and score sealed cases of robots, named with commas, as `run_steps` does.
 
-    They are in robot-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning. Few
-    cases cannot show rates. Quiet ones have no effect and are not kept, and no false alarm is allowed.
+    Few cases cannot show rates. Quiet ones have no effect and are not kept, and no false alarm is allowed.
     """
-    context = replace(context, seed=max(context.seed, 1))
     maker = RobotCases(tuple(robots.split(",")), quiet)
     return sealed.run_steps(context, maker, cases, step, partial, is_kept=not quiet)

@@ -10,22 +10,24 @@ other joints move other joints.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import permutations
 from statistics import mean, median
 from typing import Any, Final
 
 import numpy as np
 
-from marsarm.common.rates import RateBar, check_rate
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
+from validation.cases.bars import JudgedEffect, level_bars, score_bars
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
 from validation.cases.robot_table import BASE, SUPPLY, Entry, PlacedEntry, list_hypotheses
 from validation.cases.robot_truth import TrueEffect
-from validation.cases.sealed import CaseScore, Table
+from validation.cases.sealed import CaseScore
 
+WRONG_RATES: Final = (0.05, 0.10, 0.15)
+"""Bars of wrong places, families and effects outside the catalogue."""
 SET_SIZE_BAR: Final = 2.0
 SECONDS_BAR: Final = 60.0
 BASE_NAMES: Final = frozenset({"base", "world"})
@@ -138,30 +140,14 @@ def has_wrong_effect(case: SealedCase, findings: list[Document]) -> bool:
 
 def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
     """Score solved cases."""
-    by_kind = {kind: [one for one in solved if one[0].truth.kind == kind] for kind in ("none", "outside")}
-    outside = [(case, list(result["findings"])) for case, result in by_kind["outside"]]
+    alarms = [bool(result["findings"]) for case, result in solved if case.truth.kind == "none"]
+    outside = [(case, list(result["findings"])) for case, result in solved if case.truth.kind == "outside"]
+    wrong = [(has_wrong_place(*one), has_wrong_family(*one), has_wrong_effect(*one)) for one in outside]
     inside = [one for one in solved if one[0].truth.kind in ("single", "pair")]
     paired = [pair_up(case, list(result["findings"])) for case, result in inside]
     clear = [pair for pairs, _ in paired for pair in pairs if pair.effect.times_limit >= 1.0]
-    given = [pair for pair in clear if pair.finding is not None]
-    reports = [(pair, pair.finding) for pair in given if pair.finding is not None]
-    sets = [max(len(one["effects"]), 1) for _, one in reports]
-    bars = {
-        "false alarms": check_rate((bool(one["findings"]) for _, one in by_kind["none"]), 0.05, True),
-        "outside, wrong place": check_rate((has_wrong_place(*one) for one in outside), 0.05, True),
-        "outside, wrong family": check_rate((has_wrong_family(*one) for one in outside), 0.10, True),
-        "outside, wrong effect": check_rate((has_wrong_effect(*one) for one in outside), 0.15, True),
-        "reported": check_rate((pair.finding is not None for pair in clear), 0.85, False),
-        "right place": check_rate(
-            (plain_place(one["place"]) in {place for _, place in pair.accepted} for pair, one in reports),
-            0.95,
-            False,
-        ),
-        "right effect": check_rate(
-            (first_choice(one) in pair.accepted for pair, one in reports), 0.88, False
-        ),
-        "set coverage": check_rate((is_covered(pair) for pair in given), 0.95, False),
-    }
+    sets = [max(len(pair.finding["effects"]), 1) for pair in clear if pair.finding is not None]
+    bars = level_bars(alarms, wrong, [judge(pair) for pair in clear], WRONG_RATES)
     set_size = mean(sets) if sets else None
     seconds = median(one["seconds"] for _, one in solved)
     in_bounds = (set_size is None or set_size < SET_SIZE_BAR) and seconds <= SECONDS_BAR
@@ -174,24 +160,12 @@ def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
     return score_bars(bars, len(solved), more, in_bounds)
 
 
-def score_bars(bars: dict[str, RateBar], count: int, more: Document, in_bounds: bool = True) -> CaseScore:
-    """Return a score of `count` solved cases by bars, which have to be met, as all other bounds have to."""
-    document = {
-        "cases": count,
-        "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
-        **more,
-    }
-    return CaseScore(document, (make_table(bars),), in_bounds and all(bar.is_met for bar in bars.values()))
-
-
-def make_table(bars: dict[str, RateBar]) -> Table:
-    """Return the bars as a table."""
-    rows = [
-        (name, f"at {'most' if bar.is_most else 'least'} {bar.rate:g}", f"{bar.hits} of {bar.of}",
-         "met" if bar.is_met else "missed")
-        for name, bar in bars.items()
-    ]  # fmt: skip
-    return Table("Cases of any robot", ("", "wanted", "found", ""), tuple(rows))
+def judge(pair: Pairing) -> JudgedEffect:
+    """Return what the finding of a true effect says of it."""
+    if pair.finding is None:
+        return JudgedEffect(False)
+    has_place = plain_place(pair.finding["place"]) in {place for _, place in pair.accepted}
+    return JudgedEffect(True, has_place, first_choice(pair.finding) in pair.accepted, is_covered(pair))
 
 
 LEAST_COSINE: Final = 0.99

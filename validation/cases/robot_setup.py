@@ -92,8 +92,6 @@ def load_robot(name: str) -> Robot:
                 kp_Nm_rad=float(actuator.gainprm[0]),
                 kd_Nms_rad=float(-actuator.biasprm[2]),
                 torque_limit_Nm=float(actuator.forcerange[1]),
-                gear_ratio=1.0,
-                torque_constant_Nm_A=float("nan"),
                 is_known=joint.name in arm.known,
                 is_loaded_by_gravity=joint.name not in arm.unloaded,
             )

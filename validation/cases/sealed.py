@@ -10,7 +10,7 @@ import os
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
@@ -93,6 +93,8 @@ class CaseMaker(Generic[Case]):
 
     name: ClassVar[str]
     """Name of the campaign."""
+    least_seed: ClassVar[int] = 0
+    """Seeds below it become it: their cases are for tuning."""
     suffix: ClassVar[str]
     """Suffix of the file of a case's logs; empty for a folder."""
     truth_type: ClassVar[TypeAdapter[Any]]
@@ -127,9 +129,10 @@ def run_steps(
 ) -> Document:
     """Make, solve and score cases, or do one of `STEPS`, in the folder of the context.
 
-    If it names none, cases that are kept have one of the name and the seed. A partial score is of the cases
-    that are solved, where others are refused.
+    If it names none, cases that are kept have one of the name and the seed, such as servo-cases-1. A partial
+    score is of the cases that are solved, where others are refused.
     """
+    context = replace(context, seed=max(context.seed, maker.least_seed))
     if step not in STEPS:
         raise BadRequest(f"set step: {step} is none of {', '.join(STEPS)}")
     with TemporaryDirectory() as scratch:

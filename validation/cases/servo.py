@@ -4,16 +4,17 @@ The robot plug-in with another truth (`servo_truth`), other shares of kinds, and
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final
 
 from marsarm.common.rates import check_rate
 from validation.campaigns import Context, Document
 from validation.cases import sealed
+from validation.cases.bars import score_bars
 from validation.cases.robot import RobotCases
 from validation.cases.robot_draw import Kind
-from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, score_bars
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up
 from validation.cases.robot_setup import SERVOS
 from validation.cases.sealed import CaseScore
 
@@ -67,9 +68,5 @@ def is_sure_and_wrong(case: SealedCase, result: Document) -> bool:
 
 
 def campaign(context: Context, cases: int = 60, step: str = "all", partial: bool = False) -> Document:
-    """Make, solve and score sealed cases of servos as `run_steps` does.
-
-    They are in servo-cases-SEED if no folder is named. Seed 0 becomes 1, for its cases are for tuning.
-    """
-    context = replace(context, seed=max(context.seed, 1))
+    """Make, solve and score sealed cases of servos as `run_steps` does."""
     return sealed.run_steps(context, ServoCases(tuple(SERVOS)), cases, step, partial)

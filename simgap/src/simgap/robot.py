@@ -77,8 +77,6 @@ class RobotJoint:
     name: str
     qpos_index: int
     dof_index: int
-    actuator_index: int
-    """-1 if the model has no actuator for it."""
     mode: ControlMode
     kp_Nm_rad: float
     """Nominal stiffness of the position loop; per unit of the gain column, where the log has one. Torque for
@@ -87,13 +85,15 @@ class RobotJoint:
     """Nominal damping of the position or velocity loop; NaN if that of the latter is unknown."""
     torque_limit_Nm: float
     """Largest torque at the joint; infinite if unlimited."""
-    gear_ratio: float
+    actuator_index: int = -1
+    """-1 if the model has no actuator for it."""
+    gear_ratio: float = 1.0
     """Motor turns per turn of the joint; logged motor torques are multiplied by it."""
-    torque_constant_Nm_A: float
+    torque_constant_Nm_A: float = math.nan
     """Torque at the joint per ampere; NaN if unknown."""
-    is_known: bool
+    is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is a nuisance."""
-    is_loaded_by_gravity: bool
+    is_loaded_by_gravity: bool = True
     """False if gravity changes by less than friction, as at a vertical slide: only ratios to the gain can be
     known."""
     is_slide: bool = False
@@ -177,6 +177,10 @@ class Robot:
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
         return next(joint for joint in self.joints if joint.name == name)
+
+    def mjcf_joint(self, name: str) -> str:
+        """Return the name that the model has for a joint; models with added bodies keep it."""
+        return str(self.model.joint(int(self.model.dof_jntid[self.joint(name).dof_index])).name)
 
     def range_rad(self, name: str) -> tuple[float, float]:
         """Return the limits of a joint in the model, infinite without any."""

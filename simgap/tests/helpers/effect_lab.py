@@ -73,9 +73,6 @@ def robot_of(xml: str, tool_site: str = "tool", mode: ControlMode = ControlMode.
             kp_Nm_rad=float(model.actuator_gainprm[k, 0]),
             kd_Nms_rad=float(-model.actuator_biasprm[k, 2]),
             torque_limit_Nm=float(model.actuator_forcerange[k, 1]),
-            gear_ratio=1.0,
-            torque_constant_Nm_A=math.nan,
-            is_known=False,
             is_loaded_by_gravity=model.joint(k).name != "pan",
         )
         for k in range(model.njnt)

@@ -45,15 +45,8 @@ def pendulum(
         step=step_s, name="swing", damping=damping, dry=dry_Nm, armature=ARMATURE_kgm2,
         axis="0 0 1" if is_level else "0 1 0", arm=arm, mass=MASS_kg,
     )  # fmt: skip
-    joint = RobotJoint(
-        name="swing", qpos_index=0, dof_index=0, actuator_index=-1, mode=mode, kp_Nm_rad=kp, kd_Nms_rad=kd,
-        torque_limit_Nm=limit_Nm, gear_ratio=1.0, torque_constant_Nm_A=2.0, is_known=False,
-        is_loaded_by_gravity=True,
-    )  # fmt: skip
-    return Robot(
-        name="pendulum", model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, joints=(joint,),
-        control_period_s=period_s, tool_site="",
-    )  # fmt: skip
+    joint = RobotJoint("swing", 0, 0, mode, kp, kd, limit_Nm, torque_constant_Nm_A=2.0)
+    return Robot("pendulum", mujoco.MjModel.from_xml_string(xml), xml, (joint,), period_s, "")
 
 
 def motion(

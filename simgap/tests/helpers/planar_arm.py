@@ -46,20 +46,7 @@ def planar_arm(table: bool = False, torque_limit_Nm: float = 8.0) -> Robot:
     text = MODEL.format(table=TABLE if table else "", ball=BALL if table else "")
     model = mujoco.MjModel.from_xml_string(text)
     joints = tuple(
-        RobotJoint(
-            name=name,
-            qpos_index=k,
-            dof_index=k,
-            actuator_index=-1,
-            mode=ControlMode.POSITION,
-            kp_Nm_rad=20.0,
-            kd_Nms_rad=1.0,
-            torque_limit_Nm=torque_limit_Nm,
-            gear_ratio=1.0,
-            torque_constant_Nm_A=float("nan"),
-            is_known=False,
-            is_loaded_by_gravity=True,
-        )
+        RobotJoint(name, k, k, ControlMode.POSITION, 20.0, 1.0, torque_limit_Nm)
         for k, name in enumerate(("shoulder", "elbow"))
     )
     return Robot("planar arm", model, text, joints, 0.002, "tip")

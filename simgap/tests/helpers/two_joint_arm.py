@@ -38,15 +38,12 @@ DAMPING = (20.0, 8.0)
 
 def arm(*, is_loaded: bool = True) -> Robot:
     """Return the robot; without load, both joints are told to carry no gravity."""
+    mode, limit_Nm = ControlMode.TORQUE, math.inf
     model = mujoco.MjModel.from_xml_string(XML)
     joints = tuple(
-        RobotJoint(
-            name=name, qpos_index=k, dof_index=k, actuator_index=-1, mode=ControlMode.TORQUE, kp_Nm_rad=0.0,
-            kd_Nms_rad=0.0, torque_limit_Nm=math.inf, gear_ratio=50.0, torque_constant_Nm_A=math.nan,
-            is_known=False, is_loaded_by_gravity=is_loaded,
-        )
+        RobotJoint(name, k, k, mode, 0.0, 0.0, limit_Nm, gear_ratio=50.0, is_loaded_by_gravity=is_loaded)
         for k, name in enumerate(("shoulder", "elbow"))
-    )  # fmt: skip
+    )
     return Robot("two joints", model, XML, joints, PERIOD_s, "")
 
 

@@ -17,6 +17,8 @@ from fsw.dictionary.commands import (
     MoveJoint,
     Preload,
     Retract,
+    SetParam,
+    SetTilt,
     Stop,
     ToolChange,
     Unstow,
@@ -28,14 +30,13 @@ from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
 from fsw.protect.responses import StandingFault, decide
 from fsw.state import Sequence, last_setpoint
-from sim.scenario.rehearsal import COMMAND_EVENTS
 from tests.fsw.executive import lab
 from tests.fsw.executive.faults.lab import moving
 from tests.fsw.executive.lab import COMMANDS, RIGS, TOUCHED, TOUCHING
 from tests.fsw.rig import config_of, facing
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
-NO_MOVES = [kind for kind, events in COMMAND_EVENTS.items() if not events]
+NO_MOVES = (SetTilt, SetParam, Stop)
 """Commands without a move; they complete at once if nothing is under way."""
 
 

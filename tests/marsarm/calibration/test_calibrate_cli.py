@@ -44,6 +44,21 @@ def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_pat
     assert loaded.arm_name == "as-built:1"
 
 
+def test_a_verification_that_fails_loses_neither_poses_nor_parameters(tmp_path, monkeypatch):
+    def fail(*_):
+        raise BadRequest("not verified")
+
+    for name, value in (("run_campaign", campaign()), ("calibrate", calibration()), ("register_tools", None)):
+        monkeypatch.setattr(execution, name, lambda *_, own=value, **__: own)
+    monkeypatch.setattr(execution, "earth_reference", lambda *_: None)
+    monkeypatch.setattr(execution, "verify_calibration", fail)
+    data, out = tmp_path / "poses.csv", tmp_path / "arm.toml"
+    with pytest.raises(BadRequest, match="not verified"):
+        run_calibration(CalibrateRequest(arm="as-built:1", verify=1, save_data=data, out=out))
+    assert data.stat().st_size > 0
+    assert out.stat().st_size > 0
+
+
 def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(table):
     text = parameter_text(calibration(), calibrated_params(calibration()))
     assert text == parameter_text(calibration(), calibrated_params(calibration()))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from marsarm.ik.solve import IkModel
 from marsarm.telemetry.format import LogNotWritable
 from marsarm.telemetry.read import read_log
@@ -198,7 +199,10 @@ with report_interruption():
 """
 
 
-@pytest.mark.parametrize(("what", "rest"), [("swallow", "; it did not end by itself"), ("end slowly", "")])
+SLOW_ENDS = [("swallow", "; it did not end by itself"), ("end slowly", "")]
+
+
+@pytest.mark.parametrize(("what", "rest"), slow_but(SLOW_ENDS, SLOW_ENDS[0]))
 def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
     tmp_path: Path, what: str, rest: str
 ) -> None:

@@ -31,5 +31,16 @@ def test_the_shell_completes_verbs_and_options(words):
     assert set(done.stdout.split()) == COMPLETIONS[words]
 
 
+@pytest.mark.parametrize(("shell", "begin"), [("fish", "--"), ("zsh", '"--')])
+def test_the_shell_shows_the_help_of_each_option_as_it_stands_on_one_line(shell, begin):
+    words = {"_TYPER_COMPLETE_ARGS": "marsarm place --", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    env = os.environ | words | {"_MARSARM_COMPLETE": f"complete_{shell}"}
+    command = [sys.executable, "-c", AS_INSTALLED]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    lines = done.stdout.removeprefix("_arguments '*: :((").splitlines()
+    assert len(lines) > 10
+    assert all(line.startswith(begin) for line in lines)
+
+
 def test_the_citation_has_the_version_of_the_package():
     assert f"\nversion: {version('marsarm')}\n" in (ROOT / "CITATION.cff").read_text()

@@ -19,6 +19,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
+from typer import _completion_classes
 from typer.core import TyperCommand
 from typer.main import get_command_from_info
 from typer.models import CommandInfo
@@ -181,6 +182,7 @@ def run_app(app: typer.Typer, program: str) -> None:
     gc.set_threshold(NEW_OBJECTS)
     _drop_gl_settings()
     _do_without_glfw()
+    _completion_classes._sanitize_help_text = _join_lines  # typer takes brackets for markup, and wraps
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
     with buffer_stdout():
         _run(app, program)
@@ -203,6 +205,10 @@ def _do_without_glfw() -> None:
     """
     if sys.platform == "linux":
         sys.modules["glfw"] = None  # type: ignore[assignment]
+
+
+def _join_lines(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _run(app: typer.Typer, program: str) -> NoReturn:

@@ -10,6 +10,7 @@ from simgap.arrays import Array
 from simgap.effects.effect import (
     DAMPING_STARTS,
     QUANTILE,
+    AddedNumber,
     Effect,
     Family,
     Fields,
@@ -41,7 +42,7 @@ class GainError(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class DampingGain(JointEffect):
+class DampingGain(AddedNumber):
     """Damping of the loop is other than nominal.
 
     Without a limit of the torque, and with a command at rest, it is viscous friction.
@@ -49,6 +50,7 @@ class DampingGain(JointEffect):
 
     name: ClassVar[str] = "damping gain"
     family: ClassVar[Family] = Family.ACTUATION
+    number: ClassVar[str] = "kd_Nms_rad"
     starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
 
     @property
@@ -61,10 +63,6 @@ class DampingGain(JointEffect):
         """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
-
-    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
-        """Add to the damping gain."""
-        fields.kd_Nms_rad[:, self.index] += size[:, 0]
 
 
 @dataclass(frozen=True, slots=True)

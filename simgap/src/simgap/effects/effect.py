@@ -136,10 +136,7 @@ class Tick:
 
 MODEL_HOOKS: Final = ("vary", "set_model")
 """Hooks of an effect that change the model before a simulation."""
-RUN_HOOKS: Final = (
-    *("shape_command", "act", "friction_Nm", "torque_Nm"),
-    *("encode", "decode", "sample_delay_s"),
-)
+RUN_HOOKS: Final = ("shape_command", "act", "friction_Nm", "torque_Nm", "encode", "decode", "sample_delay_s")
 """Hooks that act while a simulation runs."""
 SIMULATION_HOOKS: Final = (*MODEL_HOOKS, *RUN_HOOKS)
 TORQUE_HOOKS: Final = ("set_model", "friction_Nm", "torque_Nm", "decode")
@@ -319,6 +316,23 @@ class JointEffect(Effect):
         return Size(self.joint.name_of(name), low, high, typical, prior_std)
 
 
+@dataclass(frozen=True, slots=True)
+class AddedNumber(JointEffect):
+    """Number of a joint beside that of the model."""
+
+    number: ClassVar[str]
+    """Name of the number, in the scales of the joint and in the fields of a simulation."""
+
+    @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return float(getattr(self.scales, self.number))
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the number."""
+        getattr(fields, self.number)[:, self.index] += size[:, 0]
+
+
 def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:
     """Collect the ranges of joints over fitted motions, without joints that no motion logs."""
     found = {}
@@ -382,8 +396,3 @@ def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float, logged: Sequ
         d = joint.dof_index
         largest = max(largest, float(abs(data.qfrc_bias[d]) + inertia[d, d] * acceleration))
     return max(largest, 1e-6)
-
-
-def mjcf_joint(robot: Robot, place: str) -> str:
-    """Return the name that the model has for a joint of the robot; models with added bodies keep it."""
-    return str(robot.model.joint(int(robot.model.dof_jntid[robot.joint(place).dof_index])).name)

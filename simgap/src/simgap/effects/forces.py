@@ -10,6 +10,7 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.effects.effect import (
     DAMPING_STARTS,
+    AddedNumber,
     Effect,
     Family,
     Fields,
@@ -25,17 +26,13 @@ TINY_rad_s: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class ViscousFriction(JointEffect):
+class ViscousFriction(AddedNumber):
     """Damping beside that of the model."""
 
     name: ClassVar[str] = "viscous friction"
     family: ClassVar[Family] = Family.FRICTION
+    number: ClassVar[str] = "damping_Nms_rad"
     starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
-
-    @property
-    def nominal(self) -> float:
-        """Value of the model."""
-        return self.scales.damping_Nms_rad
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -43,32 +40,20 @@ class ViscousFriction(JointEffect):
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("damping_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
-    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
-        """Add to the damping."""
-        fields.damping_Nms_rad[:, self.index] += size[:, 0]
-
 
 @dataclass(frozen=True, slots=True)
-class CoulombFriction(JointEffect):
+class CoulombFriction(AddedNumber):
     """Dry friction beside that of the model."""
 
     name: ClassVar[str] = "Coulomb friction"
     family: ClassVar[Family] = Family.FRICTION
-
-    @property
-    def nominal(self) -> float:
-        """Value of the model."""
-        return self.scales.frictionloss_Nm
+    number: ClassVar[str] = "frictionloss_Nm"
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Friction: at most half of the torque, at least none at all."""
         scale = self.scales.torque_Nm
         return (self.size_of("coulomb_Nm", -self.nominal, 0.5 * scale, 0.05 * scale),)
-
-    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
-        """Add to the dry friction."""
-        fields.frictionloss_Nm[:, self.index] += size[:, 0]
 
 
 @dataclass(frozen=True, slots=True)

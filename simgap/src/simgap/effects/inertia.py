@@ -7,31 +7,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Flags
-from simgap.effects.effect import Effect, Family, Fields, JointEffect, Size, mjcf_joint
+from simgap.effects.effect import AddedNumber, Effect, Family, Fields, Size
 from simgap.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
-class Armature(JointEffect):
+class Armature(AddedNumber):
     """Inertia of the rotor, seen at the joint, beside that of the model."""
 
     name: ClassVar[str] = "armature"
     family: ClassVar[Family] = Family.INERTIA
-
-    @property
-    def nominal(self) -> float:
-        """Value of the model."""
-        return self.scales.armature_kgm2
+    number: ClassVar[str] = "armature_kgm2"
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Inertia: at most what takes the whole torque at the highest acceleration, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.acceleration_rad_s2
         return (self.size_of("armature_kgm2", -self.nominal, scale, 0.05 * scale),)
-
-    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
-        """Add to the armature."""
-        fields.armature_kgm2[:, self.index] += size[:, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,13 +153,13 @@ class LinkInertia(Effect):
 
 def _body(fields: Fields, robot: Robot, place: str) -> int:
     model = fields.batch.model
-    return int(model.jnt_bodyid[model.joint(mjcf_joint(robot, place)).id])
+    return int(model.jnt_bodyid[model.joint(robot.mjcf_joint(place)).id])
 
 
 def _outward_and_sideward(fields: Fields, robot: Robot, place: str) -> Array:
     """Return two unit vectors in the body frame, (2, 3): from the joint axis to the centre, and across."""
     model = fields.batch.model
-    k, body = model.joint(mjcf_joint(robot, place)).id, _body(fields, robot, place)
+    k, body = model.joint(robot.mjcf_joint(place)).id, _body(fields, robot, place)
     axis = np.array(model.jnt_axis[k])
     arm_m = model.body_ipos[body] - model.jnt_pos[k]
     arm_m = arm_m - axis * (axis @ arm_m)
@@ -232,7 +224,7 @@ class LinkLength(Effect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Move the frame of the next body."""
         model = fields.batch.model
-        body = int(model.jnt_bodyid[model.joint(mjcf_joint(robot, self.next_joint)).id])
+        body = int(model.jnt_bodyid[model.joint(robot.mjcf_joint(self.next_joint)).id])
         rows = size[:, 0] != 0
         along = model.body_pos[body] / np.linalg.norm(model.body_pos[body])
         fields.batch.expand("body_pos")[rows, body] += size[rows] * along

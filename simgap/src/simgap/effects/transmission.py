@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect, Family, Fields, Rotor, Size, State, Tick, mjcf_joint
+from simgap.effects.effect import Effect, Family, Fields, Rotor, Size, State, Tick
 from simgap.robot import Robot
 
 FREE_RAD: Final = 1e6
@@ -137,7 +137,7 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
     if spec.joint(_rotor(joint)) is not None:
         return
     inertia_kgm2 = ROTOR_SHARE * float(robot.model.dof_M0[robot.joint(joint).dof_index])
-    turned = spec.joint(mjcf_joint(robot, joint))
+    turned = spec.joint(robot.mjcf_joint(joint))
     body = spec.worldbody.add_body(
         name=_rotor(joint), mass=1.0, inertia=(inertia_kgm2,) * 3, explicitinertial=True
     )

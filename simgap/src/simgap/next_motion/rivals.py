@@ -65,7 +65,7 @@ def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
     doubtful = [own for own in groups if len(own) > 1]
     if not doubtful:
         raise RobotError(
-            "the result has no finding with a rival, so that there is nothing to tell apart; record motions "
-            "of another kind, or diagnose anew without a start"
+            "no finding may have another cause, so that no motion is needed to tell causes apart; motions of "
+            "another kind may show more"
         )
     return max(doubtful, key=lambda own: own[1].p)

@@ -16,7 +16,7 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
-from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
+from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
 from simgap.patch.text import (
     BODY_OF,
     FOUND_FILE,
@@ -123,7 +123,7 @@ def make_patch(
     if varied:
         spec = mujoco.MjSpec.from_string(text)
         for joint in robot.joints:  # an effect may copy them to what it adds
-            of_joint = spec.joint(mjcf_joint(robot, joint.name))
+            of_joint = spec.joint(robot.mjcf_joint(joint.name))
             of_joint.solref_friction = (2 * robot.model.opt.timestep, 1.0)
             of_joint.solimp_friction = HARD_IMPEDANCE
         for effect in varied:
@@ -152,7 +152,7 @@ def _on_text(robot: Robot, text: str) -> Robot:
     model.opt.timestep = robot.model.opt.timestep
     joints = []
     for joint in robot.joints:
-        found = model.joint(mjcf_joint(robot, joint.name))
+        found = model.joint(robot.mjcf_joint(joint.name))
         joints.append(replace(joint, qpos_index=int(found.qposadr[0]), dof_index=int(found.dofadr[0])))
     return replace(robot, model=model, model_xml=text, joints=tuple(joints))
 
@@ -172,11 +172,11 @@ def _option_changes(robot: Robot) -> Iterator[Change]:
         dof = joint.dof_index
         if tuple(own.dof_solref[dof]) != reference or tuple(own.dof_solimp[dof]) != HARD_IMPEDANCE:
             yield Change(
-                "joint", mjcf_joint(robot, joint.name), hard, "dry friction that does not creep under load"
+                "joint", robot.mjcf_joint(joint.name), hard, "dry friction that does not creep under load"
             )
         if own.jnt_actfrclimited[own.dof_jntid[dof]]:
             free = (("actuatorfrclimited", "false"),)
-            yield Change("joint", mjcf_joint(robot, joint.name), free, "the actuator has the torque limit")
+            yield Change("joint", robot.mjcf_joint(joint.name), free, "the actuator has the torque limit")
 
 
 def _effect_changes(
@@ -232,7 +232,7 @@ def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason:
             continue
         is_new = joint.actuator_index < 0 and before is None
         own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
-        in_model = mjcf_joint(robot, joint.name)
+        in_model = robot.mjcf_joint(joint.name)
         place: tuple[tuple[str, str], ...] = (("name", in_model), ("joint", in_model)) if is_new else ()
         yield Change(
             "new actuator" if is_new else "actuator",
@@ -249,7 +249,7 @@ def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
             if old != new:
                 yield Change(
                     "joint",
-                    mjcf_joint(robot, joint.name),
+                    robot.mjcf_joint(joint.name),
                     ((name, number_text(new)),),
                     f"{name} {old:.5g} to {new:.5g}: {reason}",
                 )
@@ -262,7 +262,7 @@ def _rotor_changes(robot: Robot, rotors: Iterable[Rotor], numbers: _Numbers) -> 
         names = ("damping", "frictionloss", "armature")
         own = tuple((name, number_text(numbers.joints[name][rotor.joint])) for name in names)
         reason = f"the motor of {joint.name} turns {rotor.name}"
-        in_model = mjcf_joint(robot, joint.name)
+        in_model = robot.mjcf_joint(joint.name)
         motor = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
         yield Change("joint", rotor.name, own, reason)
         yield Change("joint", in_model, tuple((name, "0") for name in names), reason)
@@ -320,7 +320,7 @@ def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Ma
     for j, joint in enumerate(robot.joints):
         number, rotor = joint.actuator_index, rotors.get(j)
         own = "" if number < 0 else robot.model.actuator(number).name
-        name = mjcf_joint(robot, joint.name)
+        name = robot.mjcf_joint(joint.name)
         table = {"name": joint.name, "joint": name, "actuator": own or name, "mode": joint.mode.value}
         turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
         joints.append({**table, **turned})

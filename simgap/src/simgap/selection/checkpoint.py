@@ -38,7 +38,7 @@ OVERRUN: Final = 0.1
 
 
 class Meter:
-    """Counts candidates. The share stays 0 until the base parameters are fitted, and never falls."""
+    """Counts candidates. The share never falls."""
 
     def __init__(self, progress: Progress = lambda share, text: None) -> None:
         """Start at 0."""
@@ -67,12 +67,16 @@ class Meter:
             self._is_silent = False
             self.advance("going on", 0)
 
+    def begin_base(self, expected: int, after: float) -> None:
+        """Begin with the base parameters: expected candidates, and rounds as large expected after them."""
+        self._expected, self._after = expected, after
+
     def begin_round(self, expected: int, after: float) -> None:
         """Begin a round of screening and refits: expected candidates, and rounds expected after it.
 
         Later rounds are scaled by what earlier ones took.
         """
-        if self._expected:
+        if self._begin:
             self._ended_done += self._done - self._begin
             self._ended_expected += self._expected
         self._begin, self._expected, self._after = self._done, expected, after

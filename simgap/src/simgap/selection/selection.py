@@ -50,20 +50,21 @@ from simgap.selection.joint_fits import (
 )
 from simgap.selection.screening import (
     MOST_TRIALS,
+    SHORTLIST,
     Trial,
     Whitened,
     adjust,
+    expect_round,
     expected_change,
+    group_effects,
+    list_points,
+    list_typical,
     score_effect,
     try_next,
-    try_typical,
     whiten,
 )
-from simgap.selection.sharing import ALL_JOINTS, Point
+from simgap.selection.sharing import ALL_JOINTS
 
-SHORTLIST: Final = 8
-"""Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots,
-what was then accepted was sixth in the screen at worst."""
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged. In these cases, the accepted one was the fourth
 at worst."""
@@ -78,8 +79,6 @@ SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 each that was accepted had explained 0.9 of the best of its joint by then."""
 ROUNDING: Final = 1e-12
 """Change over the largest residual below which it is rounding."""
-REFIT_COST: Final = 7
-"""Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
 
 
 def select_effects(
@@ -164,21 +163,11 @@ def screen(
 
     Return also how many effects are distinct.
     """
-    taken = {effect.key for effect in present.effects}
-    groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
-    for effect in context.catalogue:
-        is_open = effect.key not in taken and context.joint_of(effect) in groups
-        if is_open and len(effect.parts) == 1:
-            groups[context.joint_of(effect)].append(effect)
-    union, at = context.union, present.sizes
-    typical = [(joint, try_typical(union, one, at)) for joint, effects in groups.items() for one in effects]
-    first = [(joint, trial) for joint, trial in typical if trial is not None]
-    refits = [(joint, at) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
-    n_trials = 2 * len(context.sharing.plan(_list_points(first)))
-    context.meter.begin_round(n_trials + REFIT_COST * len(context.sharing.plan(refits)), rounds_after)
+    groups, at = group_effects(context, open_joints, {one.key for one in present.effects}), present.sizes
+    context.meter.begin_round(expect_round(context, groups, at), rounds_after)
     fits = {joint: fits_at(context, present, joint) for joint in groups}
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
-    tried = try_sizes(context, fits, white, first, at)
+    tried = try_sizes(context, fits, white, list_typical(context, groups, at), at)
     scores: dict[int, list[tuple[Score, Array, Array]]] = {joint: [] for joint in groups}
     for (joint, _), trials, changes in tried:
         scores[joint].append(score_effect(white[joint], trials, changes, at))
@@ -204,10 +193,6 @@ def list_best(context: Context, rows: Integers, scores: Sequence[tuple[Score, Ar
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
-
-
-def _list_points(trials: Sequence[tuple[int, Trial]]) -> list[Point]:
-    return [(joint, point) for joint, trial in trials for point in trial.points]
 
 
 def try_sizes(
@@ -243,7 +228,7 @@ def simulate_trials(
     """Simulate trials, each at its joint; return what each changes in the residuals, (n_rows, n_points)."""
     # a large change at one joint would hide a small one at another in the same candidate
     order = sorted(range(len(trials)), key=lambda k: -expected_change(context, *trials[k]))
-    moved = iter(simulate(context, _list_points([trials[k] for k in order]), "screening"))
+    moved = iter(simulate(context, list_points([trials[k] for k in order]), "screening"))
     changes: dict[int, Array] = {}
     for k in order:
         joint, trial = trials[k]
