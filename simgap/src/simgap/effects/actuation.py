@@ -64,6 +64,14 @@ class DampingGain(AddedNumber):
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
+    def act(self, size: Array, tick: Tick) -> None:
+        """Lower the limit where the motor drives, and raise it where the motor brakes."""
+        j, joint = self.index, self.joint
+        if joint.mode is not ControlMode.POSITION or not np.isfinite(joint.torque_limit_Nm):
+            return
+        driving = np.sign(tick.command[:, j] - tick.state.q_rad[:, j]) * tick.state.v_rad_s[:, j]
+        tick.torque_limit_Nm[:, j] = np.maximum(tick.torque_limit_Nm[:, j] - size[:, 0] * driving, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class TorqueConstant(JointEffect):
