@@ -45,7 +45,9 @@ class GainError(JointEffect):
 class DampingGain(AddedNumber):
     """Damping of the loop is other than nominal.
 
-    Without a limit of the torque, and with a command at rest, it is viscous friction.
+    What is added is back-EMF: it acts under power, and outside the limit of the torque, which is one of the
+    voltage. So the largest torque falls with the speed. Without a limit, and with a command at rest, it is
+    viscous friction.
     """
 
     name: ClassVar[str] = "damping gain"
