@@ -41,7 +41,7 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
 
     A finding may be a set of effects or a place, or another effect may imitate it: these are rivals. Sweeps
     and poses that the campaign does not have are simulated with each rival; the best one tells most of them
-    apart, whatever calibration errors absorb. It takes some minutes. Exit status 3 says that none does.
+    apart, whatever calibration errors absorb. It takes some ten minutes. Exit status 3 says that none does.
 
     Example: marsarm gap next logs --held-out logs/held-out --out next.toml --report next.html
     """
