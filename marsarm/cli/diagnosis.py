@@ -31,7 +31,8 @@ def record(request: "marsarm.diagnosis.arm.request.RecordRequest", progress: Pro
     found = record_logs(request, progress)
     document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
     left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
-    return shown(document, [f"{len(found.logs)} logs in {request.out}{left_out}"])
+    count = "1 log" if len(found.logs) == 1 else f"{len(found.logs)} logs"
+    return shown(document, [f"{count} in {request.out}{left_out}"])
 
 
 @gap_app.command("next")
