@@ -31,7 +31,8 @@ def record(request: "marsarm.diagnosis.arm.request.RecordRequest", progress: Pro
     found = record_logs(request, progress)
     document = {"logs": [str(path) for path in found.logs], "left_out": list(found.left_out)}
     left_out = f"; the arm did not complete {', '.join(found.left_out)}" if found.left_out else ""
-    return shown(document, [f"{len(found.logs)} logs in {request.out}{left_out}"])
+    count = "1 log" if len(found.logs) == 1 else f"{len(found.logs)} logs"
+    return shown(document, [f"{count} in {request.out}{left_out}"])
 
 
 @gap_app.command("next")
@@ -41,7 +42,7 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
 
     A finding may be a set of effects or a place, or another effect may imitate it: these are rivals. Sweeps
     and poses that the campaign does not have are simulated with each rival; the best one tells most of them
-    apart, whatever calibration errors absorb. It takes some minutes. Exit status 3 says that none does.
+    apart, whatever calibration errors absorb. It takes some ten minutes. Exit status 3 says that none does.
 
     Example: marsarm gap next logs --held-out logs/held-out --out next.toml --report next.html
     """

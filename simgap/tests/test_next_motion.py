@@ -128,7 +128,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_each(tmp_path):
-    proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
+    proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02, 0.01)])
     assert proposal.choice.tells_apart
     assert proposal.choice.motions[0] == int(log.name)
     assert next_lines(proposal)[0].startswith("Record: swing from ")
@@ -136,6 +136,8 @@ def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_ea
     save_next_page(proposal, tmp_path / "next.html", None)
     text = (tmp_path / "next.html").read_text()
     assert text.count("<polygon") == 2 * len(proposal.curves) == 2
+    assert proposal.is_sure
+    assert "at 95 %: the motion is a check" in text
 
 
 def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion():

@@ -56,7 +56,7 @@ from sim.effects.catalogue import catalogue
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress, as_guess, no_progress, part_of
+from simgap.common.progress import Progress, as_guess, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
@@ -232,7 +232,8 @@ def _choose_steps(
         if not wanted:
             break
     left = {k: by for k, by in first.items() if k not in chosen}
-    return chosen | _simulate(campaign, left, 0, True, run, no_progress)
+    rest = part_of(progress, 1.0 - 0.5 ** (attempt + 1), 1.0)
+    return chosen | _simulate(campaign, left, 0, True, run, rest)
 
 
 def _list_numerical(simulator: ArmSimulator) -> list[int]:

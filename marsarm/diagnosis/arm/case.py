@@ -182,8 +182,8 @@ def diagnose_case(
 
 
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
-    """Yield the features of each channel in each session in motion, without and with the findings."""
-    _, nominal, explained = found.residuals
+    """Yield the features of each channel in each session in motion, without any fit and with the findings."""
+    nominal, _, explained = found.residuals
     all_features = case.arm.feature_set.list_features()
     sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
     measured = measure_features(case.arm.feature_set)[case.at]

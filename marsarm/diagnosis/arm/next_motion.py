@@ -32,7 +32,7 @@ from simgap.common.options import command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.next_motion.proposal import Curve, Proposal
-from simgap.next_motion.rivals import choose_rivals
+from simgap.next_motion.rivals import choose_rivals, is_sure
 from simgap.next_motion.separation import Slopes, choose_motion, scale_slopes
 from simgap.report.next_motion import save_next_files
 from simgap.result import Rival
@@ -42,7 +42,7 @@ DIAGNOSED: Final = 0.4
 RECORDED: Final = 0.5
 """Share after the planned motions are recorded."""
 MOST_DRAWN: Final = 4
-"""Channels that are drawn: those in which the rivals differ most."""
+"""Channels that are drawn at most."""
 BIN_s: Final = 0.25
 """Time between two features of a channel in motion."""
 
@@ -114,7 +114,8 @@ def propose_motion(
     choice = choose_motion([white[:, own] for own in rows], differentiate)
     named = tuple(words[planned.layout.blocks[block]] for block in blocks)
     curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
-    return Proposal(group[0].finding, tuple(one.effect for one in group), named, choice, curves)
+    keys = tuple(one.effect for one in group)
+    return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
 
 
 def _settings(rival: Rival) -> dict[Hypothesis, Array]:
@@ -141,15 +142,19 @@ def _slopes(sensitivities: Sensitivities, settings: Mapping[Hypothesis, Array]) 
 
 
 def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
-    """Draw what rivals predict in the channels in which they differ most, in noise floors."""
+    """Draw what rivals predict in the channels in which they differ most, and by more than the noise."""
     layout, curves = planned.layout, []
     for channel in np.unique(layout.channel[rows]):
         own = rows[layout.channel[rows] == channel]
+        if own.size == 1:  # a reading at rest
+            continue
         predicted, noise = changes[:, own], float(np.mean(layout.sigma[own]))
         time_s = BIN_s * np.arange(float(own.size))
         differing = predicted - predicted.mean(axis=0)
         curves.append(Curve(layout.channels[channel], layout.units[channel], time_s, differing, noise))
-    return sorted(curves, key=lambda one: -float(np.max(np.abs(one.values))) / one.noise)[:MOST_DRAWN]
+    peaks = [float(np.max(np.abs(one.values))) / one.noise for one in curves]
+    order = sorted(range(len(curves)), key=lambda k: -peaks[k])[:MOST_DRAWN]
+    return [curves[k] for k in order if peaks[k] > 1.0]
 
 
 def save_files(made: NextArmMotion) -> list[str]:

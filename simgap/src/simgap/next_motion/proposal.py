@@ -11,7 +11,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.effect import Size
 from simgap.logs import Logs, Motion, Usable
 from simgap.next_motion.family import Plan, START_s, list_plans, make_motion
-from simgap.next_motion.rivals import choose_rivals
+from simgap.next_motion.rivals import choose_rivals, is_sure
 from simgap.next_motion.separation import Choice, Slopes, choose_motion, scale_slopes
 from simgap.residuals.conditioned import join_conditions
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
@@ -52,6 +52,8 @@ class Proposal:
     """Key of the finding."""
     rivals: tuple[str, ...]
     """Keys of the rivals, the finding first."""
+    is_sure: bool
+    """Whether the logs exclude every rival already."""
     motions: tuple[str, ...]
     """All motions that were compared, in words."""
     choice: Choice
@@ -107,7 +109,8 @@ def propose_motion(
     keys = tuple(one.effect for one in group)
     words = tuple(plan.describe(robot) for plan in plans)
     progress(1.0, "done")
-    return Proposal(group[0].finding, keys, words, choice, family.draw(best)), family.motion(best)
+    made = Proposal(group[0].finding, keys, is_sure(group), words, choice, family.draw(best))
+    return made, family.motion(best)
 
 
 class _Models:

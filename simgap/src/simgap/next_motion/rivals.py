@@ -10,7 +10,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.variation import Dependent
 from simgap.result import Rival
 from simgap.selection.context import Context, FittedModel
-from simgap.selection.verdict import ConfidenceSet
+from simgap.selection.verdict import EXCLUDED, ConfidenceSet
 
 NEXT_MOTION: Final = "the motion that `simgap next` proposes"
 """What to record where rivals of a finding are left."""
@@ -69,3 +69,8 @@ def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
             "another kind may show more"
         )
     return max(doubtful, key=lambda own: own[1].p)
+
+
+def is_sure(group: Sequence[Rival]) -> bool:
+    """Return whether the logs exclude every rival of a finding, as `choose_rivals` returns them."""
+    return group[1].p < EXCLUDED

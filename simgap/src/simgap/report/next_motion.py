@@ -27,6 +27,7 @@ COLOURS: Final = ("#d55e00", "#1f7ad6", "#009e73", "#cc79a7", "#a08000")
 """Colours of rivals (Okabe and Ito), which people with any vision can tell apart."""
 BAND: Final = 2.0
 """Half the width of a band, in standard deviations of the noise."""
+SURE: Final = "The logs exclude the other rivals already, at 95 %: the motion is a check."
 WIDTH, HEIGHT, MARGIN = 640, 260, 52
 
 
@@ -50,6 +51,7 @@ def next_lines(made: Proposal) -> list[str]:
         f"{made.rivals[i]} and {made.rivals[j]}: {made.choice.sigmas[0, least]:.3g} standard deviations; the "
         f"wrong one is excluded with a probability of {_chance(powers[least])}.",
         *([f"It does not tell apart: {'; '.join(pairs)}."] if pairs else []),
+        *([SURE] if made.is_sure else []),
     ]
 
 
