@@ -165,15 +165,14 @@ class Descent:
             self.sizes, self.residuals = trial, moved
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
-            self._damping = max(self._damping, STEP**2)
             self.has_converged = is_small and was_exact
             self._unknown[:], self._seems_converged = is_small, is_small
         elif was_exact:
-            self._damping *= 10.0
+            self._damping = max(10.0 * self._damping, STEP**2)
             self.has_converged = self._damping > MOST_DAMPING
         else:
             self._passed.append((trial[self.free], moved))
-            self._damping *= 4.0
+            self._damping = max(4.0 * self._damping, STEP**2)
             self._failures += 1
             self._unknown[:] = self._failures >= FAILURES
 
