@@ -135,7 +135,8 @@ class Descent:
         damped = hessian + self._damping * np.diag(scale)
         step = bounded_step(damped, gradient, self._low - at, self._high - at, np.sqrt(scale))
         end = self.sizes.copy()
-        end[self.free] = np.clip(at + step, self._low, self._high)  # rounding
+        end[self.free] = np.clip(at + step, self._low, self._high)
+        step = end[self.free] - at  # rounding may make it 0
         return end, -float(2.0 * gradient @ step + step @ hessian @ step)
 
     def _slopes(self) -> Array:
