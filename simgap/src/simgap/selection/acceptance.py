@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Integers
+from simgap.arrays import Array, Integers, bounded_step
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, pseudo_huber
@@ -220,7 +220,8 @@ def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Arra
 def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit, (n_sizes,), after one step without a fold of motions.
 
-    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
+    At the optimum of all motions the gradient is 0, but for sizes that a bound holds: what else derivatives
+    say there is their error. So the step follows from the fold. Derivatives are known to about STEP: what
     changes in sizes do to the other motions is not known where it is STEP times less than what each alone
     does to all motions, and the step does not go there.
     """
@@ -233,13 +234,12 @@ def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array
     a, at = fit.jacobian / scale[:, None], fit.sizes[free]
     unit = np.sqrt(np.maximum(curvature @ a**2 + prior, 1e-300))
     is_other = ~np.isin(model.motion_of[fit.rows], sorted(fold))
-    a, slope, curvature = a[is_other], slope[is_other], curvature[is_other]
-    gradient = a.T @ slope + prior * at
-    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
-    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
-    unit = unit[go]
-    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
-    at[go] -= inverse @ (gradient[go] / unit) / unit
+    every = a.T @ slope + prior * at
+    is_held = ((at <= low) & (every > 0.0)) | ((at >= high) & (every < 0.0))
+    gradient = np.where(is_held, every, 0.0) - a[~is_other].T @ slope[~is_other]
+    a, curvature = a[is_other], curvature[is_other]
+    normal = a.T @ (a * curvature[:, None]) + np.diag(prior)
+    step = bounded_step(normal, gradient, low - at, high - at, unit, STEP**2)
     found = fit.sizes.copy()
-    found[free] = np.clip(at, low, high)
+    found[free] = np.clip(at + step, low, high)
     return found

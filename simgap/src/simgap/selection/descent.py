@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, bounded_step
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, root_weight
 from simgap.selection.fit import STEP, Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
@@ -56,7 +56,7 @@ class Descent:
         self._jacobian[:, self._unknown] = 0.0
         self._is_exact, self._damping, self._failures = False, DAMPING, 0
         self._passed: list[tuple[Array, Array]] = []
-        self.has_begun, self.has_converged = False, len(self.free) == 0
+        self.has_begun, self.has_converged, self._seems_converged = False, len(self.free) == 0, False
 
     def _inside(self, x: Array) -> Array:
         x = x.copy()
@@ -70,19 +70,21 @@ class Descent:
         is_far = np.isin(self.free, sharing.reaching)
         return [int(j) for j in np.where(is_far, ALL_JOINTS, sharing.joint_of_column[self.free])]
 
-    def run(self, iterations: int) -> Requests:
-        """Go on for some iterations, or to the optimum."""
+    def run(self, iterations: int, is_sure: bool) -> Requests:
+        """Go on for some iterations, or to the optimum; to be sure of it takes derivatives by differences."""
         if not self.has_begun:
             self._begin((yield [(self.joint, x) for x in self._starts]))
         for _ in range(iterations):
             if self.has_converged:
                 return
             if self._unknown.any():
+                if self._seems_converged and not is_sure:
+                    return
                 self._set_derivatives((yield self._difference_points()))
             trial, expected = self._step()
             is_last = expected <= CONVERGED * self.loss
             if is_last and not self._is_exact:
-                self._unknown[:] = True
+                self._unknown[:], self._seems_converged = True, True
                 continue
             if expected > 0.0:  # what a last step gains is small beside the loss, not beside the noise
                 (moved,) = yield [(self.joint, trial)]
@@ -120,7 +122,7 @@ class Descent:
                 change = (moved - self.residuals[rows]) / self._steps[k]
                 self._jacobian[rows, k] = np.where(np.isfinite(change), change, 0.0)
         self._is_exact = bool(self._unknown.all())
-        self._unknown[:], self._failures = False, 0
+        self._unknown[:], self._seems_converged, self._failures = False, False, 0
         self._passed.clear()
 
     def _step(self) -> tuple[Array, float]:
@@ -129,17 +131,12 @@ class Descent:
         a, prior, at = self._slopes() * robust[:, None], self._prior_weight**2, self.sizes[self.free]
         gradient = a.T @ (self.residuals * robust) + prior * at
         hessian = a.T @ a + np.diag(prior)
-        is_held = ((at <= self._low) & (gradient > 0)) | ((at >= self._high) & (gradient < 0))
-        go = np.flatnonzero(~is_held)
-        if not len(go):
-            return self.sizes, 0.0
-        block = hessian[np.ix_(go, go)]
-        scale = np.diag(block) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
-        step = np.linalg.solve(block + self._damping * np.diag(scale), -gradient[go])
+        scale = np.diag(hessian) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
+        damped = hessian + self._damping * np.diag(scale)
+        step = bounded_step(damped, gradient, self._low - at, self._high - at, np.sqrt(scale))
         end = self.sizes.copy()
-        end[self.free[go]] = np.clip(at[go] + step, self._low[go], self._high[go])
-        step = end[self.free[go]] - at[go]
-        return end, -float(2.0 * gradient[go] @ step + step @ block @ step)
+        end[self.free] = np.clip(at + step, self._low, self._high)  # rounding
+        return end, -float(2.0 * gradient @ step + step @ hessian @ step)
 
     def _slopes(self) -> Array:
         """Return derivatives at the present sizes, (n_rows, p), that fit to the points passed."""
@@ -168,8 +165,9 @@ class Descent:
             self.sizes, self.residuals = trial, moved
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
+            self._damping = max(self._damping, STEP**2)
             self.has_converged = is_small and was_exact
-            self._unknown[:] = is_small
+            self._unknown[:], self._seems_converged = is_small, is_small
         elif was_exact:
             self._damping *= 10.0
             self.has_converged = self._damping > MOST_DAMPING

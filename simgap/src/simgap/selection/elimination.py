@@ -47,7 +47,8 @@ def drop_needless(
         failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
         while weak := [effect for effect, *_ in failed if effect.key not in kept]:
             weakest, *_ = list_layers(context, weak)
-            without = leave_out(context, present, weakest)
+            known = [model for layer, model in left_out if layer == weakest]
+            without = known[0] if known else leave_out(context, present, weakest)
             gone = [one for one in whole.effects if one not in without.effects]
             for effect in weakest:
                 is_needed, _ = find_need(context, whole, without, list_together(context, effect, gone))

@@ -47,9 +47,9 @@ class Fitting:
         self.descents = [Descent(model, union, one, scales, sharing) for one in hypotheses]
         """One for each hypothesis, until some are given up."""
 
-    def advance(self, iterations: int = MAX_ITERATIONS) -> None:
-        """Let all hypotheses go on for some iterations, or to their optima."""
-        running = [one.run(iterations) for one in self.descents]
+    def advance(self, iterations: int = MAX_ITERATIONS, *, is_sure: bool = False) -> None:
+        """Let all hypotheses go on for some iterations, or to what are or seem to be their optima."""
+        running = [one.run(iterations, is_sure) for one in self.descents]
         asked = {one: points for one in running if (points := next(one, None))}
         while asked:
             go_on = {}
@@ -66,7 +66,7 @@ class Fitting:
 
     def finish(self) -> list[JointFit]:
         """Let all hypotheses go on to their optima."""
-        self.advance()
+        self.advance(is_sure=True)
         return [one.fit() for one in self.descents]
 
 

@@ -13,7 +13,7 @@ from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
-from simgap.residuals.residuals import ResidualModel, pseudo_huber, refer_to
+from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.selection.acceptance import MIN_SHARE, cross_validate, improvement_share
 from simgap.selection.context import (
     Context,
@@ -23,6 +23,7 @@ from simgap.selection.context import (
     fit_together,
     resume_step,
     simulate,
+    start_fitting,
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, scale_residuals, select_rows
 from simgap.selection.screening import expect_round, group_effects, share_simulations
@@ -89,18 +90,18 @@ def fit_starts(context: Context) -> tuple[JointFit, ...]:
                 np.where(np.arange(nominal.size) == column, share * high, 0.0) for share in effect.starts
             ]
         hypotheses += [start_fit(context, (), joint, start) for start in starts]
-    fits = fit_together(context, hypotheses, "fit")
-    best = [
-        min((fit for fit in fits if fit.joint == joint), key=lambda fit: _loss(context, fit))
-        for joint in range(len(context.model.joints))
-    ]
+    fitting = start_fitting(context, hypotheses, "fit")
+    fitting.advance()
+    losses, joint_of = [one.loss for one in fitting.descents], [one.joint for one in fitting.descents]
+    fitting.keep(
+        [
+            min((k for k, own in enumerate(joint_of) if own == joint), key=lambda k: losses[k])
+            for joint in range(len(context.model.joints))
+        ]
+    )
+    best = fitting.finish()
     sizes = merge_sizes(context, nominal, best)
     return tuple(replace(fit, sizes=sizes) for fit in best)
-
-
-def _loss(context: Context, fit: JointFit) -> float:
-    """Return the loss of a fit, without its prior, which is weak."""
-    return float(np.sum(pseudo_huber(fit.residuals / context.scales[context.model.joint_of[fit.rows]])))
 
 
 def _count_motions(model: ResidualModel) -> int:

@@ -21,11 +21,13 @@ from simgap.residuals.residuals import ResidualModel, root_weight
 from simgap.selection.chance import stationary_p, wald_p
 from simgap.selection.context import Context, Score, list_joints, resume_step, simulate
 from simgap.selection.fit import JointFit, Union
-from simgap.selection.sharing import ALL_JOINTS, find_sharing, relative_reach
+from simgap.selection.sharing import ALL_JOINTS, Point, find_sharing, relative_reach
 
-FACTORS: Final = (0.3, -1.0, 3.0)
-"""Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
-negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
+WIDEST: Final = 3.0
+"""Largest factor, up or down, from the typical size of an effect to the second size that is tried."""
+MOST_TRIALS: Final = 4
+"""Most sizes of an effect that are tried. Two halvings of the logarithm of WIDEST find the onset of a limit
+within a third."""
 LEAST_SHARE: Final = 0.3
 """Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
 SHORTLIST: Final = 8
@@ -44,23 +46,60 @@ class Trial:
     """One size vector of the union for each direction, (n_sizes,) each."""
 
 
-def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
-    """List the trials of an effect: one direction for each of its sizes, for each factor."""
-    columns = union.columns([effect])
-    trials = []
-    for factor in FACTORS:
-        points = []
-        for column, size in zip(columns, effect.sizes, strict=True):
-            point = at.copy()
-            signed = factor if size.low < 0.0 else abs(factor)
-            point[column] = np.clip(signed * size.typical, size.low, size.high)
-            points.append(point)
-        if effect.has_shape:  # the other sizes say nothing while the first is 0
-            points[0][columns[1:]] = [size.typical for size in effect.sizes[1:]]
-            points = points[:1]
-        if any(np.any(point != at) for point in points):
-            trials.append(Trial(effect, tuple(points)))
-    return trials
+def try_typical(union: Union, effect: Effect, at: Array) -> Trial | None:
+    """Return the trial of an effect at its typical sizes, one direction each; None if bounds forbid them."""
+    amounts = []
+    for size in effect.sizes:
+        is_free = size.high >= min(size.typical, -size.low)
+        amounts.append(size.typical if is_free else -size.typical)
+    return _try_sizes(union, effect, at, amounts)
+
+
+def try_next(
+    union: Union, white: "Whitened", at: Array, trials: Sequence[Trial], changes: Sequence[Array]
+) -> Trial | None:
+    """Return the next trial of an effect; None if those that were made tell enough.
+
+    The second is at the sizes that the first asks for, or at larger ones if the first changed nothing. A
+    limit acts from some size on, and soon too much: further ones are between one that changed nothing and
+    one that changed too much.
+    """
+    effect, columns = trials[0].effect, union.columns([trials[0].effect])
+    if len(trials) == 1:
+        share = find_share(white, white.clear(changes[0]))
+        amounts = [point[c] for point, c in zip(trials[0].points, columns, strict=False)]
+        for k, one in enumerate(share):
+            factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
+            is_turned = one < 0.0 and effect.sizes[k].low < 0.0
+            amounts[k] *= -factor if is_turned else factor
+        amounts += [trials[0].points[0][c] for c in columns[len(amounts) :]]  # of a shape
+        return _try_sizes(union, effect, at, amounts)
+    acts = [bool(np.any(change)) for change in changes]
+    if len(columns) > 1 or all(acts) or not any(acts):
+        return None
+    too_much = min(
+        (k for k, does in enumerate(acts) if does), key=lambda k: abs(trials[k].points[0][columns[0]])
+    )
+    (share,) = find_share(white, white.clear(changes[too_much]))
+    if share > 1.0 / WIDEST:
+        return None
+    sizes = [abs(one.points[0][columns[0]]) for one in trials]
+    none = max(size for size, does in zip(sizes, acts, strict=True) if not does)
+    between = np.sqrt(none * sizes[too_much])
+    return _try_sizes(union, effect, at, [np.copysign(between, trials[0].points[0][columns[0]])])
+
+
+def _try_sizes(union: Union, effect: Effect, at: Array, amounts: Sequence[float]) -> Trial | None:
+    columns, points = union.columns([effect]), []
+    inside = [np.clip(one, size.low, size.high) for one, size in zip(amounts, effect.sizes, strict=True)]
+    for column, amount in zip(columns, inside, strict=True):
+        point = at.copy()
+        point[column] = amount
+        points.append(point)
+    if effect.has_shape:  # the other sizes say nothing while the first is 0
+        points[0][columns[1:]] = inside[1:]
+        points = points[:1]
+    return Trial(effect, tuple(points)) if any(np.any(point != at) for point in points) else None
 
 
 def group_effects(
@@ -75,14 +114,26 @@ def group_effects(
     return groups
 
 
-def expect_round(context: Context, groups: Mapping[int, Sequence[Effect]], sizes: Array) -> int:
+def list_typical(
+    context: Context, groups: Mapping[int, Sequence[Effect]], at: Array
+) -> list[tuple[int, Trial]]:
+    """List the trials of all effects at their typical sizes, each with its joint."""
+    tried = [
+        (joint, try_typical(context.union, one, at)) for joint, effects in groups.items() for one in effects
+    ]
+    return [(joint, trial) for joint, trial in tried if trial is not None]
+
+
+def list_points(trials: Sequence[tuple[int, Trial]]) -> list[Point]:
+    """List the points of trials, each with its joint."""
+    return [(joint, point) for joint, trial in trials for point in trial.points]
+
+
+def expect_round(context: Context, groups: Mapping[int, Sequence[Effect]], at: Array) -> int:
     """Count the candidates that a round of screening and refits is expected to take, for the progress."""
-    points, refits = [], []
-    for joint, effects in groups.items():
-        trials = [trial for effect in effects for trial in list_trials(context.union, effect, sizes)]
-        points += [(joint, point) for trial in trials for point in trial.points]
-        refits += [(joint, sizes) for _ in effects[:SHORTLIST]]
-    return len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
+    points = list_points(list_typical(context, groups, at))
+    refits = [(joint, at) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
+    return 2 * len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +191,12 @@ def whiten(fits: Sequence[JointFit], model: ResidualModel, scales: Array) -> Whi
     )
 
 
+def find_share(white: Whitened, cleared: Array) -> Array:
+    """Return the shares of cleared changes, (n_points,), whose sum explains most of the residual."""
+    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+    return np.asarray(solution)
+
+
 def score_effect(
     white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array
 ) -> tuple[Score, Array, Array]:
@@ -154,7 +211,7 @@ def score_effect(
     direction = np.zeros(white.residual.size)
     for trial, change in zip(trials, changes, strict=True):
         cleared = white.clear(change)
-        solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+        solution = find_share(white, cleared)
         change = cleared @ solution
         if change @ change > direction @ direction:
             direction = change

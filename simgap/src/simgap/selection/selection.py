@@ -5,13 +5,13 @@ Effects at different joints are selected side by side. An effect at a body compe
 `without` has the residuals of a model without an effect, (n,), in the unit of the residual model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import steady_effect
 from simgap.residuals.noise import count_independent
@@ -49,14 +49,18 @@ from simgap.selection.joint_fits import (
     start_fit,
 )
 from simgap.selection.screening import (
+    MOST_TRIALS,
     SHORTLIST,
     Trial,
+    Whitened,
     adjust,
     expect_round,
     expected_change,
     group_effects,
-    list_trials,
+    list_points,
+    list_typical,
     score_effect,
+    try_next,
     whiten,
 )
 from simgap.selection.sharing import ALL_JOINTS
@@ -73,6 +77,8 @@ member, and a compliance has too narrow an interval."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
+ROUNDING: Final = 1e-12
+"""Change over the largest residual below which it is rounding."""
 
 
 def select_effects(
@@ -157,54 +163,81 @@ def screen(
 
     Return also how many effects are distinct.
     """
-    groups = group_effects(context, open_joints, {effect.key for effect in present.effects})
-    trials = [
-        (joint, trial)
-        for joint, effects in groups.items()
-        for effect in effects
-        for trial in list_trials(context.union, effect, present.sizes)
-    ]
-    # a large change at one joint would hide a small one at another in the same candidate
-    trials.sort(key=lambda pair: -expected_change(context, *pair))
-    points = [(joint, point) for joint, trial in trials for point in trial.points]
-    context.meter.begin_round(expect_round(context, groups, present.sizes), rounds_after)
-    moved = iter(simulate(context, points, "screening"))
-    tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
-    for joint, trial in trials:
-        simulated = [next(moved) for _ in trial.points]
-        tried.setdefault((joint, trial.effect.key), []).append((trial, simulated))
-    best: dict[int, list[Score]] = {joint: [] for joint in groups}
-    directions: dict[int, list[Array]] = {joint: [] for joint in groups}
-    rest: dict[int, Array] = {}
+    groups, at = group_effects(context, open_joints, {one.key for one in present.effects}), present.sizes
+    context.meter.begin_round(expect_round(context, groups, at), rounds_after)
     fits = {joint: fits_at(context, present, joint) for joint in groups}
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
-    for (joint, _), of_effect in tried.items():
-        now = np.concatenate([fit.residuals for fit in fits[joint]])
-        changes = [
-            np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
-            for _, simulated in of_effect
-        ]
-        own = [trial for trial, _ in of_effect]
-        score, direction, left = score_effect(white[joint], own, changes, present.sizes)
-        if score.gain > max((one.gain for one in best[joint]), default=-np.inf):
-            rest[joint] = left
-        best[joint].append(score)
-        directions[joint].append(direction)
-    ranked = []
-    for joint, scores in best.items():
-        # a misfit that the best effect explains is no memory of the noise
-        n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
-        ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
+    tried = try_sizes(context, fits, white, list_typical(context, groups, at), at)
+    scores: dict[int, list[tuple[Score, Array, Array]]] = {joint: [] for joint in groups}
+    for (joint, _), trials, changes in tried:
+        scores[joint].append(score_effect(white[joint], trials, changes, at))
+    shortlist = [
+        one for joint, of_joint in scores.items() for one in list_best(context, white[joint].rows, of_joint)
+    ]
     count = len if context.model.noise_std else count_distinct  # probabilities are exact then
-    n_distinct = float(sum(count(group) for group in directions.values()))
-    return [score for group in ranked for score in list_best(group)], n_distinct
+    n_distinct = sum(count([direction for _, direction, _ in of_joint]) for of_joint in scores.values())
+    return shortlist, float(n_distinct)
 
 
-def list_best(ranked: Sequence[Score]) -> list[Score]:
-    """List the first SHORTLIST effects of a ranking with their variations: a refit tells them apart."""
+def list_best(context: Context, rows: Integers, scores: Sequence[tuple[Score, Array, Array]]) -> list[Score]:
+    """List the SHORTLIST best effects of a joint, with their variations: a refit tells them apart.
+
+    Each has a score, its largest change, and what it leaves in the rows, as `score_effect` returns them.
+    """
+    if not scores:
+        return []
+    # a misfit that the best effect explains is no memory of the noise
+    _, _, rest = max(scores, key=lambda one: one[0].gain)
+    n = count_independent(context.model, rows, rest)
+    ranked = sorted((one for one, *_ in scores), key=lambda one: -adjust(one.gain, len(one.effect.sizes), n))
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
+
+
+def try_sizes(
+    context: Context,
+    fits: Mapping[int, Sequence[JointFit]],
+    white: Mapping[int, Whitened],
+    first: Sequence[tuple[int, Trial]],
+    at: Array,
+) -> list[tuple[tuple[int, Trial], list[Trial], list[Array]]]:
+    """Simulate effects at sizes that follow from what smaller or larger ones have changed.
+
+    Return for each first trial all trials of its effect, with the changes of the residuals.
+    """
+    tried: list[tuple[tuple[int, Trial], list[Trial], list[Array]]] = [(one, [], []) for one in first]
+    wanted = {k: trial for k, (_, trial) in enumerate(first)}
+    while wanted:
+        found = simulate_trials(context, fits, [(first[k][0], trial) for k, trial in wanted.items()])
+        for (k, trial), change in zip(wanted.items(), found, strict=True):
+            tried[k][1].append(trial)
+            tried[k][2].append(change)
+        following = {
+            k: try_next(context.union, white[first[k][0]], at, *tried[k][1:])
+            for k in wanted
+            if len(tried[k][1]) < MOST_TRIALS
+        }
+        wanted = {k: trial for k, trial in following.items() if trial is not None}
+    return tried
+
+
+def simulate_trials(
+    context: Context, fits: Mapping[int, Sequence[JointFit]], trials: Sequence[tuple[int, Trial]]
+) -> list[Array]:
+    """Simulate trials, each at its joint; return what each changes in the residuals, (n_rows, n_points)."""
+    # a large change at one joint would hide a small one at another in the same candidate
+    order = sorted(range(len(trials)), key=lambda k: -expected_change(context, *trials[k]))
+    moved = iter(simulate(context, list_points([trials[k] for k in order]), "screening"))
+    changes: dict[int, Array] = {}
+    for k in order:
+        joint, trial = trials[k]
+        now = np.concatenate([fit.residuals for fit in fits[joint]])
+        simulated = [next(moved) for _ in trial.points]
+        change = np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
+        # another batch may change the last bit
+        changes[k] = np.where(np.abs(change) > ROUNDING * np.max(np.abs(now)), change, 0.0)
+    return [changes[k] for k in range(len(trials))]
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Array]:
