@@ -8,7 +8,7 @@ import pytest
 
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
-from simgap.effects.effect import Effect
+from simgap.effects.effect import Effect, Size
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection import elimination, verdict
 from simgap.selection.acceptance import compare_motions, compare_with_noise
@@ -21,6 +21,36 @@ from simgap.selection.selection import select_effects
 from simgap.selection.sharing import ALL_JOINTS, find_sharing
 
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))
+
+
+class Clamp(Toy):
+    """Effect that limits the command to one over its size."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        return (Size(self.label, 0.0, 20.0, 2.9),)
+
+
+class Clamped(ToyResiduals):
+    """Residuals of joints whose command may be limited."""
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        is_clamp = np.array([isinstance(effect, Clamp) for effect in effects], bool)
+        others = [effect for effect, is_one in zip(effects, is_clamp, strict=True) if not is_one]
+        rows = super().residuals(others, sizes[:, ~is_clamp])
+        limit = 1.0 / np.maximum(sizes[:, is_clamp].sum(axis=1), 1e-9)[:, None]
+        near = self.commands.ravel() * (self.joint_of == 0)
+        return np.asarray(rows - 0.3 * (np.clip(near, -limit, limit) - near))
+
+
+def test_a_limit_that_acts_only_just_is_found() -> None:
+    toy = draw_toy(1, {})
+    measured = toy.measured + 0.3 * (np.clip(toy.commands, -1 / 1.15, 1 / 1.15) - toy.commands)
+    measured[1] = toy.measured[1]
+    clamp = Clamp("near", "clamp", np.square)
+    chosen = select_effects(Clamped(toy.commands, measured, NAMES), BASE, (clamp, *CATALOGUE), seed=1).chosen
+    assert [effect.key for effect in chosen.effects] == [clamp.key]
+    assert chosen.sizes[2] == pytest.approx(1.15, abs=0.02)
 
 
 @pytest.mark.parametrize("touch", [0.0, 1e-6, 1e-3])

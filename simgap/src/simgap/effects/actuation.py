@@ -45,7 +45,9 @@ class GainError(JointEffect):
 class DampingGain(AddedNumber):
     """Damping of the loop is other than nominal.
 
-    Without a limit of the torque, and with a command at rest, it is viscous friction.
+    What is added is back-EMF: it acts under power, and outside the limit of the torque, which is one of the
+    voltage. So the largest torque falls with the speed. Without a limit, and with a command at rest, it is
+    viscous friction.
     """
 
     name: ClassVar[str] = "damping gain"
@@ -63,6 +65,14 @@ class DampingGain(AddedNumber):
         """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Lower the limit where the motor drives, and raise it where the motor brakes."""
+        j, joint = self.index, self.joint
+        if joint.mode is not ControlMode.POSITION or not np.isfinite(joint.torque_limit_Nm):
+            return
+        driving = np.sign(tick.command[:, j] - tick.state.q_rad[:, j]) * tick.state.v_rad_s[:, j]
+        tick.torque_limit_Nm[:, j] = np.maximum(tick.torque_limit_Nm[:, j] - size[:, 0] * driving, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,7 +135,8 @@ class Descent:
         damped = hessian + self._damping * np.diag(scale)
         step = bounded_step(damped, gradient, self._low - at, self._high - at, np.sqrt(scale))
         end = self.sizes.copy()
-        end[self.free] = np.clip(at + step, self._low, self._high)  # rounding
+        end[self.free] = np.clip(at + step, self._low, self._high)
+        step = end[self.free] - at  # rounding may make it 0
         return end, -float(2.0 * gradient @ step + step @ hessian @ step)
 
     def _slopes(self) -> Array:
@@ -165,15 +166,14 @@ class Descent:
             self.sizes, self.residuals = trial, moved
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
-            self._damping = max(self._damping, STEP**2)
             self.has_converged = is_small and was_exact
             self._unknown[:], self._seems_converged = is_small, is_small
         elif was_exact:
-            self._damping *= 10.0
+            self._damping = max(10.0 * self._damping, STEP**2)
             self.has_converged = self._damping > MOST_DAMPING
         else:
             self._passed.append((trial[self.free], moved))
-            self._damping *= 4.0
+            self._damping = max(4.0 * self._damping, STEP**2)
             self._failures += 1
             self._unknown[:] = self._failures >= FAILURES
 

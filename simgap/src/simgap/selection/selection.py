@@ -172,15 +172,19 @@ def screen(
     for (joint, _), trials, changes in tried:
         scores[joint].append(score_effect(white[joint], trials, changes, at))
     shortlist = [
-        one for joint, of_joint in scores.items() for one in list_best(context, white[joint].rows, of_joint)
+        one
+        for joint, of_joint in scores.items()
+        for one in list_best(rank_effects(context, white[joint].rows, of_joint))
     ]
     count = len if context.model.noise_std else count_distinct  # probabilities are exact then
     n_distinct = sum(count([direction for _, direction, _ in of_joint]) for of_joint in scores.values())
     return shortlist, float(n_distinct)
 
 
-def list_best(context: Context, rows: Integers, scores: Sequence[tuple[Score, Array, Array]]) -> list[Score]:
-    """List the SHORTLIST best effects of a joint, with their variations: a refit tells them apart.
+def rank_effects(
+    context: Context, rows: Integers, scores: Sequence[tuple[Score, Array, Array]]
+) -> list[Score]:
+    """Rank effects of a joint by the share that each explains, less what its sizes explain of noise.
 
     Each has a score, its largest change, and what it leaves in the rows, as `score_effect` returns them.
     """
@@ -189,7 +193,11 @@ def list_best(context: Context, rows: Integers, scores: Sequence[tuple[Score, Ar
     # a misfit that the best effect explains is no memory of the noise
     _, _, rest = max(scores, key=lambda one: one[0].gain)
     n = count_independent(context.model, rows, rest)
-    ranked = sorted((one for one, *_ in scores), key=lambda one: -adjust(one.gain, len(one.effect.sizes), n))
+    return sorted((one for one, *_ in scores), key=lambda one: -adjust(one.gain, len(one.effect.sizes), n))
+
+
+def list_best(ranked: Sequence[Score]) -> list[Score]:
+    """List the first SHORTLIST effects of a ranking with their variations: a refit tells them apart."""
     steady = [steady_effect(one.effect) for one in ranked]
     first = [*dict.fromkeys(one.key for one in steady)][:SHORTLIST]
     return [score for score, one in zip(ranked, steady, strict=True) if one.key in first]
