@@ -20,6 +20,8 @@ QUIETLY = --disable-pip-version-check --quiet
 # Python compiles what is imported; to compile all that is installed takes 15 s of a processor.
 ONLY = --no-compile --no-deps
 INSTALL = $(PIP) $(QUIETLY) install $(ONLY)
+# Setuptools, of half 1, installs this project, and warns of each folder that is installed as it stands.
+LINK = PYTHONWARNINGS=ignore $(INSTALL) --no-build-isolation -e simgap -e .
 WORKERS ?= 2
 
 # What Python compiled stays: each of the many processes of a test would compile it anew.
@@ -76,8 +78,11 @@ lint: $(VENV)/tests
 	$(BIN)/python -m validation requirements --brief || failed=1; \
 	exit $$failed
 
-# Setuptools, of half 1, installs this project, and warns of each folder that is installed as it stands.
-$(VENV)/ready: requirements.lock pyproject.toml simgap/pyproject.toml
+$(VENV)/ready: $(VENV)/locked pyproject.toml simgap/pyproject.toml
+	@[ $(VENV)/locked -nt pyproject.toml ] && [ $(VENV)/locked -nt simgap/pyproject.toml ] || $(LINK)
+	@touch $@
+
+$(VENV)/locked: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  $(call say,$(PYTHON) is missing or older than 3.11. Install Python 3.11 or later or name one: make PYTHON=python3.12); exit 1; }
 	@$(call say,setting up $(VENV) with $$($(PYTHON) -V))
@@ -90,7 +95,7 @@ $(VENV)/ready: requirements.lock pyproject.toml simgap/pyproject.toml
 	@for half in 0 1; do \
 	  awk -v half=$$half '/^[^ #]/ {mine = /^setuptools==/ ? half : n++ % 2 == half} mine' requirements.lock > $(VENV)/half$$half; done
 	@$(INSTALL) --require-hashes -r $(VENV)/half0 & $(INSTALL) --require-hashes -r $(VENV)/half1 \
-	  && PYTHONWARNINGS=ignore $(INSTALL) --no-build-isolation -e simgap -e . && wait $$! \
+	  && $(LINK) && wait $$! \
 	  || { wait; $(call say,$(NOT_INSTALLED)); exit 1; }
 	@touch $@
 

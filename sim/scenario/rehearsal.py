@@ -33,7 +33,7 @@ from fsw.executive.commands import handle
 from fsw.executive.context import EVENT_OF, TRANSITIONS, CommandContext, ModeEvent, check_mode
 from fsw.executive.expansion import CompoundCommand, locate_surface
 from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
-from fsw.kinematics.transforms import Array, normalize
+from fsw.kinematics.transforms import normalize
 from fsw.motion.plan import Refusal
 from fsw.state import Hold, State, boot
 from sim.arms import BuiltArm
@@ -75,8 +75,7 @@ def _rehearse(config: Config, state: State, command: Command, surface: Surface |
     before = CommandContext(state, True, np.isin(range(len(config.protection.switch_names)), switches))
     if isinstance(command, Calibrate | CalibrateAll):
         problem = check_mode(before, ModeEvent.MOVE_FREE)
-        at_end = replace(state, joints=joints_at(state.joints, _end_of_homing(config, state, command)))
-        return at_end if problem is None else Refusal(problem)
+        return _end_homing(config, state, command) if problem is None else Refusal(problem)
     begun = handle(config, before, command)
     refused = next((evr for evr in begun.evrs if isinstance(evr, CommandRefused)), None)
     if refused is not None:
@@ -93,12 +92,17 @@ def _rehearse(config: Config, state: State, command: Command, surface: Surface |
             return _end_motion(config, state, _end_on_surface(command, surface))
 
 
-def _end_of_homing(config: Config, state: State, command: Calibrate | CalibrateAll) -> Array:
-    """Return the output angles after a joint, or each one, has found its hardstop, (5,)."""
+def _end_homing(config: Config, state: State, command: Calibrate | CalibrateAll) -> State:
+    """Return the state after a joint, or each one, has found its hardstop."""
     if isinstance(command, CalibrateAll):
-        return np.array(config.params.hardstop.park_rad)
-    at_stop = np.array([joint.hardstop_rad for joint in config.params.joints.in_order()])
-    return np.where(np.arange(at_stop.size) == command.joint, at_stop, state.joints.output_rad)
+        homed, end_rad = np.ones(len(Joint), bool), np.array(config.params.hardstop.park_rad)
+    else:
+        homed = np.arange(len(Joint)) == command.joint
+        at_stop = np.array([joint.hardstop_rad for joint in config.params.joints.in_order()])
+        end_rad = np.where(homed, at_stop, state.joints.output_rad)
+    joints = joints_at(state.joints, end_rad)
+    reference = replace(joints.reference, calibrated=joints.reference.calibrated | homed)
+    return replace(state, joints=replace(joints, reference=reference))
 
 
 def _end_motion(config: Config, state: State, command: MotionCommand) -> State | Refusal:

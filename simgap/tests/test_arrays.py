@@ -1,9 +1,9 @@
-"""The step inside bounds is the least of its quadratic model, and never leads uphill."""
+"""The minimum inside bounds is that of the quadratic model, and a bound is met exactly."""
 
 import numpy as np
 import pytest
 
-from simgap.arrays import Array, bounded_step
+from simgap.arrays import Array, find_bounded_minimum
 
 
 def draw(seed: int) -> tuple[Array, Array, Array, Array]:
@@ -15,18 +15,31 @@ def draw(seed: int) -> tuple[Array, Array, Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_no_other_step_inside_bounds_goes_lower(seed: int) -> None:
+def test_no_other_place_inside_bounds_is_lower(seed: int) -> None:
     hessian, gradient, low, high = draw(seed)
-    unit = np.sqrt(np.diag(hessian))
-    step = bounded_step(hessian, gradient, low, high, unit)
-    assert np.all((step >= low - 1e-12) & (step <= high + 1e-12))
-    slope = (gradient + hessian @ step) / unit  # the conditions of Karush, Kuhn and Tucker
+    unit, at = np.sqrt(np.diag(hessian)), np.random.default_rng(seed).uniform(low, high)
+    end = find_bounded_minimum(hessian, gradient, at, (low, high), unit)
+    assert np.all((end >= low) & (end <= high))
+    slope = (gradient + hessian @ (end - at)) / unit  # the conditions of Karush, Kuhn and Tucker
     small = 1e-6 * np.linalg.norm(gradient / unit)
-    assert np.all((slope >= -small) | (step >= high - 1e-12))
-    assert np.all((slope <= small) | (step <= low + 1e-12))
+    assert np.all((slope >= -small) | (end == high))
+    assert np.all((slope <= small) | (end == low))
 
 
 def test_a_direction_that_nothing_shows_stays() -> None:
     hessian, bound = np.diag([1.0, 1e-6]), np.full(2, 100.0)
-    step = bounded_step(hessian, np.array([1.0, 1e-3]), -bound, bound, np.ones(2), 1e-3)
-    np.testing.assert_allclose(step, [-1.0, 0.0])
+    end = find_bounded_minimum(hessian, np.array([1.0, 1e-3]), np.zeros(2), (-bound, bound), np.ones(2), 1e-3)
+    np.testing.assert_allclose(end, [-1.0, 0.0])
+
+
+def test_a_direction_that_nothing_shows_stays_where_another_meets_a_bound() -> None:
+    hessian = np.array([[1.0, 0.01], [0.01, 1.01e-4]])
+    bounds = np.array([0.0, -10.0]), np.array([1.0, 10.0])
+    end = find_bounded_minimum(hessian, np.array([1.0, 0.0]), np.zeros(2), bounds, np.ones(2), 0.0025)
+    np.testing.assert_allclose(end, [0.0, 0.0], atol=0.02)
+
+
+def test_a_size_without_room_stays() -> None:
+    bounds = np.array([0.0, -1.0]), np.array([0.0, 1.0])
+    end = find_bounded_minimum(np.eye(2), np.array([0.5, 0.5]), np.zeros(2), bounds, np.ones(2))
+    np.testing.assert_allclose(end, [0.0, -0.5])

@@ -1,4 +1,4 @@
-"""Types of arrays, the basis of what columns span, and the step to the minimum inside bounds."""
+"""Types of arrays, the basis of what columns span, and the minimum inside bounds."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +16,39 @@ def orthonormal(changes: Array) -> Array:
     return np.asarray(left[:, values > 1e-8 * np.max(values, initial=0.0)])
 
 
-def bounded_step(
-    hessian: Array, gradient: Array, low: Array, high: Array, unit: Array, rcond: float = 1e-14
+def find_bounded_minimum(
+    hessian: Array,
+    gradient: Array,
+    at: Array,
+    bounds: tuple[Array, Array],
+    unit: Array,
+    rcond: float = 1e-14,
 ) -> Array:
-    """Return the step inside bounds, (n,), at which `2 gradient @ step + step @ hessian @ step` is least.
+    """Return where `2 gradient @ step + step @ hessian @ step` is least inside bounds, (n,), from `at`.
 
-    A step that is only cut at bounds may lead uphill, because its other sizes count on what was cut off.
+    A step that is only cut at bounds may lead uphill, because its other sizes count on what was cut off. What
+    ends at a bound has exactly its value.
 
     Args:
         hessian: Matrix of second derivatives, (n, n), without a negative eigenvalue.
+        bounds: Lower and upper bounds, (n,) each; `at` is inside.
         unit: Scale of each size, (n,): its step times this has no unit.
-        rcond: Directions without a unit in which the matrix is below this share of its largest value stay.
+        rcond: Along directions without a unit in which the matrix is below this share of its largest value,
+            no step is made.
     """
+    low, high = bounds
     values, vectors = np.linalg.eigh(hessian / np.outer(unit, unit))
     known = values > rcond * np.max(values, initial=0.0)
-    root, vectors = np.sqrt(values[known]), vectors[:, known]
-    if not len(root):
-        return np.zeros_like(gradient)
-    aim = -(vectors.T @ (gradient / unit)) / root
-    found = lsq_linear(root[:, None] * vectors.T, aim, (low * unit, high * unit), method="bvls")
-    return np.asarray(found.x / unit)
+    free = low < high
+    if not known.any() or not free.any():
+        return at
+    root = np.sqrt(np.where(known, values, np.max(values)))  # what is not known is stiff
+    aim = np.where(known, -(vectors.T @ (gradient / unit)) / root, 0.0)
+    room = ((low - at) * unit)[free], ((high - at) * unit)[free]
+    found = lsq_linear((root[:, None] * vectors.T)[:, free], aim, room, method="bvls")
+    end = at.copy()
+    end[free] = np.clip(at[free] + found.x / unit[free], low[free], high[free])
+    end[free] = np.where(
+        found.active_mask < 0, low[free], np.where(found.active_mask > 0, high[free], end[free])
+    )
+    return end

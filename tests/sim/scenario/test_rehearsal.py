@@ -54,6 +54,10 @@ FINE = {
     "a press": ("ready", (PLACE, PRESS, Preload("apxs", 80.0), Preload("apxs", 12.0), RELEASE, BACK)),
     "there and back": ("stowed", (Unstow(), Stow(), Unstow())),
     "joints": ("ready", (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.9), Process("portion", UP_T, 1.0))),
+    "a hardstop elsewhere": (
+        "ready",
+        (SetParam("joints.turret.hardstop_rad", -0.38646), CalibrateAll(), MoveJoint(Joint.TURRET, 0.0)),
+    ),
     "settings anywhere": ("stowed", (SetTilt(0.0, 0.0), Stop(), Unstow(), SetTilt(0.0, 0.0))),
     "what comes after a fault": ("ready", (PLACE, ClearFault(), PLACE, PLACE)),
 }

@@ -1,5 +1,6 @@
 """Faults of a servo: of its gains and its torque."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
@@ -45,9 +46,9 @@ class GainError(JointEffect):
 class DampingGain(AddedNumber):
     """Damping of the loop is other than nominal.
 
-    What is added is back-EMF: it acts under power, and outside the limit of the torque, which is one of the
-    voltage. So the largest torque falls with the speed. Without a limit, and with a command at rest, it is
-    viscous friction.
+    What is added to a position loop is back-EMF: it acts under power, and outside the limit of the torque,
+    which is one of the voltage. So the largest torque falls with the speed, and under power it is viscous
+    friction.
     """
 
     name: ClassVar[str] = "damping gain"
@@ -66,13 +67,20 @@ class DampingGain(AddedNumber):
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether it acts in these hooks: in control periods only where the torque has a limit."""
+        has_limit = self.joint.mode is ControlMode.POSITION and math.isfinite(self.joint.torque_limit_Nm)
+        return AddedNumber.overrides(self, *(one for one in hooks if one != "act" or has_limit))
+
     def act(self, size: Array, tick: Tick) -> None:
-        """Lower the limit where the motor drives, and raise it where the motor brakes."""
-        j, joint = self.index, self.joint
-        if joint.mode is not ControlMode.POSITION or not np.isfinite(joint.torque_limit_Nm):
-            return
+        """Lower the limit where the motor drives, and raise it where the motor brakes.
+
+        Less than the nominal gain is no back-EMF: that gain acts inside the limit.
+        """
+        j = self.index
         driving = np.sign(tick.command[:, j] - tick.state.q_rad[:, j]) * tick.state.v_rad_s[:, j]
-        tick.torque_limit_Nm[:, j] = np.maximum(tick.torque_limit_Nm[:, j] - size[:, 0] * driving, 0.0)
+        left_Nm = tick.torque_limit_Nm[:, j] - np.maximum(size[:, 0], 0.0) * driving
+        tick.torque_limit_Nm[:, j] = np.maximum(left_Nm, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

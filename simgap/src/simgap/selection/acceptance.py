@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Integers, bounded_step
+from simgap.arrays import Array, Integers, find_bounded_minimum
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, pseudo_huber
@@ -239,7 +239,6 @@ def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array
     gradient = np.where(is_held, every, 0.0) - a[~is_other].T @ slope[~is_other]
     a, curvature = a[is_other], curvature[is_other]
     normal = a.T @ (a * curvature[:, None]) + np.diag(prior)
-    step = bounded_step(normal, gradient, low - at, high - at, unit, STEP**2)
     found = fit.sizes.copy()
-    found[free] = np.clip(at + step, low, high)
+    found[free] = find_bounded_minimum(normal, gradient, at, (low, high), unit, STEP**2)
     return found

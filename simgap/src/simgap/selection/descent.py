@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, bounded_step
+from simgap.arrays import Array, Flags, find_bounded_minimum
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, root_weight
 from simgap.selection.fit import STEP, Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
@@ -133,10 +133,10 @@ class Descent:
         hessian = a.T @ a + np.diag(prior)
         scale = np.diag(hessian) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
         damped = hessian + self._damping * np.diag(scale)
-        step = bounded_step(damped, gradient, self._low - at, self._high - at, np.sqrt(scale))
         end = self.sizes.copy()
-        end[self.free] = np.clip(at + step, self._low, self._high)
-        step = end[self.free] - at  # rounding may make it 0
+        bounds = self._low, self._high
+        end[self.free] = find_bounded_minimum(damped, gradient, at, bounds, np.sqrt(scale))
+        step = end[self.free] - at
         return end, -float(2.0 * gradient @ step + step @ hessian @ step)
 
     def _slopes(self) -> Array:

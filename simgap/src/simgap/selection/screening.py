@@ -29,7 +29,7 @@ MOST_TRIALS: Final = 4
 """Most sizes of an effect that are tried. Two halvings of the logarithm of WIDEST find the onset of a limit
 within a third."""
 LEAST_SHARE: Final = 0.3
-"""Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
+"""Least share of a tried size from which a fit starts: one over WIDEST, rounded."""
 SHORTLIST: Final = 8
 """Effects of a joint that are refitted in a round: a third of its catalogue. In 20 sealed cases of robots,
 what was then accepted was sixth in the screen at worst."""
@@ -73,7 +73,9 @@ def try_next(
             is_turned = one < 0.0 and effect.sizes[k].low < 0.0
             amounts[k] *= -factor if is_turned else factor
         amounts += [trials[0].points[0][c] for c in columns[len(amounts) :]]  # of a shape
-        return _try_sizes(union, effect, at, amounts)
+        second = _try_sizes(union, effect, at, amounts)
+        is_same = second is not None and np.array_equal(second.points, trials[0].points)
+        return None if is_same else second
     acts = [bool(np.any(change)) for change in changes]
     if len(columns) > 1 or all(acts) or not any(acts):
         return None
@@ -85,6 +87,8 @@ def try_next(
         return None
     sizes = [abs(one.points[0][columns[0]]) for one in trials]
     none = max(size for size, does in zip(sizes, acts, strict=True) if not does)
+    if none >= sizes[too_much]:
+        return None
     between = np.sqrt(none * sizes[too_much])
     return _try_sizes(union, effect, at, [np.copysign(between, trials[0].points[0][columns[0]])])
 
