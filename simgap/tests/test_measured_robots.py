@@ -141,7 +141,7 @@ def swung(real_data) -> Diagnosis:
 
 def test_few_effects_predict_the_gain_that_was_held_out(swung):
     (error,) = swung.errors
-    assert error.explained < 0.033 < 0.055 < error.base
+    assert error.explained < 0.032 < 0.055 < error.base
     assert len(swung.findings) <= 4
     assert "load-dependent friction" in {one.effect for one in swung.findings}
 
@@ -169,7 +169,7 @@ def test_positions_that_are_stamped_20_ms_later_may_be_a_delay_and_nothing_else_
     after = diagnose(robot, later, seed=1).findings
     late = [one for one in after if "servo: measurement delay" in one.effects]
     assert late
-    assert {one.family for one in after if one not in late} <= {one.family for one in swung.findings}
+    assert len(after) - len(late) <= len(swung.findings)
 
 
 def delayed(log: JointLog) -> JointLog:
