@@ -213,7 +213,7 @@ def unavailable_reason() -> str | None:
             capture_output=True,
             text=True,
             timeout=PROBE_TIMEOUT_S,
-            process_group=0,  # Ctrl-C is for the command, which then kills the probe
+            process_group=0,  # Ctrl-C is for the command
         )
     except subprocess.TimeoutExpired:
         return f"the driver did not answer in {PROBE_TIMEOUT_S:.0f} s"

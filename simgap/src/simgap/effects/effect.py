@@ -321,7 +321,7 @@ class AddedNumber(JointEffect):
     """Number of a joint beside that of the model."""
 
     number: ClassVar[str]
-    """Name of the number, in the scales of the joint and in the fields of a simulation."""
+    """Name of the number in the fields of a simulation; in the scales of the joint, if it is the model's."""
 
     @property
     def nominal(self) -> float:

@@ -64,33 +64,41 @@ def try_next(
     limit acts from some size on, and soon too much: further ones are between one that changed nothing and
     one that changed too much.
     """
-    effect, columns = trials[0].effect, union.columns([trials[0].effect])
+    if len(trials) == MOST_TRIALS:
+        return None
     if len(trials) == 1:
-        share = find_share(white, white.clear(changes[0]))
-        amounts = [point[c] for point, c in zip(trials[0].points, columns, strict=False)]
-        for k, one in enumerate(share):
-            factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
-            is_turned = one < 0.0 and effect.sizes[k].low < 0.0
-            amounts[k] *= -factor if is_turned else factor
-        amounts += [trials[0].points[0][c] for c in columns[len(amounts) :]]  # of a shape
-        second = _try_sizes(union, effect, at, amounts)
-        is_same = second is not None and np.array_equal(second.points, trials[0].points)
-        return None if is_same else second
-    acts = [bool(np.any(change)) for change in changes]
-    if len(columns) > 1 or all(acts) or not any(acts):
+        return _try_wanted(union, at, trials[0], find_share(white, white.clear(changes[0])))
+    return _try_between(union, white, at, trials, changes)
+
+
+def _try_wanted(union: Union, at: Array, trial: Trial, share: Array) -> Trial | None:
+    effect, columns = trial.effect, union.columns([trial.effect])
+    amounts = [point[c] for point, c in zip(trial.points, columns, strict=False)]
+    for k, one in enumerate(share):
+        factor = np.clip(abs(one), 1.0 / WIDEST, WIDEST) if one else WIDEST
+        is_turned = one < 0.0 and effect.sizes[k].low < 0.0
+        amounts[k] *= -factor if is_turned else factor
+    amounts += [trial.points[0][c] for c in columns[len(amounts) :]]  # of a shape
+    second = _try_sizes(union, effect, at, amounts)
+    is_same = second is not None and np.array_equal(second.points, trial.points)
+    return None if is_same else second
+
+
+def _try_between(
+    union: Union, white: "Whitened", at: Array, trials: Sequence[Trial], changes: Sequence[Array]
+) -> Trial | None:
+    effect, (column, *more) = trials[0].effect, union.columns([trials[0].effect])
+    sizes = [abs(one.points[0][column]) for one in trials]
+    acting = [k for k, change in enumerate(changes) if np.any(change)]
+    silent = [size for k, size in enumerate(sizes) if k not in acting]
+    if more or not acting or not silent:
         return None
-    too_much = min(
-        (k for k, does in enumerate(acts) if does), key=lambda k: abs(trials[k].points[0][columns[0]])
-    )
+    too_much, none = min(acting, key=lambda k: sizes[k]), max(silent)
     (share,) = find_share(white, white.clear(changes[too_much]))
-    if share > 1.0 / WIDEST:
-        return None
-    sizes = [abs(one.points[0][columns[0]]) for one in trials]
-    none = max(size for size, does in zip(sizes, acts, strict=True) if not does)
-    if none >= sizes[too_much]:
+    if share > 1.0 / WIDEST or none >= sizes[too_much]:
         return None
     between = np.sqrt(none * sizes[too_much])
-    return _try_sizes(union, effect, at, [np.copysign(between, trials[0].points[0][columns[0]])])
+    return _try_sizes(union, effect, at, [np.copysign(between, trials[0].points[0][column])])
 
 
 def _try_sizes(union: Union, effect: Effect, at: Array, amounts: Sequence[float]) -> Trial | None:

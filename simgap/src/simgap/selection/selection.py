@@ -49,7 +49,6 @@ from simgap.selection.joint_fits import (
     start_fit,
 )
 from simgap.selection.screening import (
-    MOST_TRIALS,
     SHORTLIST,
     Trial,
     Whitened,
@@ -169,7 +168,7 @@ def screen(
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
     tried = try_sizes(context, fits, white, list_typical(context, groups, at), at)
     scores: dict[int, list[tuple[Score, Array, Array]]] = {joint: [] for joint in groups}
-    for (joint, _), trials, changes in tried:
+    for joint, trials, changes in tried:
         scores[joint].append(score_effect(white[joint], trials, changes, at))
     shortlist = [
         one
@@ -209,24 +208,21 @@ def try_sizes(
     white: Mapping[int, Whitened],
     first: Sequence[tuple[int, Trial]],
     at: Array,
-) -> list[tuple[tuple[int, Trial], list[Trial], list[Array]]]:
+) -> list[tuple[int, list[Trial], list[Array]]]:
     """Simulate effects at sizes that follow from what smaller or larger ones have changed.
 
-    Return for each first trial all trials of its effect, with the changes of the residuals.
+    Return for each first trial its joint, all trials of its effect, and what they change in the residuals.
     """
-    tried: list[tuple[tuple[int, Trial], list[Trial], list[Array]]] = [(one, [], []) for one in first]
-    wanted = {k: trial for k, (_, trial) in enumerate(first)}
-    while wanted:
-        found = simulate_trials(context, fits, [(first[k][0], trial) for k, trial in wanted.items()])
-        for (k, trial), change in zip(wanted.items(), found, strict=True):
-            tried[k][1].append(trial)
-            tried[k][2].append(change)
-        following = {
-            k: try_next(context.union, white[first[k][0]], at, *tried[k][1:])
-            for k in wanted
-            if len(tried[k][1]) < MOST_TRIALS
-        }
-        wanted = {k: trial for k, trial in following.items() if trial is not None}
+    tried: list[tuple[int, list[Trial], list[Array]]] = [(joint, [], []) for joint, _ in first]
+    wanted: dict[int, Trial | None] = {k: trial for k, (_, trial) in enumerate(first)}
+    while following := {k: trial for k, trial in wanted.items() if trial is not None}:
+        found = simulate_trials(context, fits, [(first[k][0], trial) for k, trial in following.items()])
+        wanted = {}
+        for (k, trial), change in zip(following.items(), found, strict=True):
+            joint, trials, changes = tried[k]
+            trials.append(trial)
+            changes.append(change)
+            wanted[k] = try_next(context.union, white[joint], at, trials, changes)
     return tried
 
 
