@@ -111,6 +111,11 @@ def test_a_constant_motor_torque_moves_the_joint_as_the_law_says(
     assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
 
 
+def test_a_spring_may_be_weaker_than_that_of_the_model_but_does_not_push_away() -> None:
+    stiffness, _ = at_swing(Spring, level(), stiffness_Nm_rad=0.1).sizes
+    assert stiffness.low == -0.1
+
+
 def test_load_friction_counts_the_inertia_of_the_link_and_not_of_the_rotor() -> None:
     robot = level()
     found = simulated(robot, held(0.1), (at_swing(LoadFriction, robot), [0.3]))

@@ -30,7 +30,7 @@ from simgap.simulation.compiled import Models
 from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 
-SCALES = {"swing": JointScales(0.02, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 2.0, math.nan, math.nan)}
+SCALES = {"swing": JointScales(0.02, 0.0, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 2.0, math.nan, math.nan)}
 ROBOT = pendulum(limit_Nm=1.5)
 IN_MODEL = {ViscousFriction: 0.01, CoulombFriction: 0.05, GainError: -0.3, Armature: 0.001}
 AT_RUN_TIME = {

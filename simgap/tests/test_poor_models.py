@@ -104,6 +104,8 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion() -> None:
 def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name() -> None:
     known, elsewhere = FRICTION, replace(FRICTION, place="elbow")
     unknown = replace(FRICTION, families=(), effects=())
+    small = replace(unknown, share=0.4)
+    assert doubt_names([known, small]) == [known, small]
     found = doubt_names([known, unknown, elsewhere])
     assert [one.effects for one in found] == [(), (), FRICTION.effects]
     assert [one.families for one in found] == [FRICTION.families, (), FRICTION.families]

@@ -23,7 +23,7 @@ from simgap.selection.context import Context, FittedModel, Selection, simulate_m
 from simgap.selection.elimination import drop_needless
 from simgap.selection.fit import select_rows
 from simgap.selection.fitting import evaluate_points
-from simgap.selection.joint_fits import MIN_MOTIONS, leave_out
+from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
 from simgap.selection.verdict import (
     ConfidenceSet,
     find_confidence_sets,
@@ -36,8 +36,9 @@ from simgap.selection.verdict import (
 from simgap.units import quantity
 
 MIN_CLOSURE: Final = 0.5
-"""Least share of what can be explained at a joint for which effects are called its causes: half. In 20 sealed
-cases the nearest had 0.28 and 0.71."""
+"""Least share of what can be explained that a finding removes to be called a cause: with less, more remains
+than it explains. Of effects named alone in 120 sealed cases of servos, 56 of 58 above it were right, and 7 of
+9 below it."""
 MAX_INFLATION: Final = 10.0
 """Largest variance inflation of a finding by others for which its name is told: the usual bound of
 regressors that can be separated (Marquardt 1970)."""
@@ -172,13 +173,13 @@ def describe_finding(
 ) -> Finding:
     """Describe a finding with its sets.
 
-    Where effects explain too little of a joint, one only beside another that it resembles, or a base
+    Where more remains than it explains, it is found only beside another that it resembles, or a base
     parameter of the joint is pushed against its bound, the sets of families and effects are empty: none of
     the catalogue is known to be the cause of what is at the place.
     """
     effect, own = found.effect, context.union.columns([found.effect])
     places, families, effects = list_members(found)
-    is_unsure = explains_too_little(context, chosen, effect.place) or any(
+    is_unsure = explains_too_little(context, found) or any(
         is_pushed(context, chosen, one) for one in context.base if one.place == effect.place
     )
     if is_unsure or find_inflation(context, chosen, effect) > MAX_INFLATION:
@@ -204,19 +205,17 @@ def describe_finding(
 def doubt_names(findings: Sequence[Finding]) -> list[Finding]:
     """Take the names of effects from findings beside one at the same place whose cause is not known.
 
-    Other effects were excluded beside that one, so with a model that is known to be wrong.
+    Other effects were excluded beside that one, so with a model that is known to be wrong. One that explains
+    little there does not make the others doubtful.
     """
-    unknown = {one.place for one in findings if not one.families}
+    unknown = {one.place for one in findings if not one.families and one.share >= MIN_CLOSURE}
     return [replace(one, effects=()) if one.place in unknown else one for one in findings]
 
 
-def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
-    """Check whether a model explains less than MIN_CLOSURE at a place; False if noise is unknown."""
-    model = context.model
-    joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
-    rows = np.flatnonzero(np.isin(model.joint_of, joints))
-    pair = context.base_left_out[rows], chosen.left_out[rows]
-    return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
+def explains_too_little(context: Context, found: ConfidenceSet) -> bool:
+    """Check whether more remains at the joints of a finding than it explains; False if noise is unknown."""
+    rows = np.flatnonzero(np.isin(context.model.joint_of, list(joints_of(context, found.effect))))
+    return found.share < MIN_CLOSURE and knows_noise(context, rows)
 
 
 def is_pushed(context: Context, chosen: FittedModel, effect: Effect) -> bool:

@@ -81,7 +81,8 @@ def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]
 def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
     """Make numbers from which effects take their bounds."""
     numbers: dict[str, float] = {
-        "damping_Nms_rad": 0.02, "frictionloss_Nm": 0.01, "armature_kgm2": ARMATURE_kgm2, "low_rad": -1.0,
+        "damping_Nms_rad": 0.02, "stiffness_Nm_rad": 0.0, "frictionloss_Nm": 0.01,
+        "armature_kgm2": ARMATURE_kgm2, "low_rad": -1.0,
         "high_rad": 1.0, "speed_rad_s": 2.0, "acceleration_rad_s2": 10.0, "command_low": -1.0,
         "command_high": 1.0, "torque_Nm": torque_Nm, "hottest_degC": 40.0,
         "coldest_degC": 20.0,

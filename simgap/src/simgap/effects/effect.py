@@ -276,7 +276,8 @@ class JointScales:
     """Nominal numbers of one joint, and its ranges over all motions that are fitted."""
 
     damping_Nms_rad: float
-    """Of the model, as are friction and armature."""
+    """Of the model, as are stiffness, friction and armature."""
+    stiffness_Nm_rad: float
     frictionloss_Nm: float
     armature_kgm2: float
     low_rad: float
@@ -351,6 +352,7 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
         acceleration = _high([_slope(one).value for one in speeds])
         found[joint.name] = JointScales(
             damping_Nms_rad=float(robot.model.dof_damping[joint.dof_index]),
+            stiffness_Nm_rad=float(robot.model.jnt_stiffness[robot.model.dof_jntid[joint.dof_index]]),
             frictionloss_Nm=float(robot.model.dof_frictionloss[joint.dof_index]),
             armature_kgm2=float(robot.model.dof_armature[joint.dof_index]),
             low_rad=float(q.min()),

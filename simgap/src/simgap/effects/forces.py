@@ -180,11 +180,11 @@ class Spring(JointEffect):
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Stiffness, negative for a toggle, and torque in the middle of the range."""
+        """Stiffness, with that of the model not negative, and torque in the middle of the range."""
         torque = self.scales.torque_Nm
         stiffness = torque / max(self.scales.high_rad - self.scales.low_rad, 1e-3)
         return (
-            self.size_of("stiffness_Nm_rad", -stiffness, stiffness, 0.1 * stiffness),
+            self.size_of("stiffness_Nm_rad", -self.scales.stiffness_Nm_rad, stiffness, 0.1 * stiffness),
             self.size_of("offset_Nm", -0.5 * torque, 0.5 * torque, 0.05 * torque),
         )
 
