@@ -7,15 +7,7 @@ import pytest
 
 from helpers.marks import slow_but
 from helpers.pendulum import motion, pendulum
-from helpers.planar_arm import (
-    RATE_HZ,
-    TABLE_M,
-    commands,
-    planar_arm,
-    record,
-    slow_logs,
-    with_joint,
-)
+from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
 from helpers.real_robots import load_real
 from simgap.checks.audit import audit
 from simgap.checks.commands import count_foreign_commands

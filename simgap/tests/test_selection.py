@@ -7,13 +7,7 @@ from scipy.stats import binom
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
 from simgap import assemble
-from simgap.assemble import (
-    describe_finding,
-    explains_too_little,
-    find_interval,
-    list_remainders,
-    select_sure,
-)
+from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.context import simulate_models
 from simgap.selection.fit import Hypothesis, Union
@@ -21,11 +15,7 @@ from simgap.selection.fitting import Fitting
 from simgap.selection.screening import adjust
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
-from simgap.selection.verdict import (
-    find_confidence_sets,
-    size_intervals,
-    unexplained_dependence,
-)
+from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 

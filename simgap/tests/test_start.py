@@ -13,12 +13,7 @@ from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import GainError
-from simgap.effects.command import (
-    CommandDelay,
-    CommonCommandDelay,
-    CommonMeasurementDelay,
-    MeasurementDelay,
-)
+from simgap.effects.command import CommandDelay, CommonCommandDelay, CommonMeasurementDelay, MeasurementDelay
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
 from simgap.logs import Logs, Motion, Signal

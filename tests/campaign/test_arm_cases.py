@@ -220,10 +220,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
 def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved: Path) -> None:
     context = Context(run=lambda work, jobs: map(work, reversed(jobs)), out=solved)
     found = leave_out(context, WrittenCases(), 60)
-    assert found["wrong"] == [
-        "case-002: bend at shin.x: drag at knee",
-        "case-001: rub at hip: drag at knee",
-    ]
+    assert found["wrong"] == ["case-002: bend at shin.x: drag at knee", "case-001: rub at hip: drag at knee"]
     assert (found["named"]["hits"], found["named"]["of"], found["right_place"]["hits"]) == (2, 2, 0)
 
 

@@ -168,11 +168,7 @@ def score_pairs(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
 
 
 def campaign(
-    context: Context,
-    cases: int = 40,
-    step: str = "all",
-    partial: bool = False,
-    robots: str = ",".join(ARMS),
+    context: Context, cases: int = 40, step: str = "all", partial: bool = False, robots: str = ",".join(ARMS)
 ) -> Document:
     """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does."""
     return sealed.run_steps(context, RobotPairs(tuple(robots.split(","))), cases, step, partial)

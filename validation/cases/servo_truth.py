@@ -71,12 +71,7 @@ class ServoPlant:
         self.kp, self.limit_Nm = joint.kp_Nm_rad * float(nuisances.gain[0]), joint.torque_limit_Nm
 
     def simulate(
-        self,
-        commands: Array,
-        period_s: float,
-        seed: int,
-        temperature_degC: tuple[float, float],
-        gain: Array,
+        self, commands: Array, period_s: float, seed: int, temperature_degC: tuple[float, float], gain: Array
     ) -> Array:
         """Return what the encoder shows, as `Plant.simulate` does; a gain, (n,), is 0 without power."""
         h, n = self.step_s, commands.shape[1]

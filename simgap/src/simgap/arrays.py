@@ -17,12 +17,7 @@ def orthonormal(changes: Array) -> Array:
 
 
 def find_bounded_minimum(
-    hessian: Array,
-    gradient: Array,
-    at: Array,
-    bounds: tuple[Array, Array],
-    unit: Array,
-    rcond: float = 1e-14,
+    hessian: Array, gradient: Array, at: Array, bounds: tuple[Array, Array], unit: Array, rcond: float = 1e-14
 ) -> Array:
     """Return where `2 gradient @ step + step @ hessian @ step` is least inside bounds, (n,), from `at`.
 

@@ -118,12 +118,7 @@ def find_unit(name: str, *quantities: Quantity) -> Unit:
     raise ValueError(f"{name!r} is no unit of {' or '.join(quantities)}; {hint}")
 
 
-SMALL_UNITS: Final = {
-    "rad": ("mrad", 1e3),
-    "m": ("mm", 1e3),
-    "rad/s": ("mrad/s", 1e3),
-    "m/s": ("mm/s", 1e3),
-}
+SMALL_UNITS: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "rad/s": ("mrad/s", 1e3), "m/s": ("mm/s", 1e3)}
 """Units in which errors of a robot are small numbers, and their factors."""
 
 

@@ -1,12 +1,6 @@
 """Command line `simgap`: its verbs."""
 
-from simgap.command.request import (
-    CheckRequest,
-    CompareRequest,
-    DiagnoseRequest,
-    InitRequest,
-    NextRequest,
-)
+from simgap.command.request import CheckRequest, CompareRequest, DiagnoseRequest, InitRequest, NextRequest
 from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb

@@ -164,10 +164,7 @@ def _option_changes(robot: Robot) -> Iterator[Change]:
         numerics = (("timestep", number_text(step_s)), ("integrator", "implicitfast"))
         yield Change("option", "", numerics, "time step and integrator of the diagnosis")
     reference = (2 * step_s, 1.0)
-    hard = (
-        ("solreffriction", number_text(*reference)),
-        ("solimpfriction", number_text(*HARD_IMPEDANCE)),
-    )
+    hard = (("solreffriction", number_text(*reference)), ("solimpfriction", number_text(*HARD_IMPEDANCE)))
     for joint in robot.joints:
         dof = joint.dof_index
         if tuple(own.dof_solref[dof]) != reference or tuple(own.dof_solimp[dof]) != HARD_IMPEDANCE:

@@ -46,11 +46,7 @@ BARS: Final = {
     "base": "base parameters fitted",
     "explained": "with the findings",
 }
-LEAST_SPANS: Final = {
-    "rad": COARSE_RAD,
-    "deg": degrees(COARSE_RAD),
-    "m": SLIDE_m_rad * COARSE_RAD,
-}
+LEAST_SPANS: Final = {"rad": COARSE_RAD, "deg": degrees(COARSE_RAD), "m": SLIDE_m_rad * COARSE_RAD}
 """Least ranges of positions that fill a figure, by unit: a joint that moves less looks idle, as it is."""
 STEPS: Final = 16
 """Steps of usual encoders, of 12 bits, in LEAST_SPANS; no error smaller than a step fills a figure."""
@@ -255,10 +251,9 @@ def _finding_row(one: Finding) -> tuple[str, ...]:
     """Return the cells of a finding, at the level at which it is known."""
     place = join_words(one.places or (one.place,), "or")
     known = level(one)
-    members = {
-        "effect": one.effects,
-        "family": tuple(FAMILY_WORDS[family] for family in one.families),
-    }.get(known, ())
+    members = {"effect": one.effects, "family": tuple(FAMILY_WORDS[family] for family in one.families)}.get(
+        known, ()
+    )
     if known != "effect":
         what = join_words(members, "or") or "something"
         return NOT_LOCATED if known == "none" else place, what, "", "", ", ".join(members) or "not known"

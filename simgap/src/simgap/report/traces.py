@@ -52,10 +52,7 @@ def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]
 
 
 def trace_motions(
-    robot: Robot,
-    motions: Sequence[Motion],
-    diagnosis: Diagnosis,
-    usable: Usable | None = None,
+    robot: Robot, motions: Sequence[Motion], diagnosis: Diagnosis, usable: Usable | None = None
 ) -> tuple[Trace, ...]:
     """Predict motions without and with what was found, by each kind of residual that was used.
 

@@ -239,11 +239,7 @@ def digest_code() -> str:
 
 
 def digest_inputs(
-    robot: Robot,
-    motions: Sequence[Motion],
-    usable: Usable | None,
-    effects: Sequence[Effect],
-    seed: int,
+    robot: Robot, motions: Sequence[Motion], usable: Usable | None, effects: Sequence[Effect], seed: int
 ) -> str | None:
     """Return the hexadecimal SHA-256 of what steps depend on; None if the code of an effect is unknown."""
     try:
@@ -256,11 +252,7 @@ def digest_inputs(
 
 
 def _inputs(
-    robot: Robot,
-    motions: Sequence[Motion],
-    usable: Usable | None,
-    effects: Sequence[Effect],
-    seed: int,
+    robot: Robot, motions: Sequence[Motion], usable: Usable | None, effects: Sequence[Effect], seed: int
 ) -> Iterator[bytes]:
     yield digest_code().encode()
     compiled = np.empty(mujoco.mj_sizeModel(robot.model), np.uint8)

@@ -9,13 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.selection.acceptance import (
-    MIN_SHARE,
-    MIN_Z,
-    improvement_share,
-    improvement_z,
-    knows_noise,
-)
+from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
 from simgap.selection.context import Context, FittedModel
 from simgap.selection.fit import JointFit, gather_residuals, select_rows

@@ -276,11 +276,7 @@ def find_winners(
 
 
 def list_hopeful(
-    context: Context,
-    present: FittedModel,
-    effects: Sequence[Effect],
-    fits: Sequence[Descent],
-    share: float,
+    context: Context, present: FittedModel, effects: Sequence[Effect], fits: Sequence[Descent], share: float
 ) -> list[int]:
     """List places, best first, of fits that explain a share of what is needed and of their joint's best."""
     without, rows_of = (

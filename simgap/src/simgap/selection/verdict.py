@@ -26,13 +26,7 @@ from simgap.selection.context import (
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
-from simgap.selection.selection import (
-    FEW_ITERATIONS,
-    SHARES,
-    explain_loss,
-    is_at_bound,
-    start_refit,
-)
+from simgap.selection.selection import FEW_ITERATIONS, SHARES, explain_loss, is_at_bound, start_refit
 from simgap.selection.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -147,11 +141,7 @@ def find_set(
 
 
 def prediction_chances(
-    context: Context,
-    selection: Selection,
-    without: FittedModel,
-    rows: Integers,
-    fits: Sequence[JointFit],
+    context: Context, selection: Selection, without: FittedModel, rows: Integers, fits: Sequence[JointFit]
 ) -> list[float]:
     """Return the probability, for the fit of each rival, that a finding predicts so much better by chance.
 
