@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
 
 
 @verb
-def ik(request: "marsarm.ik.request.IkRequest", progress: Progress) -> VerbResult:
+def ik(request: "marsarm.ik.request.IkRequest") -> VerbResult:
     """Compute the five output angles of every branch of a target, or the reason why it is invalid.
 
     x forward, y right, z down; collisions are not checked. The exit status is 3 if no branch reaches the
@@ -23,13 +23,11 @@ def ik(request: "marsarm.ik.request.IkRequest", progress: Progress) -> VerbResul
 
     Example: marsarm ik --tool mahli --position 2.1 0 -0.3 --approach 0.5 0 0.85 --tilt-pitch 10
     """
-    from marsarm.ik.solve import IkReport, batch_document, batch_parts, ik_document, ik_parts, solve
+    from marsarm.ik.solve import ik_document, ik_parts, solve
 
-    report = solve(request, progress)
-    if isinstance(report, IkReport):
-        document = ik_document(report)
-        return shown(document, ik_parts(report), is_done=document["valid"] > 0)
-    return shown(batch_document(report), batch_parts(report))
+    report = solve(request)
+    document = ik_document(report)
+    return shown(document, ik_parts(report), is_done=document["valid"] > 0)
 
 
 @verb

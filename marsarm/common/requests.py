@@ -1,7 +1,7 @@
 """Checks and conversions of requests and tables that several verbs share, made before any work begins."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
@@ -24,11 +24,9 @@ NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
-TargetLabel = Callable[[int], tuple[str, str]]
-"""Function from the index of a target to the names of its position and direction in messages."""
 
 
-def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what: str) -> Array:
+def check_targets(position_m: Array, direction: Array, names: tuple[str, str], what: str) -> Array:
     """Check points [m] and directions of any length, shape (3, n) each, in the words of the user.
 
     The directions are returned with a largest component of 1, so that no length can overflow. BadRequest says
@@ -39,7 +37,7 @@ def check_targets(position_m: Array, direction: Array, naming: TargetLabel, what
         if wrong.any():
             first = int(np.argmax(wrong))
             numbers = format_numbers(tuple((position_m, direction)[which][:, first].tolist()))
-            raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
+            raise BadRequest(f"{names[which]}: {numbers} {complaint}")
 
     for which, values in enumerate((position_m, direction)):
         refuse(~np.isfinite(values).all(axis=0), which, "is not three finite numbers")

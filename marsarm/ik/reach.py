@@ -13,8 +13,15 @@ from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, select_runner
 from marsarm.ik.request import ReachRequest
-from marsarm.ik.solve import IkModel, Tally, build_ik_model, model_document, tally_document, tally_table
-from marsarm.ik.targets import IkTargets
+from marsarm.ik.solve import (
+    IkModel,
+    IkTargets,
+    Tally,
+    build_ik_model,
+    model_document,
+    tally_document,
+    tally_table,
+)
 from marsarm.render.rover_scene import draw_outlines, project_outlines
 from marsarm.render.svg import save_figure
 from sim.frames import P_NR_M, approach_from, p_R_from_N, random_targets

@@ -8,10 +8,6 @@ from marsarm.common.options import ARM_HELP, MismatchOption, ParamsOption, Pitch
 from simgap.common.options import ClusterOption, Option, Vector
 
 MOST_SAMPLES: Final = 1_000_000
-BATCH_SUFFIXES: Final = (".npz",)
-BatchWorkersOption = Annotated[
-    int, Option("Number of processes that solve a batch; they pay from 100,000 targets on.", within=(1, 1000))
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +43,7 @@ class ModelRequest:
 
 @dataclass(frozen=True, slots=True)
 class IkRequest:
-    """Request for one target, or for a file of targets and a file for the results."""
+    """Request for one target."""
 
     model: ModelRequest = ModelRequest()
     frame: Annotated[
@@ -62,24 +58,6 @@ class IkRequest:
         Vector | None, Option("Position of the tool's origin, in metres.", "X Y Z", "--position")
     ] = None
     approach: Annotated[Vector | None, Option("Direction of the tool, of any length.", "AX AY AZ")] = None
-    batch: Annotated[
-        Path | None,
-        Option(
-            "File of targets: .npz with position_m and approach, (n, 3) each.",
-            "FILE.npz",
-            is_read=True,
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option(
-            "File for their solutions; an existing file is replaced.",
-            "FILE.npz",
-            suffixes=BATCH_SUFFIXES,
-        ),
-    ] = None
-    workers: BatchWorkersOption = 1
-    cluster: ClusterOption = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +67,9 @@ class ReachRequest:
     model: ModelRequest = ModelRequest()
     samples: Annotated[int, Option("Number of random targets.", within=(1, MOST_SAMPLES))] = 20_000
     seed: Annotated[int, Option("Seed of the random targets.", within=(0, None))] = 0
-    workers: BatchWorkersOption = 1
+    workers: Annotated[
+        int, Option("Number of processes; they pay from 100,000 targets on.", within=(1, 1000))
+    ] = 1
     cluster: ClusterOption = None
     picture: Annotated[
         Path | None, Option("Draw the map.", "FILE.png", suffixes=(".png",), help_without="Draw no picture.")

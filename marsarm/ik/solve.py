@@ -1,35 +1,68 @@
-"""Inverse kinematics of one target, or of a file of targets, as a request of the command line."""
+"""Inverse kinematics of targets, one of them as a request of the command line."""
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params, digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.transforms import Array, select_targets
-from marsarm.common.requests import make_world, parse_tool, select_arm
+from marsarm.common.requests import check_targets, make_world, parse_tool, select_arm
 from marsarm.ik.request import IkRequest, ModelRequest
-from marsarm.ik.targets import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets
-from sim.frames import Workspace
+from sim.frames import Workspace, p_R_from_N
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
-from simgap.common.progress import Progress, no_progress
-from simgap.common.report import ReportTable, file_lines
+from simgap.common.progress import Progress
+from simgap.common.report import ReportTable
 
 if TYPE_CHECKING:
     from marsarm.common.pool import Runner
 
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+VERDICT_NAMES: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)
+FRAMES: Final = ("rnav", "rmech")
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""
 BATCH_SIZE: Final = 8192
 """Number of targets in a part of a batch; solving a part takes about a second."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkTargets:
+    """Targets: position of the tool's origin and direction of its boresight, in RMECH."""
+
+    p_RoTo_R_m: Array
+    """Positions, shape (3, n)."""
+    approach_R: Array
+    """Unit vectors, shape (3, n)."""
+
+    def __len__(self) -> int:
+        return int(self.p_RoTo_R_m.shape[1])
+
+    def part(self, start: int, count: int) -> "IkTargets":
+        """Select `count` targets from index `start` on."""
+        these = slice(start, start + count)
+        return IkTargets(self.p_RoTo_R_m[:, these], self.approach_R[:, these])
+
+
+def make_targets(position_m: Array, approach: Array, frame: str = "rnav") -> IkTargets:
+    """Build targets in a frame of FRAMES of positions and directions of any length, shape (3, n) each.
+
+    BadRequest, in the words of the user, says that a number is not finite, a point too far, a direction 0.
+    """
+    if frame not in FRAMES:
+        raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")
+    what = "the one in which the tool is to point, such as 0 0 1 for down"
+    unit = check_targets(position_m, approach, ("position", "approach"), what)
+    unit = unit / np.linalg.norm(unit, axis=0)
+    return IkTargets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,71 +163,20 @@ class IkReport:
     """Result of every branch, shape (8,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BatchReport:
-    """Summary of a batch; the file `request.out` holds the results."""
-
-    request: IkRequest
-    model: IkModel
-    tally: Tally
-
-
-def solve(request: IkRequest, progress: Progress = no_progress) -> IkReport | BatchReport:
-    """Solve the inverse kinematics of a request; BadRequest if the request or a file is wrong."""
+def solve(request: IkRequest) -> IkReport:
+    """Solve the inverse kinematics of a request; BadRequest if the request is wrong."""
     check_options(request)
     model = build_ik_model(request.model)
-    if request.batch is None and request.out is None:
-        return IkReport(request, model, select_targets(model.solve(_one_target(request)), 0))
-    if request.batch is None or request.out is None:
-        raise BadRequest("batch and out: give both, a file with targets and a file for the results")
-    if request.position_m is not None or request.approach is not None:
-        raise BadRequest("position and approach: the targets are in the batch; give one or the other")
-    return _solve_batch(request, model, request.batch, request.out, progress)
+    return IkReport(request, model, select_targets(model.solve(_one_target(request)), 0))
 
 
 def _one_target(request: IkRequest) -> IkTargets:
     if request.position_m is None or request.approach is None:
         raise BadRequest(
-            "position and approach: give both, such as --position 2.1 0 -0.3 --approach 0.5 0 0.85; "
-            "or a batch and out"
+            "position and approach: give both, such as --position 2.1 0 -0.3 --approach 0.5 0 0.85"
         )
     position, approach = (np.array(vector)[:, None] for vector in (request.position_m, request.approach))
-    return make_targets(position, approach, request.frame, lambda _: ("position", "approach"))
-
-
-def _solve_batch(
-    request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
-) -> BatchReport:
-    from marsarm.common.pool import select_runner
-    from marsarm.ik.batch import open_writer, read_targets  # pyarrow takes 0.1 s to load
-
-    targets = read_targets(batch, request.frame)
-    run = select_runner(request.workers, request.cluster)
-    counted = Tally()
-    with open_writer(out, _about(request, model)) as writer:
-        for result in model.solve_in_batches(targets, run, progress):
-            writer.add(result)
-            counted.add(result)
-        progress(1, 1, "writing")
-    return BatchReport(request, model, counted)
-
-
-def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
-    """Describe how the file was made, so that it can be made again."""
-    from importlib.metadata import version
-
-    params = request.model.params
-    return {
-        "marsarm": version("marsarm"),
-        **asdict(request.model),
-        "params": None if params is None else str(params),
-        "params_sha256": digest(model.params),
-        "gravity_R_m_s2": None if model.gravity_R_m_s2 is None else model.gravity_R_m_s2.tolist(),
-        "batch": str(request.batch),
-        "frame": request.frame,
-        "excess": "radians beyond the limit of the joint, or metres out of reach",
-        "forward_error": "the larger of position error [m] and axis error [rad], by forward kinematics",
-    }
+    return make_targets(position, approach, request.frame)
 
 
 def ik_document(report: IkReport) -> dict[str, Any]:
@@ -242,24 +224,6 @@ def ik_parts(report: IkReport) -> list[str | ReportTable]:
         worst = max(float(one["forward_error"]) for one in valid)
         parts.append(f"forward kinematics of these angles: at most {worst:.1e} m or rad beside the target")
     return parts + [f"{one['branch']}: {one['reason']}" for one in branches if one["reason"] is not None]
-
-
-def batch_document(report: BatchReport) -> dict[str, Any]:
-    """Collect the summary of a batch."""
-    request = report.request
-    return {
-        **tally_document(report.tally),
-        **model_document(report.model),
-        "frame": request.frame,
-        "batch": request.batch,
-        "out": request.out,
-    }
-
-
-def batch_parts(report: BatchReport) -> list[str | ReportTable]:
-    """Show the summary of a batch: counts, and the path of the results."""
-    title = f"{report.model.description}: {report.tally.targets} targets"
-    return [tally_table(title, report.tally), *file_lines({"out": report.request.out})]
 
 
 def model_document(model: IkModel) -> dict[str, Any]:

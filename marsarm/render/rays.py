@@ -1,6 +1,6 @@
-"""Camera for machines without OpenGL: MuJoCo casts a ray for each pixel, numpy shades the surface.
+"""Camera that needs no OpenGL: MuJoCo casts a ray for each pixel, numpy shades the surface.
 
-The rays see every opaque geom of groups 0 to 2, as the renderer does. A texture is replaced by its mean
+The rays see every opaque geom of groups 0 to 2. A texture is replaced by its mean
 colour. Decorations (sites, contacts) and reflections are left out.
 """
 
@@ -167,9 +167,6 @@ class RayCamera:
         finer = (centre[edge, None, :] + SUBPIXELS).reshape(-1, 2)
         rgb[edge] = self._shade(data, finer)[0].reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
         return (255.0 * np.clip(rgb, 0.0, 1.0) + 0.5).astype(np.uint8).reshape(height, width, 3)
-
-    def close(self) -> None:
-        """Do nothing: the camera holds no resources."""
 
     def _shade(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
         """Compute colours (n, 3) at image points (n, 2), and geom, normal and sunlight there (n, 5)."""

@@ -19,7 +19,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.params import Params, digest
-from marsarm.render.picture import PictureResult, probe_in_background, save_movie, save_picture
+from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
 from marsarm.telemetry.format import LogNotWritable
@@ -44,12 +44,10 @@ FRAME_CYCLES: Final = 3 * CYCLE_HZ
 INITIALISATION_SHARE: Final = 0.45
 """Share of the initialisation in the time of a placement or scenario, for the progress: 5.5 s of 13 s."""
 DRAWING_SHARE: Final = 0.1
-"""Share of picture and page: 1.3 s of 13 s. A movie takes as long as the run itself."""
-MOVIE_BEGINS: Final = 0.25
-"""Share of a run after which its movie is drawn: 22 s of 97 s."""
+"""Share of picture and page: 1.3 s of 13 s."""
+MOVIE_BEGINS: Final = 0.1
+"""Share of a run after which its movie is drawn: 13 s of 130 s."""
 PICTURE_SIZE = (1280, 720)
-MOVIE_SHADOWS = 1024
-"""Side of a shadow map in pixels: coarser than for a picture, and several times faster."""
 
 Qpos = NDArray[np.float64]
 """Positions of the model as in MuJoCo's qpos, shape (nq,), in metres and radians."""
@@ -203,7 +201,6 @@ def save_pictures(
                 progress(k, len(drawn.poses), "drawing")
                 yield pose
 
-        model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, iter_poses(), "overview", files.movie)
     return picture, movie
 
@@ -293,8 +290,6 @@ def execute(
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
-    if files.picture is not None or files.movie is not None:
-        probe_in_background()
     with RunLog(files.log, header, loop.config.params) as log:
         for record in run:
             log.write(record)

@@ -57,7 +57,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         check_movie_path(request.files.movie)
     point, normals = (np.array(vector, float)[:, None] for vector in (request.target_m, request.normal))
     what = "the direction out of the surface, such as 0 0 -1 for up"
-    normal = vector3(check_targets(point, normals, lambda _: ("target", "normal"), what)[:, 0])
+    normal = vector3(check_targets(point, normals, ("target", "normal"), what)[:, 0])
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
     arm = fit_effects(arm, effects)

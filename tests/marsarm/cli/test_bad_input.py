@@ -69,7 +69,6 @@ TEXTS = {
     "ragged.csv": "a,b\n1\n2,3,4\n",
     "few.csv": "a,b\n1,2\n",
     "cut.parquet": "PAR1xx",
-    "cut.npz": "PK\x03\x04xx",
     "empty.mcap": "",
     "text.mcap": "hello",
     "text.jsonl": "hello\nworld\n",
@@ -151,8 +150,6 @@ CASES = {
     "ik --position 2 0 0 --approach 0 0 1 --warming 1e300": "warming: 1e+300 K is not within 200 K",
     # contradictions
     "ik": "position and approach: give both",
-    "ik --out b.npz --position 2 0 0 --approach 0 0 1": "batch and out: give both",
-    "ik --batch cut.npz --out b.npz --position 2 0 0 --approach 0 0 1": "give one or the other",
     "hardstop --start 0 0 0 0 0": "start: is for one joint",
     "place --params good.toml --log ./good.toml": "the file of params",
     "place --params link.mcap --log good.toml": "the file of params",
@@ -241,7 +238,6 @@ CASES = {
     "calibrate --data ragged.csv": "columns missing",
     "calibrate --data cut.parquet": "cannot be read: Parquet file size",
     "calibrate --data utf16.csv": "is not text in UTF-8; save it as UTF-8",
-    "ik --batch cut.npz --out b.npz": "is no NumPy .npz file",
     "log import few.csv empty.toml out.mcap": "channels: is missing",
     # outputs
     "view none.mcap": "none.mcap",

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
-import numpy as np
 import pytest
 
 from fsw.dictionary.params import digest
@@ -18,8 +17,8 @@ from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import pool
 from marsarm.common.pool import Runner, WorkersDied, in_order, run_here, select_runner
-from marsarm.ik.request import IkRequest
-from marsarm.ik.solve import solve
+from marsarm.ik.reach import reach
+from marsarm.ik.request import ReachRequest
 from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
@@ -189,15 +188,10 @@ def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
     assert there == [json.loads(line) for line in alone.read_text().splitlines()[1:]]
 
 
-def test_a_batch_of_inverse_kinematics_is_that_of_one_process(nodes, tmp_path):
-    rng = np.random.default_rng(2)
-    position = np.array([2.1, 0.0, -0.3]) + rng.uniform(-0.3, 0.3, (20_000, 3))
-    np.savez(tmp_path / "in.npz", position_m=position, approach=np.tile([0.5, 0.0, 0.85], (20_000, 1)))
-    request = IkRequest(batch=tmp_path / "in.npz", out=tmp_path / "out.npz")
-    solve(request, no_progress)
-    one = request.out.read_bytes()
-    solve(replace(request, cluster=nodes.address), no_progress)
-    assert request.out.read_bytes() == one
+def test_a_reach_map_is_that_of_one_process(nodes):
+    request = ReachRequest(samples=20_000, picture=None)
+    there = reach(replace(request, cluster=nodes.address)).tally
+    assert there == reach(request).tally
 
 
 def test_a_campaign_is_that_of_one_process(run):

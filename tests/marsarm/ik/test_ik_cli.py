@@ -23,7 +23,7 @@ APPROACH = (0.5, 0.1, 0.8)
 
 def answer(position=POSITION, approach=APPROACH, frame="rnav", **model):
     request = IkRequest(ModelRequest(**model), frame, position, approach)
-    return to_json(ik_document(solve(request, lambda *_: None)))
+    return to_json(ik_document(solve(request)))
 
 
 def valid_poses(document) -> np.ndarray:

@@ -1,6 +1,5 @@
 import importlib.util
 import signal
-import subprocess
 from pathlib import Path
 
 import mujoco
@@ -8,7 +7,6 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from marsarm.render import picture
 from marsarm.render.picture import save_movie, save_picture
 from marsarm.render.rays import RayCamera, Rays
 from simgap.common.errors import BadRequest
@@ -35,11 +33,6 @@ SCENE = """
 </mujoco>
 """
 SIZE = (160, 120)
-NO_GL = "the driver is not there"
-
-needs_gl = pytest.mark.skipif(
-    picture.unavailable_reason() is not None, reason=f"no OpenGL: {picture.unavailable_reason()}"
-)
 
 
 @pytest.fixture
@@ -54,24 +47,14 @@ def data(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-@pytest.fixture
-def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, "unavailable_reason", lambda: NO_GL)
-
-
 def pixels(path: Path) -> np.ndarray:
     with PIL.Image.open(path) as image:
         return np.asarray(image.convert("RGB"))
 
 
-@pytest.mark.usefixtures("without_gl")
-def test_without_opengl_a_picture_is_drawn_and_the_hint_is_one_line(model, data, tmp_path):
+def test_a_picture_has_its_size_and_many_colours(model, data, tmp_path):
     result = save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
-
-    assert (result.path, result.renderer) == (tmp_path / "scene.png", "rays")
-    assert NO_GL in result.hint
-    assert "apt-get install libegl1" in result.hint
-    assert "\n" not in result.hint
+    assert (result.path, result.hint) == (tmp_path / "scene.png", None)
     image = pixels(result.path)
     assert image.shape == (120, 160, 3)
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 100
@@ -117,41 +100,9 @@ def test_shadow_is_darker_than_the_ground_beside_it(model, data):
     assert np.all(shaded < 0.7 * lit)
 
 
-@needs_gl
-def test_with_opengl_the_renderer_draws(model, data, tmp_path):
-    offscreen = model.vis.global_.offwidth, model.vis.global_.offheight
-    result = save_picture(model, data, "front", tmp_path / "scene.png", (900, 700))
-
-    assert (result.renderer, result.hint) == ("opengl", None)
-    image = pixels(result.path)
-    assert image.shape == (700, 900, 3)
-    assert np.ptp(image) > 100
-    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == offscreen
-
-
-@needs_gl
-def test_both_renderers_see_the_same_scene(model, data, tmp_path):
-    drawn = pixels(save_picture(model, data, "front", tmp_path / "a.png", SIZE).path).astype(float)
-    cast = RayCamera(model, 0, SIZE).take(data).astype(float)
-
-    # Lighting differs slightly, outlines do not: compare the colours below the horizon.
-    def hue(image: np.ndarray) -> np.ndarray:
-        return (image - image.mean(axis=2, keepdims=True))[70:].ravel()
-
-    assert np.corrcoef(hue(drawn), hue(cast))[0, 1] > 0.9
-
-
-@pytest.mark.parametrize("wanted", ["opengl", "rays"])
-def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
-    if wanted == "opengl" and picture.unavailable_reason() is not None:
-        pytest.skip(picture.unavailable_reason())
-    if wanted == "rays":
-        monkeypatch.setattr(picture, "unavailable_reason", lambda: NO_GL)
+def test_movie_has_a_frame_for_each_pose(model, tmp_path):
     poses = [np.array([height]) for height in np.linspace(0.0, 0.5, 6)]
-
     result = save_movie(model, poses, "front", tmp_path / "lift.gif", (80, 60))
-
-    assert result.renderer == wanted
     with PIL.Image.open(result.path) as movie:
         assert movie.n_frames == 6
         assert movie.size == (80, 60)
@@ -167,7 +118,6 @@ def test_size_must_be_positive(model, data, tmp_path):
         save_picture(model, data, "front", tmp_path / "scene.png", (0, 10))
 
 
-@pytest.mark.usefixtures("without_gl")
 @pytest.mark.parametrize(("name", "is_new"), [("scene.png", True), ("lift.gif", False), ("lift.mp4", False)])
 def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
     if name.endswith(".mp4"):
@@ -185,7 +135,6 @@ def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == ({} if is_new else {name: b"before"})
 
 
-@pytest.mark.usefixtures("without_gl")
 def test_an_interrupted_movie_leaves_the_one_before(model, tmp_path, monkeypatch):
     path = tmp_path / "lift.gif"
     path.write_bytes(b"before")
@@ -226,39 +175,6 @@ def test_an_mp4_has_the_frames_of_a_gif(model, tmp_path):
 def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     result = save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
-    assert (result.path, result.renderer) == (None, "none")
+    assert result.path is None
     assert "pip install pillow" in result.hint
     assert list(tmp_path.iterdir()) == []
-
-
-class Probe:
-    """Stand-in for the process that tries to draw."""
-
-    def __init__(self, returncode: int, stderr: str = "") -> None:
-        self.returncode, self.stderr = returncode, stderr
-
-
-@pytest.mark.parametrize(
-    ("outcome", "reason"),
-    [
-        (Probe(0, "libEGL warning: noise"), None),
-        (Probe(-11), "the driver crashed (signal 11)"),
-        (Probe(1, "Traceback\nImportError: no display. This means that ..."), "no display"),
-        (Probe(1), "the driver gave no reason"),
-        (subprocess.TimeoutExpired("probe", 30), "the driver did not answer in 30 s"),
-        (OSError("no such file"), "the probe did not start: no such file"),
-    ],
-)
-def test_whatever_the_driver_does_becomes_a_reason(monkeypatch, outcome, reason):
-    def run(*_args: object, **_options: object) -> Probe:
-        if isinstance(outcome, Exception):
-            raise outcome
-        return outcome
-
-    monkeypatch.setattr(subprocess, "run", run)
-    assert picture.unavailable_reason.__wrapped__() == reason
-
-
-def test_opengl_switched_off_is_a_reason_and_not_an_error(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "disable")
-    assert "turns OpenGL off" in picture.unavailable_reason.__wrapped__()
