@@ -112,10 +112,9 @@ def import_log(
         Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
     ],
 ) -> VerbResult:
-    """Convert telemetry of another system, a table with named columns, into a log.
+    """Convert sensors and drive of another system, a table with named columns, into a log for `diagnose`.
 
-    docs/logs.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
-    A packet that lacks a field is written under /imported/ with the fields that it has.
+    docs/logs.md describes the mapping. Missing values are not invented.
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """
