@@ -1,4 +1,4 @@
-"""Define the verb `replay`, and `log` with `info`, `plot`, `export`, `recover` and `import`."""
+"""Define the verb `replay`, and `log` with `info`, `export`, `recover` and `import`."""
 
 import sys
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from simgap.common.app import VerbApp
-from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb
 
@@ -21,7 +21,7 @@ ToOption = Annotated[
 ]
 
 log_app = VerbApp(
-    help="Inspect, plot, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
+    help="Inspect, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
 )
 
 
@@ -50,39 +50,6 @@ def info(
 
     selected = select_channels(read, glob)
     return shown(channels_document(read, selected), channels_parts(read, selected))
-
-
-@log_app.command()
-@verb
-def plot(
-    log: LogArgument,
-    channel: Annotated[
-        list[str],
-        typer.Argument(
-            help="Names or patterns such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.backlash*'.",
-            metavar="CHANNEL...",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="File for the picture.", metavar="FILE.png")],
-    start: FromOption = None,
-    stop: ToOption = None,
-) -> VerbResult:
-    """Draw channels over time, with the events as marks.
-
-    Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
-    """
-    from marsarm.telemetry.inspection import save_log_figure, select_channels
-    from simgap.common.console import pluralize
-    from simgap.common.files import check_distinct_files, check_output
-
-    check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
-    read = _read(log, start, stop)
-    selected = select_channels(read, channel)
-    problem = save_log_figure(selected, read.evrs, out)
-    if problem is not None:
-        raise BadOutput(f"out {out}: not drawn, {problem}")
-    document = {"log": log, "picture": out, "channels": [one.name for one in selected]}
-    return shown(document, [f"{pluralize(len(selected), 'channel')} in {out}"])
 
 
 @log_app.command()
@@ -145,10 +112,9 @@ def import_log(
         Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
     ],
 ) -> VerbResult:
-    """Convert telemetry of another system, a table with named columns, into a log.
+    """Convert sensors and drive of another system, a table with named columns, into a log for `diagnose`.
 
-    docs/logs.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
-    A packet that lacks a field is written under /imported/ with the fields that it has.
+    docs/logs.md describes the mapping. Missing values are not invented.
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """

@@ -1,10 +1,10 @@
-"""Import of a table: its columns become the messages of a log, in the cycles of 64 Hz."""
+"""Import of a table: its columns become sensors and drive of a log, in the cycles of 64 Hz."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import merge
-from itertools import chain, groupby, repeat
+from itertools import repeat
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -12,43 +12,60 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.import_mapping import (
-    IMPORT_PREFIX,
+    SENSORS,
+    Array,
     GridTime,
     MappedChannel,
     MappingFile,
+    layout_of,
     map_channels,
     read_params,
     stored_reference,
-    topic_layout,
-)
-from marsarm.telemetry.import_times import (
-    Rows,
-    RowSelection,
-    RowTimes,
-    check_grid,
-    interpolate,
-    pick_rows,
-    row_times,
 )
 from marsarm.telemetry.recorder import IMPORT, SESSION, commands_header, start_header, versions_header
-from marsarm.telemetry.schema import ENCAPSULATION, Layout
+from marsarm.telemetry.schema import ENCAPSULATION
 from marsarm.telemetry.topics import PACKET_TOPICS, TopicSpec, begin_log, layout_spec
 from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output, file_sha256
 from simgap.common.progress import GUESS, Progress
-from simgap.common.report import ReportTable
 from simgap.common.toml import parse_record, read_toml
-from simgap.files.columns import Column
-from simgap.files.log_file import LogFile, open_log
+from simgap.files.log_file import LogFile, open_log, read_times
+from simgap.units import UNITS
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
 MAX_EXACT_INT: Final = 1 << 53
 """Limit up to which every integer is exact as a float."""
+TOLERANCE_CYCLES: Final = 0.01
+"""Largest distance of a row from its cycle with grid "exact"."""
+MAX_INTERVAL_S: Final = 1.0
+"""Longest time without a row that grid "linear" bridges."""
+CYCLE_ROUNDING: Final = 1e-4
+"""Share of a cycle by which a row may miss a cycle and still belong to it; stamps of today have 1e-5."""
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopicRows:
+    """Rows of the table that have a value in each column of a topic."""
+
+    path: Path
+    row: Rows
+    """Row of the file, shape (n,)."""
+    time_s: Array
+    """Rising times, shape (n,)."""
+    values: Mapping[str, Array]
+    """Values by column, shape (n,) each."""
+
+    def error_at(self, what: str, row: int, column: str = "") -> RobotError:
+        """Return an error that names file, row and column; row 1 is the first below the header."""
+        place = f"row {self.row[row] + 1}" + (f", column {column!r}" if column else "")
+        return RobotError(f"{self.path}: {place}: {what}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,22 +73,16 @@ class TopicMessages:
     """Messages of one topic."""
 
     spec: TopicSpec
-    layout: Layout
     ticks: Rows
     """Tick of each message, rising, shape (n,)."""
     data: NDArray[np.void]
     """Messages in the type of the layout, shape (n,)."""
-    missing_fields: tuple[str, ...]
-    """Fields of the flight topic that the mapping lacks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedLog:
     """Log of a table, in memory."""
 
-    rows: int
-    rows_moved: int
-    """Places where the file was not in order of time."""
     series: tuple[TopicMessages, ...]
     header: dict[str, str]
 
@@ -91,105 +102,131 @@ def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> I
 def convert_table(table: Path, mapping: Path) -> ImportedLog:
     """Convert a table to a log in memory; RobotError if the table or the mapping is wrong."""
     file = parse_record(MappingFile, read_toml(mapping), mapping)
-    params, mapped = read_params(mapping, file), map_channels(mapping, file)
-    columns = [name for one in mapped for name in one.columns]
-    if not columns:
-        raise RobotError(f"{mapping}: channels: none has columns; there is nothing to take from the table")
+    topics = map_channels(mapping, file.channels)
+    columns = [name for channels in topics.values() for one in channels for name in one.columns]
     clock = [file.time.column] if file.time.column else []
-    log = open_log(table, [*columns, *([] if file.time.format else clock)], clock, file.csv)
-    groups = [list(some) for _, some in groupby(sorted(mapped, key=_topic_of), key=_topic_of)]
+    log = open_log(table, [*columns, *clock], clock, file.csv)
+    read = {topic: _read_rows(log, file.time, channels) for topic, channels in topics.items()}
+    start_s = min(rows.time_s[0] for rows in read.values())
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused, what was stays
-        made = [_build_topic(log, file.time, channels, k + 1) for k, channels in enumerate(groups)]
-    series, times = tuple(one for one, _ in made), made[0][1]
+        series = tuple(
+            _build_topic(number, topic, read[topic], channels, file.time.grid, start_s)
+            for number, (topic, channels) in enumerate(topics.items(), 1)
+        )
+    params = read_params(mapping, file.params)
     about = {"table": str(table), "mapping": str(mapping)}
     about |= {"table_sha256": file_sha256(table), "mapping_sha256": file_sha256(mapping)}
-    reference = stored_reference(file.reference, params)
+    reference = stored_reference(file.reference, params) if file.reference else None
     header = {
         **versions_header(),
-        **({} if reference is None else start_header(params, Mode.DEPLOYED, reference)),
+        **(start_header(params, Mode.DEPLOYED, reference) if reference else {}),
         **commands_header(()),
-        **({} if file.session is None else {SESSION: json.dumps(file.session.model_dump())}),
+        **({SESSION: json.dumps(file.session.model_dump())} if file.session else {}),
         "cpu": UNKNOWN_CPU,
         "arm": file.arm,
         "seed": "unknown",
         "request": json.dumps({IMPORT: about}, sort_keys=True),
         "mjcf_sha256": "unknown",
     }
-    moved = int(np.count_nonzero(np.diff(times.order) != 1))
-    return ImportedLog(times.order.size, moved, series, header)
+    return ImportedLog(series, header)
 
 
-def _topic_of(channel: MappedChannel) -> str:
-    return channel.target.topic
+def _read_rows(log: LogFile, time: GridTime, channels: Iterable[MappedChannel]) -> TopicRows:
+    """Read the rows of a topic; RobotError if a value is missing in one, or a time is not after the last."""
+    columns = {name: log.numbers(name) for one in channels for name in one.columns}
+    first, *_ = columns
+    time_s = read_times(log, time.column) * UNITS[time.unit].factor if time.column else columns[first].time_s
+    if time_s is None:
+        raise RobotError(f"{log.path}: has no times of its own; name its time column in time.column")
+    for name, one in columns.items():
+        own_s = time_s if time.column or one.time_s is None else one.time_s
+        if one.value.size != time_s.size or not np.array_equal(own_s, time_s):
+            raise RobotError(f"{log.path}: column {name!r}: has other times than {first!r}")
+    given = np.stack(
+        [np.ones(time_s.size, bool) if one.is_present is None else one.is_present for one in columns.values()]
+    )
+    row = np.flatnonzero(given.any(axis=0))
+    rows = TopicRows(log.path, row, time_s[row], {name: one.value[row] for name, one in columns.items()})
+    if not row.size:
+        raise RobotError(f"{log.path}: column {first!r}: no row has a value")
+    for name, there in zip(columns, given[:, row], strict=True):
+        if not there.all():
+            raise rows.error_at(
+                "has no value; a row needs all columns of a topic, or none", int(np.argmin(there)), name
+            )
+    late = np.flatnonzero(np.diff(rows.time_s) <= 0)
+    if late.size:
+        raise rows.error_at("its time is not after that of the row before", int(late[0]) + 1, time.column)
+    return rows
 
 
 def _build_topic(
-    log: LogFile, time: GridTime, channels: Sequence[MappedChannel], number: int
-) -> tuple[TopicMessages, RowTimes]:
-    """Build the messages of a topic, which becomes the channel with this number."""
-    columns = [[log.numbers(name) for name in one.columns] for one in channels]
-    names = [name for one in channels for name in one.columns]
-    named = [*zip(names, chain.from_iterable(columns), strict=True)]
-    topic = channels[0].target.topic
-    if not named:
-        raise RobotError(f"{log.path}: all of {topic} is constant; give a column of it, or leave it out")
-    times = row_times(log, time, named[0][1])
-    check_grid(times, time)
-    rows = _complete_rows(times, topic, named)
-    chosen = pick_rows(times, time, rows)
-    given = {one.target.field.name for one in channels}
-    fields = PACKET_TOPICS[topic].field_names if topic in PACKET_TOPICS else ()
-    missing = tuple(name for name in fields if name not in given)
-    is_whole = topic in PACKET_TOPICS and not missing
-    layout = topic_layout(topic) if is_whole else Layout(tuple(one.target.field for one in channels))
-    data = np.zeros(chosen.ticks.size, layout.dtype)
+    number: int, topic: str, rows: TopicRows, channels: Sequence[MappedChannel], grid: str, start_s: float
+) -> TopicMessages:
+    """Build the messages of a topic, which becomes the channel of this number; cycle 0 is at `start_s`."""
+    layout, packet = layout_of(topic), PACKET_TOPICS[topic].packet
+    cycles = (rows.time_s - start_s) * CYCLE_HZ
+    ticks, below, fraction = _exact(rows, cycles) if grid == "exact" else _between(rows, cycles)
+    data = np.zeros(ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
-    for one, some in zip(channels, columns, strict=True):
-        if not one.columns and not one.constant:
-            data[one.target.field.name] = chosen.ticks
-            continue
-        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.field.members else chosen
-        values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
-        data[one.target.field.name] = interpolate(values, held)
-    name = topic if is_whole or topic not in PACKET_TOPICS else IMPORT_PREFIX + topic[1:]
-    return TopicMessages(_spec(number, name, topic, layout), layout, chosen.ticks, data, missing), times
+    if topic == SENSORS:
+        data["cycle"] = ticks
+    for one in channels:
+        data[one.field.name] = _interpolate(_values(rows, one), below, fraction)
+    spec = layout_spec(number, topic, packet.__name__, packet.__doc__, layout, is_truth=False)
+    return TopicMessages(spec, ticks, data)
 
 
-def _complete_rows(times: RowTimes, topic: str, columns: Sequence[tuple[str, Column]]) -> Rows:
-    """Return the rows that have a value in all columns of a topic, in order of time, shape (k,)."""
-    n = times.order.size
-    for name, column in columns:
-        if column.value.size != n:
-            raise times.error_at(f"has {column.value.size} values, {columns[0][0]!r} has {n}", column=name)
-        own_s, first_s = column.time_s, columns[0][1].time_s
-        if own_s is not None and first_s is not None and not np.array_equal(own_s, first_s):
-            raise times.error_at(
-                f"has other times than {columns[0][0]!r}; map it to a topic of its own", column=name
-            )
-    masks = [np.ones(n, bool) if c.is_present is None else c.is_present[times.order] for _, c in columns]
-    given = np.stack(masks)
-    is_any = given.any(axis=0)
-    partial = np.flatnonzero(is_any & ~given.all(axis=0))
-    if partial.size:
-        row = int(partial[0])
-        name = columns[int(np.flatnonzero(~given[:, row])[0])][0]
-        raise times.error_at(
-            f"has no value; a message of {topic} needs all of its columns, or none", row, name
+def _exact(rows: TopicRows, cycles: Array) -> tuple[Rows, Rows, Array]:
+    """Return cycles that have one row each, (m,), the rows, and zeros; else RobotError."""
+    ticks = np.rint(cycles)
+    wrong = np.abs(cycles - ticks) > TOLERANCE_CYCLES
+    wrong[1:] |= np.diff(ticks) != 1
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise rows.error_at(
+            f"{cycles[row] - cycles[max(row - 1, 0)]:.6g} cycles of {CYCLE_HZ} Hz after the row before, "
+            f'{cycles[row]:.6g} after the first; if the unit is right, write grid = "linear" under [time] '
+            "to resample the rows",
+            row,
         )
-    if not is_any.any():
-        raise times.error_at(
-            f"no row has a value for {topic}; leave it out of the mapping", column=columns[0][0]
-        )
-    return np.flatnonzero(is_any)
+    return ticks.astype(np.int64), np.arange(ticks.size), np.zeros(ticks.size)
 
 
-def _values(
-    times: RowTimes, one: MappedChannel, columns: Sequence[NDArray[np.float64]], rows: Rows
-) -> NDArray[Any]:
-    """Convert the columns of a channel, or its constant, to the type of the log, shape (k, *shape of it)."""
-    field, kind = one.target.field, np.dtype(one.target.field.kind)
-    parts = []
-    for k, read in enumerate(columns or [np.full(rows.size, value) for value in one.constant]):
+def _between(rows: TopicRows, cycles: Array) -> tuple[Rows, Rows, Array]:
+    """Return the cycles within the rows, (m,), the row before each, and the way to the next row, 0 to 1."""
+    wide = np.flatnonzero(np.diff(cycles) > MAX_INTERVAL_S * CYCLE_HZ + CYCLE_ROUNDING)
+    if wide.size:
+        k = int(wide[0])
+        gap_s = (cycles[k + 1] - cycles[k]) / CYCLE_HZ
+        raise rows.error_at(f"{gap_s:.6g} s after the row before; at most {MAX_INTERVAL_S:g} s", k + 1)
+    last = int(np.floor(cycles[-1] + CYCLE_ROUNDING))
+    ticks = np.arange(int(np.ceil(cycles[0] - CYCLE_ROUNDING)), last + 1)
+    below = np.clip(np.searchsorted(cycles, ticks + CYCLE_ROUNDING, side="right") - 1, 0, None)
+    width = cycles[np.minimum(below + 1, cycles.size - 1)] - cycles[below]
+    fraction = np.divide(ticks - cycles[below], width, out=np.zeros(ticks.size), where=width > 0)
+    fraction[np.abs(ticks - cycles[below]) < CYCLE_ROUNDING] = 0.0
+    return ticks, below, fraction
+
+
+def _interpolate(values: NDArray[Any], below: Rows, fraction: Array) -> NDArray[Any]:
+    """Interpolate values of rows, (k, ...), to messages, (m, ...); flags keep that of the last row."""
+    found = values[below]
+    if values.dtype == np.bool_:
+        return found
+    inside = np.flatnonzero(fraction)
+    share = fraction[inside].reshape(-1, *(1,) * (values.ndim - 1))
+    # Not low + share * (high - low): the difference of two finite numbers may be infinite.
+    between = (1 - share) * values[below[inside]] + share * values[below[inside] + 1]
+    found[inside] = np.rint(between) if values.dtype.kind == "i" else between
+    return found
+
+
+def _values(rows: TopicRows, one: MappedChannel) -> NDArray[Any]:
+    """Convert the columns of a channel, or its constant, to the type of the log, shape (n, *shape of it)."""
+    kind, parts = np.dtype(one.field.kind), []
+    given = [rows.values[name] for name in one.columns]
+    for k, read in enumerate(given or [np.full(rows.row.size, value) for value in one.constant]):
         # a step that changes nothing is left out, so that every bit is kept
         values = read * one.factor[k] if one.factor[k] != 1.0 else read
         values = values + one.offset[k] if one.offset[k] != 0.0 else values
@@ -197,35 +234,20 @@ def _values(
         if is_bad.any():
             row = int(np.argmax(is_bad))
             name = one.columns[k] if one.columns else ""
-            raise times.error_at(f"{read[row]:.17g} {why}, for {one.target.name}", int(rows[row]), name)
+            raise rows.error_at(f"{read[row]:.17g} {why}, for {one.name}", row, name)
         parts.append(np.rint(values).astype(kind) if kind.kind == "i" else values.astype(kind))
-    return np.stack(parts, axis=1).reshape(rows.size, *(field.shape or ()))
+    return np.stack(parts, axis=1).reshape(rows.row.size, *(one.field.shape or ()))
 
 
-def _misfits(
-    one: MappedChannel, read: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], str]:
-    """Return which values, (k,), a channel cannot hold, and why."""
-    field = one.target.field
-    if field.members is not None:
-        listed = ", ".join(f"{number} {name}" for name, number in field.members.items())
-        return ~np.isin(values, [*field.members.values()]), f"is none of {listed}"
-    match field.kind:
+def _misfits(one: MappedChannel, read: Array, values: Array) -> tuple[NDArray[np.bool_], str]:
+    """Return which values, (n,), a channel cannot hold, and why."""
+    match one.field.kind:
         case "|b1":
             return (values != 0.0) & (values != 1.0), "is neither true nor false, 1 nor 0"
         case "<i8":
             is_broken = np.zeros(values.size, bool) if one.is_rounded else values != np.rint(values)
             return is_broken | ~(np.abs(values) <= MAX_EXACT_INT), "is no whole number that is exact"
     return np.isfinite(read) & ~np.isfinite(values), "is too large for its factor, offset and unit"
-
-
-def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:
-    """Return the channel of a topic that has a name in the log."""
-    is_truth = topic in PACKET_TOPICS and PACKET_TOPICS[topic].is_truth
-    kind, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
-    if name in PACKET_TOPICS:
-        kind, doc = PACKET_TOPICS[name].packet.__name__, PACKET_TOPICS[name].packet.__doc__ or ""
-    return layout_spec(number, name, kind, doc, layout, is_truth)
 
 
 def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
@@ -239,37 +261,16 @@ def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
 
 def import_document(log: Path, made: ImportedLog) -> dict[str, Any]:
     """Collect an import."""
-    return {
-        "log": log,
-        "rows": made.rows,
-        "rows_moved": made.rows_moved,
-        "topics": [
-            {
-                "topic": one.spec.topic,
-                "messages": one.ticks.size,
-                "first_tick": one.ticks[0],
-                "last_tick": one.ticks[-1],
-                "missing_ticks": one.ticks[-1] - one.ticks[0] + 1 - one.ticks.size,
-                "missing_fields": one.missing_fields,
-            }
-            for one in made.series
-        ],
-    }
+    topics = [
+        {"topic": one.spec.topic, "messages": one.ticks.size, "first_tick": one.ticks[0]}
+        for one in made.series
+    ]
+    return {"log": log, "topics": topics}
 
 
-def import_parts(log: Path, made: ImportedLog) -> list[str | ReportTable]:
-    """Show an import: a row for each topic, and the missing fields of incomplete topics."""
-    topics = import_document(log, made)["topics"]
-    rows = [[str(value) for key, value in one.items() if key != "missing_fields"] for one in topics]
-    head = ("topic", "messages", "first tick", "last tick", "ticks without")
-    moved = f"sorted    in {pluralize(made.rows_moved, 'place')} the file was not in order of time"
+def import_parts(log: Path, made: ImportedLog) -> list[str]:
+    """Show an import: a line for each topic."""
     return [
-        ReportTable(head, rows, f"{log}: {pluralize(made.rows, 'row')}"),
-        *([moved] if made.rows_moved else []),
-        *(
-            f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
-            f"{', '.join(one['missing_fields'])}"
-            for one in topics
-            if one["missing_fields"]
-        ),
+        f"{one.spec.topic:<10}{pluralize(one.ticks.size, 'message')} from cycle {one.ticks[0]} on, in {log}"
+        for one in made.series
     ]

@@ -119,7 +119,6 @@ CASES = {
     "place --target 1 2": "requires 3 arguments",
     "place --seed much": "'--seed': takes 1 whole number",
     "log info": "Missing argument 'LOG'",
-    "log plot run.mcap /joint.motor_rad": "Missing option '--out'",
     # numbers
     "place --target nan 0 0": "not three finite numbers",
     "place --target 1e9 0 0": "farther than 20 m",
@@ -224,7 +223,7 @@ CASES = {
     "log export header.mcap tables": "holds no message; there is nothing to export",
     "log recover header.mcap good.mcap": "nothing can be saved",
     "log recover run.mcap run.mcap": "this is the file of BAD too",
-    "log plot run.mcap /nosuch --out a.png": "has no channel /nosuch",
+    "log info run.mcap /nosuch": "has no channel /nosuch",
     "diagnose nosuch": "there is no such file or folder",
     "diagnose full": "holds no .mcap file",
     "diagnose run.mcap run.mcap": "is the same as",
@@ -260,7 +259,6 @@ CASES = {
     f"log export run.mcap {300 * 'a'}": "cannot be written (File name too long)",
     "log export run.mcap /proc/tables": "this folder cannot be made",
     "log recover run.mcap good.txt": "must end in .mcap",
-    "log plot run.mcap '*' --out p.png": "room for 12; name fewer, such as /",
 }
 """Part of the sentence, by command."""
 
