@@ -25,12 +25,7 @@ from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
-from sim.initialisation import (
-    HomingSample,
-    InitialisationResult,
-    InitialisationRun,
-    prepare_homing,
-)
+from sim.initialisation import HomingSample, InitialisationResult, InitialisationRun, prepare_homing
 from sim.loop import ClosedLoop, Setup
 from sim.setting import WARM_C, World
 from simgap.common.errors import BadRequest
