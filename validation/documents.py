@@ -35,8 +35,6 @@ LEFT_OUT: Final = {
     "export ": MACHINES,
     "ray ": MACHINES,
     "marsarm monte-carlo --case mars --arms 10000 --results mars.jsonl --cluster": MACHINES,
-    "marsarm view run.mcap": "serves until it is interrupted",
-    "marsarm place --tool mahli --view": "serves until it is interrupted",
 }
 """Command, or its first word with a space -> why it is not run."""
 QUICK: Final = (

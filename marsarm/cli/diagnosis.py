@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
 
 gap_app = VerbApp(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
-    "Example: marsarm gap demo --seed 3",
+    "Example: marsarm gap demo --seed 3"
 )
 
 

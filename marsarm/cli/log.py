@@ -21,7 +21,7 @@ ToOption = Annotated[
 ]
 
 log_app = VerbApp(
-    help="Inspect, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
+    help="Inspect, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap"
 )
 
 

@@ -33,7 +33,7 @@ def show(request: "marsarm.runs.request.ShowRequest", progress: Progress) -> Ver
     report = place(request, progress)
     page = report.execution.artifacts.page
     is_done = report.execution.result.outcome == "done"
-    view = report.execution.view if page is None or request.files.view else OpenedPage(page)
+    view = None if page is None else OpenedPage(page)
     return shown(place_document(report), place_parts(report), is_done, view=view)
 
 
@@ -50,7 +50,7 @@ def place(request: "marsarm.runs.request.PlaceRequest", progress: Progress) -> V
 
     report = place(request, progress)
     is_done = report.execution.result.outcome == "done"
-    return shown(place_document(report), place_parts(report), is_done, view=report.execution.view)
+    return shown(place_document(report), place_parts(report), is_done)
 
 
 @verb
@@ -73,7 +73,7 @@ def hardstop(
     problem = None if request.picture is None else save_hardstop_figure(report.result, request.picture)
     is_done = report.result.outcome == "done"
     document = hardstop_document(report, problem)
-    return shown(document, hardstop_parts(report, problem), is_done, view=report.view)
+    return shown(document, hardstop_parts(report, problem), is_done)
 
 
 @verb
@@ -94,21 +94,20 @@ def run(
     from marsarm.runs.scenario import run_scenario
 
     report = run_scenario(request, progress)
-    return shown(run_document(report), run_parts(report), report.passed, view=report.execution.view)
+    return shown(run_document(report), run_parts(report), report.passed)
 
 
 @verb
 def view(request: "marsarm.common.options.ViewRequest", progress: Progress) -> VerbResult:
-    """Play a log in the browser, or write a page that plays it without a server.
+    """Write a page that plays a log without a server, and open it in the browser.
 
-    Both show the true arm, the arm that flight software believes, rover, rock, contact force, plots and
-    events. The viewer listens on 127.0.0.1 only, until Ctrl-C, and needs the optional package viser. The page
-    needs a browser only.
+    It shows the true arm, the arm that flight software believes, rover, rock, contact force, plots and
+    events.
 
     Example: marsarm view run.mcap --html run.html
     """
-    from marsarm.view.page import view, view_document, view_parts
+    from marsarm.view.page import OpenedPage, view, view_document, view_parts
 
     report = view(request, progress)
-    view_of = None if report.viewer is None else report
-    return shown(view_document(report), view_parts(report), view=view_of)
+    opened = OpenedPage(report.page) if request.html is None else None
+    return shown(view_document(report), view_parts(report), view=opened)

@@ -56,9 +56,6 @@ class ArmRequest:
     check: Annotated[bool, Option("Write nothing; say whether these files are those of arm.toml.")] = False
 
 
-DEFAULT_PORT: Final = 8080
-
-
 @dataclass(frozen=True, slots=True)
 class ViewRequest:
     """Options of `marsarm view`."""
@@ -67,15 +64,11 @@ class ViewRequest:
     html: Annotated[
         Path | None,
         Option(
-            "Write one page that plays without a server, and serve nothing.", "FILE.html", suffixes=(".html",)
+            "Write the page here, and do not open it; if not given, LOG.html in this folder is opened.",
+            "FILE.html",
+            suffixes=(".html",),
         ),
     ] = None
-    port: Annotated[
-        int,
-        Option(
-            "Port of the viewer on 127.0.0.1; the next free one if it is taken.", "PORT", within=(1024, 65535)
-        ),
-    ] = DEFAULT_PORT
 
 
 LEAST_POSES: Final = 24

@@ -5,7 +5,7 @@ A run continues if its log, picture or movie cannot be written.
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -225,31 +225,17 @@ class Execution(Generic[Result]):
     realtime_factor: float
     """Duration on Mars over wall time; 0 for a run that did not begin."""
     artifacts: Artifacts
-    view: "RecordedRun | None" = None
-    """What recorded the run, and may show it again."""
 
 
-@contextmanager
-def open_view(
+def record_view(
     files: RunFiles, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
-) -> Iterator["RecordedRun | None"]:
-    """Open what records the runs of a block for a page, and a viewer if one is wanted; None if neither is.
+) -> "RecordedRun | None":
+    """Return what records a run for a page; None if none is wanted. Effects are those beyond the arm's."""
+    if files.page is None:
+        return None
+    from marsarm.view.watched_run import RecordedRun  # a run without a page does not wait for it
 
-    A viewer is stopped if the block fails, or no run begins in it. Else it stays open, to play them again.
-    Effects are those beyond the arm's. BadRequest says that the viewer cannot be opened.
-    """
-    if not files.view and files.page is None:
-        yield None
-        return
-    from marsarm.view.server import LiveView
-    from marsarm.view.watched_run import RecordedRun  # a run without a view does not wait for it
-
-    opened = LiveView if files.view else RecordedRun
-    with ExitStack() as stack:
-        view = stack.enter_context(opened(title, world, arm, effects))
-        yield view
-        if view.has_begun:
-            stack.pop_all()
+    return RecordedRun(title, world, arm, effects)
 
 
 def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
@@ -319,4 +305,4 @@ def execute(
         log_problem=next((event.message for _, event in log.events), None),
         events=log.events,
     )
-    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)
+    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

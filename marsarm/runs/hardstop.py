@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,27 +18,18 @@ from fsw.motion.homing import HomingStage
 from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import make_world, select_arm
 from marsarm.render.svg import save_figure
-from marsarm.runs.execution import open_view
-from marsarm.runs.request import HardstopRequest, RunFiles
+from marsarm.runs.request import HardstopRequest
 from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
-from sim.initialisation import (
-    HomingSample,
-    InitialisationResult,
-    InitialisationRun,
-    prepare_homing,
-)
+from sim.initialisation import HomingSample, InitialisationResult, InitialisationRun, prepare_homing
 from sim.loop import ClosedLoop, Setup
 from sim.setting import WARM_C, World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-
-if TYPE_CHECKING:
-    from marsarm.view.watched_run import RecordedRun
 
 BEFORE_S: Final = 3.0
 """Time before the contact with the hardstop from which the figure begins."""
@@ -72,8 +63,6 @@ class HardstopReport:
     result: InitialisationResult
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
-    view: "RecordedRun | None" = None
-    """Viewer that shows the run, if one was asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,11 +80,9 @@ class HardstopJob:
 def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
     """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_hardstop(request)
-    title = f"hardstops of arm {job.arm.name}"
-    with open_view(RunFiles(view=request.view), title, job.world, job.arm, job.effects) as view:
-        result = _run_homing(request, job, progress, view)
+    result = _run_homing(request, job, progress)
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, result, poses, view)
+    return HardstopReport(request, result, poses)
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
@@ -148,18 +135,12 @@ def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
     return joints5(start)
 
 
-def _run_homing(
-    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "RecordedRun | None"
-) -> InitialisationResult:
-    """Home one joint or all, and show each cycle in the viewer if there is one."""
+def _run_homing(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
     run = _prepare_run(request, job)
     loop = run.loop
-    loop.with_truth = view is not None
     if job.joint is not None:
         progress(0, 1, job.joint.name.lower())
     for record in run:
-        if view is not None:
-            view.watch(record)
         if job.joint is None and record.tick % CYCLE_HZ == 0:
             homing = loop.state.move.homing if loop.state.move is not None else None
             activity = "moving" if homing is None else homing.joint.name.lower()

@@ -17,8 +17,8 @@ from marsarm.runs.execution import (
     execute,
     execution_not_begun,
     initialise,
-    open_view,
     progress_before_movie,
+    record_view,
 )
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.recorder import run_header
@@ -102,8 +102,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     title = f"{job.placement.tool} on arm {job.arm.name}"
     effects = effects_of_run(job.effects)
     check_unlocked(request.files.log, "log")
-    with open_view(request.files, title, job.world, job.arm, effects) as view:
-        return _carry_out(request, job, progress, view)
+    return _carry_out(request, job, progress, record_view(request.files, title, job.world, job.arm, effects))
 
 
 def _carry_out(

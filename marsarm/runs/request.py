@@ -16,18 +16,10 @@ from marsarm.common.options import (
 )
 from simgap.common.options import Option, Vector
 
-ViewOption = Annotated[
-    bool,
-    Option(
-        "Show the run in the browser while it runs, then play it again until Ctrl-C; needs the extra `view`.",
-        name="--view",
-    ),
-]
-
 
 @dataclass(frozen=True, slots=True)
 class RunFiles:
-    """Files that a run writes, None for each that it does not; and whether it is shown."""
+    """Files that a run writes, None for each that it does not."""
 
     log: Annotated[Path | None, Option("Write a telemetry log (MCAP).", "FILE.mcap", suffixes=(".mcap",))] = (
         None
@@ -52,7 +44,6 @@ class RunFiles:
     page: Annotated[
         Path | None, Option("Write a page that plays the run.", "FILE.html", suffixes=(".html",))
     ] = None
-    view: ViewOption = False
 
 
 NO_FILES: Final = RunFiles()
@@ -156,7 +147,6 @@ class HardstopRequest:
     params: ParamsOption = None
     mismatch: MismatchOption = False
     effects: EffectsOption = ()
-    view: ViewOption = False
     picture: Annotated[
         Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
     ] = None

@@ -13,8 +13,8 @@ from marsarm.runs.execution import (
     execute,
     execution_not_begun,
     initialise,
-    open_view,
     progress_before_movie,
+    record_view,
 )
 from marsarm.runs.request import RunRequest
 from marsarm.telemetry.recorder import run_header
@@ -57,8 +57,8 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     scenario, arm = _prepare(request)
     title = f"{scenario.title} on arm {arm.name}"
     check_unlocked(request.files.log, "log")
-    with open_view(request.files, title, scenario.world, arm, scenario.effects) as view:
-        return _carry_out(request, scenario, arm, progress, view)
+    view = record_view(request.files, title, scenario.world, arm, scenario.effects)
+    return _carry_out(request, scenario, arm, progress, view)
 
 
 def _carry_out(

@@ -9,13 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from marsarm.telemetry.format import (
-    FORMAT,
-    TICK_NS,
-    LostMessages,
-    span_text,
-    trailing_bytes_text,
-)
+from marsarm.telemetry.format import FORMAT, TICK_NS, LostMessages, span_text, trailing_bytes_text
 from marsarm.telemetry.inspection import ChannelSeries, severity_name
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.recover import RecoveryReport

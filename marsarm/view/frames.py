@@ -1,6 +1,6 @@
 """Frames of a view: poses of the arm over time, true and as flight software believes it.
 
-This is the one way from a run to what is drawn: the viewer, the page and the tests use it.
+This is the one way from a run to what is drawn: the page and the tests use it.
 """
 
 from collections.abc import Sequence
@@ -135,27 +135,6 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trail:
-    """Places of the tool on the rigid arm [m], and the offsets of the arm that is shown, each (k, 3)."""
-
-    rigid_m: NDArray[np.float32]
-    offset_m: NDArray[np.float32]
-
-    def points_m(self, factor: float) -> NDArray[np.float32]:
-        """Compute the points with offsets times a factor, shape (k, 3)."""
-        return self.rigid_m + np.float32(factor) * self.offset_m
-
-    def extended_by(self, other: "Trail") -> "Trail":
-        """Return the trail that continues with another one."""
-        return Trail(np.vstack([self.rigid_m, other.rigid_m]), np.vstack([self.offset_m, other.offset_m]))
-
-    @property
-    def last_step_m(self) -> float:
-        """Distance between the last two points of the rigid arm."""
-        return float(np.linalg.norm(self.rigid_m[-1] - self.rigid_m[-2]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ViewFrames:
     """Poses at n times of b carriers and, as the last one, of the tool, in world axes.
 
@@ -174,40 +153,6 @@ class ViewFrames:
     """Offsets of the true arm likewise; None if it is not known."""
     force_N: NDArray[np.float32]
     """True contact force on the tool, shape (n, 3)."""
-
-    def arm_at(self, offset: NDArray[np.float32], time_s: float, factor: float) -> tuple[Array, Array]:
-        """Compute the poses of one arm, `true` or `believed`, at a time, with its offsets times a factor.
-
-        They are positions, (b + 1, 3), and quaternions x, y, z, w, (b + 1, 4).
-        """
-        added = factor * self.between(offset, time_s)
-        rigid = Rotation.from_quat(self.between(self.q, time_s))
-        turned = Rotation.from_rotvec(added[:, 3:]) * rigid
-        return self.between(self.p_m, time_s) + added[:, :3], turned.as_quat()
-
-    def between(self, values: NDArray[np.float32], time_s: float) -> Array:
-        """Interpolate values of the frames, shape (n, ...), at a time."""
-        frame = self.frame_at(time_s)
-        after = min(frame + 1, len(values) - 1)
-        times_s = self.samples.time_s
-        span_s = times_s[after] - times_s[frame]
-        share = np.clip((time_s - times_s[frame]) / span_s, 0.0, 1.0) if span_s else 0.0
-        return np.asarray((1.0 - share) * values[frame] + share * values[after])
-
-    def frame_at(self, time_s: float) -> int:
-        """Return the last frame at or before a time, or the first one."""
-        return max(int(np.searchsorted(self.samples.time_s, time_s, side="right")) - 1, 0)
-
-    @property
-    def shown(self) -> NDArray[np.float32]:
-        """Offsets of the arm that is shown in full: of the true one, or else of the believed one."""
-        return self.believed if self.true is None else self.true
-
-    def trail(self, time_s: float) -> Trail:
-        """Return the trail of the present tool until a time."""
-        frame = self.frame_at(time_s)
-        kept = slice(int(self.trail_start[frame]), frame + 1)
-        return Trail(self.p_m[kept, -1], self.shown[kept, -1, :3])
 
     @property
     def trail_start(self) -> NDArray[np.uint32]:

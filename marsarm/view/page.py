@@ -1,4 +1,4 @@
-"""View of a log: serve it in the browser, or write it as a page that needs no server; open a page."""
+"""View of a run in the browser: a page that needs no server."""
 
 import base64
 import gzip
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from marsarm.common.options import ViewRequest
 from marsarm.view.scene import looks_json
-from marsarm.view.server import Viewer
 from marsarm.view.watched_run import Plot, WatchedRun, make_plots, watch_log
 from simgap.common.console import pluralize
 from simgap.common.files import atomic_write
@@ -131,38 +130,28 @@ class ViewReport:
     """View of a log."""
 
     request: ViewRequest
+    page: Path
+    page_bytes: int
     run: WatchedRun
-    page_bytes: int | None
-    """Size of the page; None if the log is served."""
-    viewer: Viewer | None
-    """Viewer that serves the log; None if a page was written."""
-
-    def play(self) -> None:
-        """Serve the log until Ctrl-C."""
-        if self.viewer is not None:
-            with self.viewer:
-                self.viewer.play(self.run)
 
 
 def view(request: ViewRequest, progress: Progress) -> ViewReport:
-    """Prepare the view of a log: write its page, or open the viewer; BadRequest if something is wrong."""
+    """Write the page of a log; BadRequest if something is wrong."""
     check_options(request)
+    page = request.html or Path(f"{request.log.stem}.html")
     progress(0.0, GUESS, "reading")
     run = watch_log(request.log)
     progress(0.5, GUESS, "drawing")
-    if request.html is not None:
-        return ViewReport(request, run, save_page(run, request.html), None)
-    return ViewReport(request, run, None, Viewer(run.scene, request.port, run.title, "use --html"))
+    return ViewReport(request, page, save_page(run, page), run)
 
 
 def view_document(report: ViewReport) -> dict[str, Any]:
-    """Collect where the view is, and what it shows."""
+    """Collect where the page is, and what it shows."""
     frames = report.run.frames
     return {
         "log": report.request.log,
-        "html": report.request.html,
+        "html": report.page,
         "html_bytes": report.page_bytes,
-        "address": None if report.viewer is None else report.viewer.address,
         "frames": len(frames.samples.time_s),
         "duration_s": frames.samples.time_s[-1] - frames.samples.time_s[0],
         "events": len(report.run.events),
@@ -172,15 +161,13 @@ def view_document(report: ViewReport) -> dict[str, Any]:
 
 
 def view_parts(report: ViewReport) -> list[str]:
-    """Say where the view is, and what it does not show."""
+    """Say where the page is, and what it does not show."""
     times_s = report.run.frames.samples.time_s
     what = f"{pluralize(len(times_s), 'frame')} of {times_s[-1] - times_s[0]:.1f} s"
-    lines = []
-    if report.page_bytes is not None:
-        lines.append(f"page      {report.request.html}, {report.page_bytes / 1e6:.1f} MB, {what}")
-    if report.viewer is not None:
-        lines.append(f"playing   {what}; Ctrl-C ends it")
-    return [*lines, *(f"note      {note}" for note in report.run.notes)]
+    return [
+        f"page      {report.page}, {report.page_bytes / 1e6:.1f} MB, {what}",
+        *(f"note      {note}" for note in report.run.notes),
+    ]
 
 
 OWN_SCREEN: Final = ("darwin", "win32")

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -80,7 +80,7 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchedRun:
-    """Run that is over, for the viewer or a page."""
+    """Run that is over, for a page."""
 
     title: str
     facts: tuple[tuple[str, str], ...]
@@ -218,11 +218,6 @@ class RecordedRun:
         self._tool = self._last_tick = 0
         self._begun_s = 0.0
 
-    @property
-    def has_begun(self) -> bool:
-        """Return whether a run has begun."""
-        return bool(self._records)
-
     def is_due(self, tick: int) -> bool:
         """Return whether the cycle at a tick is a sample, which has the truth."""
         return tick % SAMPLE_CYCLES == 0
@@ -243,22 +238,10 @@ class RecordedRun:
         self._times_s.append(time_s)
         self._tools.append(self._tool)
 
-    def play(self) -> None:
-        """Play nothing: no viewer shows this run."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Keep what was recorded."""
-
-    def _frames(self, part: slice) -> ViewFrames:
-        """Compute the frames of some samples; BadRequest if none has finite angles."""
-        samples = Samples.of_records(self._times_s[part], self._tools[part], self._records[part])
-        return self._surroundings.frames(samples)
-
     def collect(self, header: Mapping[str, str]) -> WatchedRun:
         """Return the run for a page, of at most MOST_SAMPLES; BadRequest if none can be drawn."""
-        frames = self._frames(slice(None, None, -(-len(self._times_s) // MOST_SAMPLES)))
-        scene = self._surroundings.scene
-        return WatchedRun(self._title, list_facts(header), (), scene, frames, tuple(self._events))
+        part = slice(None, None, -(-len(self._times_s) // MOST_SAMPLES))
+        samples = Samples.of_records(self._times_s[part], self._tools[part], self._records[part])
+        frames = self._surroundings.frames(samples)
+        facts, scene = list_facts(header), self._surroundings.scene
+        return WatchedRun(self._title, facts, (), scene, frames, tuple(self._events))

@@ -176,12 +176,7 @@ def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> NuisanceEff
 
 
 def _joint_nuisance(
-    place: Joint | Frame,
-    word: str,
-    unit: str,
-    sigma: float,
-    kind: Any,
-    random_per_block: bool = False,
+    place: Joint | Frame, word: str, unit: str, sigma: float, kind: Any, random_per_block: bool = False
 ) -> NuisanceEffect:
     """Return an effect of one parameter at a joint or frame; a factor is given by its logarithm."""
     name = place.name.lower()

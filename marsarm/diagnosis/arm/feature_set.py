@@ -43,13 +43,7 @@ from marsarm.diagnosis.arm.rest_poses import (
     stack_readings,
 )
 from sim.arm_model.load import ArmModel
-from sim.effects.effect import (
-    Effect,
-    Hardware,
-    apply_sensor_errors,
-    nominal_hardware,
-    params_with_effects,
-)
+from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
 from sim.effects.gears import OutputFriction
 from sim.frames import p_R_from_N

@@ -13,12 +13,7 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.diagnose_logs import (
-    diagnose_logs,
-    drawing,
-    flight_params,
-    prepare_diagnosis,
-)
+from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, drawing, flight_params, prepare_diagnosis
 from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, make_session, motion_text
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.arm.request import NextRequest
@@ -161,9 +156,5 @@ def save_files(made: NextArmMotion) -> list[str]:
     """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
     request = made.request
     return save_next_files(
-        made.proposal,
-        {"motion": request.out},
-        lambda: motion_text(made.motion),
-        request.report,
-        made.origin,
+        made.proposal, {"motion": request.out}, lambda: motion_text(made.motion), request.report, made.origin
     )

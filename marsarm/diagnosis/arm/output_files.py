@@ -123,8 +123,5 @@ def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -
         kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
         for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
         if paths
-    } | {
-        "parameters": digest(flight_params(job)),
-        "result": json_sha256(to_document(result.diagnosis)),
-    }
+    } | {"parameters": digest(flight_params(job)), "result": json_sha256(to_document(result.diagnosis))}
     return Origin(command_text("marsarm diagnose", request), digests)

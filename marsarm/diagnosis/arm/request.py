@@ -13,8 +13,7 @@ class LogsRequest:
     """Logs of a diagnosis, and the arm that they are compared with."""
 
     logs: Annotated[
-        tuple[Path, ...],
-        Option("Logs, or folders: all .mcap files in them.", "LOG...", is_argument=True),
+        tuple[Path, ...], Option("Logs, or folders: all .mcap files in them.", "LOG...", is_argument=True)
     ]
     held_out: Annotated[
         tuple[Path, ...],
@@ -75,8 +74,7 @@ class NextRequest(LogsRequest):
     """Request for the next motion."""
 
     out: Annotated[
-        Path | None,
-        Option("Write the motion, for `gap record --motion`.", "FILE.toml", suffixes=(".toml",)),
+        Path | None, Option("Write the motion, for `gap record --motion`.", "FILE.toml", suffixes=(".toml",))
     ] = None
     report: ReportOption = None
 

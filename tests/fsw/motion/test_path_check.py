@@ -27,15 +27,7 @@ from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from sim.arm_check import sweep_poses
 from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
 from sim.setting import World
-from tests.fsw.rig import (
-    MARS_R_m_s2,
-    Rig,
-    beside_the_rover,
-    config_of,
-    facing,
-    find_violation,
-    in_limits,
-)
+from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, find_violation, in_limits
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry

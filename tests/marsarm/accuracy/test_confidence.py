@@ -7,12 +7,7 @@ from fsw.kinematics.transforms import Array
 from helpers.marks import slow_but
 from marsarm.accuracy.propagation import CUMULANTS, squared_length
 from marsarm.accuracy.trial import sample_errors
-from marsarm.common.rates import (
-    estimate_accuracy,
-    estimate_coverage,
-    min_sample_size,
-    quantile_interval,
-)
+from marsarm.common.rates import estimate_accuracy, estimate_coverage, min_sample_size, quantile_interval
 
 
 def test_a_quantile_lies_in_its_interval_as_often_as_it_says():

@@ -1,6 +1,7 @@
 """Short runs for the tests of views: the arm moves a little, as-built, on a tilted rover."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.types import joints5
@@ -29,3 +30,19 @@ def records_of(loop: ClosedLoop):
 
 COMMANDS = (MoveJoints(joints5(np.radians(GOAL_DEG))),)
 ARM = arm_named("as-built:7")
+
+
+def between(frames, values, time_s):
+    """Interpolate values of frames, shape (n, ...), at a time."""
+    times_s = frames.samples.time_s
+    at = np.clip(np.interp(time_s, times_s, np.arange(len(times_s))), 0, len(times_s) - 1)
+    frame, share = int(at), at % 1.0
+    after = min(frame + 1, len(times_s) - 1)
+    return (1.0 - share) * values[frame] + share * values[after]
+
+
+def arm_at(frames, offset, time_s, factor):
+    """Compute positions, (b + 1, 3), and quaternions, (b + 1, 4), of an arm; its offsets times a factor."""
+    added = factor * between(frames, offset, time_s)
+    turned = Rotation.from_rotvec(added[:, 3:]) * Rotation.from_quat(between(frames, frames.q, time_s))
+    return between(frames, frames.p_m, time_s) + added[:, :3], turned.as_quat()

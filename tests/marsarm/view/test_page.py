@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from marsarm.view.page import make_page, save_page
+from tests.marsarm.view.lab import arm_at, between
 from validation.browser import MISSING, Browser, find_chromium
 
 MOST_BYTES = 5_000_000
@@ -103,7 +104,7 @@ def test_the_player_computes_the_poses_of_the_frames(run, tmp_path):
         for factor in FACTORS:
             for offset in (frames.true, frames.believed):
                 played = np.array(next(poses))
-                p_m, q = frames.arm_at(offset, time_s, factor)
+                p_m, q = arm_at(frames, offset, time_s, factor)
                 assert played[:, :3] == pytest.approx(p_m, abs=1e-6)
                 assert np.abs(np.sum(played[:, 3:] * q, axis=1)) == pytest.approx(1.0, abs=1e-6)
 
@@ -143,7 +144,7 @@ def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
         shown = browser.evaluate("""(() => { const plot = player.plots[0];
           player.show(1, 3); player.point(1.5); player.draw(); plot.choose(2, true);
           return [player.range, plot.shown, plot.labels[0].value.textContent]; })()""")
-        angle_deg = np.degrees(run.frames.between(run.frames.samples.believed_rad[0], 1.5))
+        angle_deg = np.degrees(between(run.frames, run.frames.samples.believed_rad[0], 1.5))
         assert shown[:2] == [[1, 3], [False, False, True, False, False]]
         assert float(shown[2]) == pytest.approx(angle_deg, abs=0.1)
         body_of_line = "player.painter.gl.getVertexAttrib(2, player.painter.gl.CURRENT_VERTEX_ATTRIB)[3]"

@@ -51,9 +51,7 @@ def test_the_drawing_has_no_effects() -> None:
     assert effects_of_params(nominal_params(), nominal_params()) == ()
 
 
-def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
-    tmp_path: Path,
-) -> None:
+def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path: Path) -> None:
     words = ("--out", "logs", "--arm", "calibrated:7", "--sessions", "poses-level-[15]", "--json")
     named = json.loads(marsarm(tmp_path, "gap", "record", *words).stdout)["logs"]
     assert named == ["logs/poses-level-1.mcap", "logs/held-out/poses-level-5.mcap"]

@@ -9,12 +9,7 @@ import pytest
 
 from fsw.kinematics.transforms import IDENTITY, stack_poses
 from marsarm.diagnosis.arm import diagnose_logs, logs, record
-from marsarm.diagnosis.arm.logs import (
-    NotForDiagnosis,
-    TrackerPoses,
-    read_tracker_poses,
-    write_tracker_poses,
-)
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, TrackerPoses, read_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from simgap.common.errors import BadRequest, RobotError

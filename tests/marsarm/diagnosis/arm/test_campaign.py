@@ -42,12 +42,7 @@ from marsarm.diagnosis.arm.finite_differences import (
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import (
-    SHORT_SETTLING,
-    ArmSimulator,
-    build_simulator,
-    make_effect,
-)
+from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_simulator, make_effect
 from marsarm.diagnosis.problem import Sensitivities
 from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue

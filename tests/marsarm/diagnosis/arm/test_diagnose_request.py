@@ -33,12 +33,7 @@ def test_a_folder_is_all_logs_in_it(folder):
         (["empty"], [], {}, r"log .*empty: this folder holds no \.mcap file"),
         (["logs"], ["n" * 300], {}, "there is no such file or folder"),
         (["logs"], ["/dev/null"], {}, "held-out log /dev/null: this is neither a regular file nor a folder"),
-        (
-            ["logs"],
-            [],
-            {"catalogue": "sensor-fault"},
-            "'sensor-fault' is no effect",
-        ),
+        (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
         (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
     ],
 )
