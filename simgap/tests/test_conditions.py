@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.robot_folder import changed
 from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
@@ -67,12 +68,8 @@ def needed_Nm(mass_g: float, length_m: float, q: Array, v: Array, a: Array) -> A
 
 def write_folder(folder: Path, *changes: tuple[str, str], added_Nm_kg: float = 0.0) -> tuple[Path, Path]:
     """Write a pendulum and its logs, in which a constant torque may be in proportion to the mass."""
-    text = ROBOT
-    for before, after in changes:
-        assert before in text
-        text = text.replace(before, after)
     (folder / "model.xml").write_text(MODEL)
-    (folder / "robot.toml").write_text(text)
+    (folder / "robot.toml").write_text(changed(ROBOT, *changes))
     t = np.arange(0.0, 4.0, 0.01)
     rng = np.random.default_rng(1)
     lines = ["t,motion,mass_g,length,q,tau"]

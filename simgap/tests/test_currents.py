@@ -11,7 +11,7 @@ from helpers.robot_folder import write_csv, write_robot
 from helpers.two_joint_arm import arm, simulated
 from simgap import diagnose
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.checks.nominal import simulate_nominal
+from simgap.command.check import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import CurrentScale
 from simgap.loading import load, take_currents_as_torques

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from marsarm.common.rates import check_rate
-from simgap.command.comparison import compare_logs
+from simgap.command.diagnosis import compare_logs
 from simgap.command.request import CompareRequest
 from simgap.common.errors import RobotError
 from simgap.result import Comparison

@@ -148,9 +148,9 @@ BOTH = {
     "robot.toml one_array.npz": "is no NumPy .npz file",
     "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
     "pipe.toml log.parquet": "is not a regular file",
-    "pipe_model.toml log.parquet": "is no regular file",
-    "zero_byte.toml log.parquet": "is no name of a file",
-    "bytes_model.toml log.parquet": "is not UTF-8 text",
+    "pipe_model.toml log.parquet": "is not a regular file",
+    "zero_byte.toml log.parquet": "cannot be read (embedded null",
+    "bytes_model.toml log.parquet": "is not text in UTF-8",
     # robot
     "shared_position.toml log.parquet": "elbow.position.column: is that of joints.shoulder.position too",
     "own_command.toml log.parquet": "joints.elbow.command.column: is that of joints.elbow.position too",
