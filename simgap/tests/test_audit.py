@@ -29,7 +29,7 @@ SLOW = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def clean() -> Logs:
+def clean():
     return slow_logs(planar_arm())
 
 

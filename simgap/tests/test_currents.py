@@ -30,7 +30,7 @@ def six_motions():
     return [simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}") for seed in range(6)]
 
 
-def guessed(constant_Nm_A: float, true_Nm_A: float, is_known: bool):
+def guessed(constant_Nm_A, true_Nm_A, is_known):
     """Return the arm and its logs, in which torques are known as currents."""
     robot = arm()
     robot = replace(

@@ -19,11 +19,11 @@ from simgap.robot import Robot
 
 
 @pytest.fixture(scope="module")
-def clean() -> Logs:
+def clean():
     return slow_logs(planar_arm())
 
 
-def remarks(logs: Logs, kind: RemarkKind):
+def remarks(logs, kind):
     return [one for one in audit(planar_arm(), logs).remarks if one.kind is kind]
 
 

@@ -8,7 +8,6 @@ import pytest
 from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
-from simgap.common.toml import Record
 from simgap.files import robot_file
 from simgap.loading import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
@@ -172,7 +171,7 @@ TABLES = {
 }
 
 
-def lines_of(record: type[Record]) -> list[str]:
+def lines_of(record):
     """Return the lines of the list of a record: key, default, meaning."""
     lines = []
     for key, field in record.model_fields.items():
@@ -184,7 +183,7 @@ def lines_of(record: type[Record]) -> list[str]:
 
 
 @pytest.mark.parametrize("heading", TABLES)
-def test_the_page_has_a_line_for_each_key(heading: str) -> None:
+def test_the_page_has_a_line_for_each_key(heading):
     section = repository_file("docs/robot-file.md").read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
     shown = [line for line in section.splitlines() if line.startswith("- `")]
     assert shown == lines_of(TABLES[heading])

@@ -44,7 +44,7 @@ MAKER = ArmCases(("cold",))
 SESSIONS = choose_sessions(MAKER.sessions)
 
 
-def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, TrueCase]:
+def cases(kinds=("single", "out-of-catalogue")):
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
         DetectableEffect(to_hypothesis(one), 0.4, number)
@@ -61,13 +61,13 @@ Recorded = tuple[Path, TrueCase]
 
 
 @pytest.fixture(scope="module", params=["single", "out-of-catalogue"])
-def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def recorded(request, tmp_path_factory):
     folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
     MAKER.record(folder, case)
     return folder / "cold.mcap", case
 
 
-def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
+def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise():
     one, again, other = (sample_background(np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
@@ -75,7 +75,7 @@ def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
     assert len(one) == len(draw_calibration_errors(default_arm(), 0)) + 11
 
 
-def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
+def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded):
     path, case = recorded
     check_leakage(path, case)
     log = read_log(path)
@@ -87,7 +87,7 @@ def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) 
 
 
 @pytest.mark.slow
-def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
+def test_a_case_that_is_made_again_is_the_same(recorded, tmp_path):
     path, case = recorded
     MAKER.record(tmp_path, case)
     one, again = read_log(path), read_log(tmp_path / path.name)
@@ -108,7 +108,7 @@ LEAKS: dict[str, Callable[..., dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("words", LEAKS)
-def test_a_header_that_reveals_the_truth_is_refused(words: str, tmp_path: Path) -> None:
+def test_a_header_that_reveals_the_truth_is_refused(words, tmp_path):
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     whole = words.startswith("says arm")
     said = run_header(loop, "nominal", 1, {}, ()) if whole else flight_header(loop, ())
@@ -119,7 +119,7 @@ def test_a_header_that_reveals_the_truth_is_refused(words: str, tmp_path: Path) 
         check_leakage(path, CASE)
 
 
-def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
+def test_the_plants_own_state_is_refused(tmp_path):
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     loop.with_truth = True
     path = tmp_path / "x.mcap"
@@ -129,7 +129,7 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
         check_leakage(path, CASE)
 
 
-def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_with_a_revealing_log_is_deleted(tmp_path, monkeypatch):
     """A perfect homing would measure the friction that is the case's effect."""
     monkeypatch.setattr(blind_case, "blind_reference", lambda built, _: true_reference(built))
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
@@ -139,10 +139,10 @@ def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.slow
-def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_is_there_whole_or_not_at_all(tmp_path, monkeypatch):
     case = cases()["single"]
 
-    def stopped(*_: object) -> None:
+    def stopped(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as broken:
@@ -154,7 +154,7 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
     assert [path.name for path in (tmp_path / "cases" / case.name).iterdir()] == ["cold.mcap"]
 
 
-def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
+def test_an_effect_from_outside_is_written_by_its_file_and_switched_on():
     (effect,) = cases()["out-of-catalogue"].effects
     assert effect.spec.startswith("related.py:DriftingCurrent:")
     made = resolve_effect(effect.spec, TOOLS)
@@ -162,7 +162,7 @@ def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None
     assert resolve_effect(effect.spec.replace("related.py", "related/sensors.py"), TOOLS) == made
 
 
-def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:
+def test_a_session_that_does_not_complete_is_left_out(tmp_path):
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
     case = TrueCase("case-000", "none", (), weak, 5)
     MAKER.record(tmp_path, case)

@@ -3,7 +3,6 @@
 import json
 import os
 import tomllib
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -42,17 +41,17 @@ COMMAND_rad = np.column_stack([0.5 * np.sin(2.0 * TIME_s + 0.1), 0.4 * np.sin(3.
 JOINTS = ("shoulder", "elbow")
 
 
-def of_joints(signals: dict[str, np.ndarray], names=JOINTS) -> dict[str, np.ndarray]:
+def of_joints(signals, names=JOINTS):
     """Return a column for each joint, (n, 2), under its name in the place of {}."""
     return {key.format(name): one[:, k] for key, one in signals.items() for k, name in enumerate(names)}
 
 
-def columns_of(names=JOINTS) -> dict[str, np.ndarray]:
+def columns_of(names=JOINTS):
     """Return times, positions and commands of both joints."""
     return {"t": TIME_s} | of_joints({"q_{}": POSITION_rad, "cmd_{}": COMMAND_rad}, names)
 
 
-def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ",") -> Path:
+def write_csv(folder, columns, separator=","):
     (folder / "model.xml").write_text(MODEL)
     table = [separator.join(columns)]
     table += [separator.join(f"{one:.8g}" for one in row) for row in zip(*columns.values(), strict=True)]
@@ -61,7 +60,7 @@ def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ","
     return path
 
 
-def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict]:
+def start(folder, log="log.csv", *options):
     """Run `init`; return the robot file and the JSON document. The check reads the file and its log."""
     done = run_simgap(folder, "init", "model.xml", log, "--json", *options)
     assert done.returncode == 0, done.stdout
@@ -75,7 +74,7 @@ def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict
     return file, document
 
 
-def refusal(folder: Path, *words: str) -> str:
+def refusal(folder, *words):
     """Run `init`, which refuses; return what it says."""
     done = run_simgap(folder, "init", *(words or ("model.xml", "log.csv")))
     assert done.returncode == 2, words
@@ -238,7 +237,7 @@ def test_bad_input_writes_nothing(tmp_path):
     assert (tmp_path / "robot.toml").read_text() == "mine"
 
 
-def start_with(folder: Path, columns: dict[str, np.ndarray], *changes: tuple[str, str]) -> tuple[dict, list]:
+def start_with(folder, columns, *changes):
     """Run `init` with a changed model; return the robot file and the questions."""
     path = write_csv(folder, columns)
     (folder / "model.xml").write_text(changed(MODEL, *changes))
