@@ -22,14 +22,7 @@ from simgap.common.report import ReportTable, file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
 from simgap.logs import Logs, Motion
-from simgap.report.page import (
-    draw_figures,
-    error_panel,
-    figure_style,
-    motion_document,
-    position_panel,
-    series_figure,
-)
+from simgap.report import page
 from simgap.report.traces import extreme_rows
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
@@ -313,8 +306,8 @@ def _page_parts(report: CheckReport) -> Iterator[str]:
         f"{len(chosen)} of {pluralize(len(report.logs.motions), 'motion')}: those of the remarks, then those "
         "with the largest error. A diagnosis leaves out what is marked."
     )
-    yield figure_style()
-    yield from draw_figures([joint_figure(report, joint.name, chosen) for joint in report.robot.joints])
+    yield page.figure_style()
+    yield from page.draw_figures([joint_figure(report, joint.name, chosen) for joint in report.robot.joints])
     yield heading("Rates")
     yield table(RATE_HEAD, list(_rate_rows(report)))
 
@@ -353,13 +346,13 @@ def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:
         error = {"nominal": series["measured"] - series["nominal"]}
         rows = extreme_rows([*series.values(), *error.values()])
         series, error = ({name: one[rows] for name, one in part.items()} for part in (series, error))
-        panels = [position_panel("distance" if of_joint.is_slide else "angle", of_joint.unit, series)]
+        panels = [page.position_panel("distance" if of_joint.is_slide else "angle", of_joint.unit, series)]
         if np.isfinite(error["nominal"]).any():
-            panels.append(error_panel("measured less simulated", of_joint.unit, error))
-        documents.append((motion.name, motion_document(log.position.time_s[rows], panels)))
+            panels.append(page.error_panel("measured less simulated", of_joint.unit, error))
+        documents.append((motion.name, page.motion_document(log.position.time_s[rows], panels)))
     has_command = all(report.logs.motions[k].joints[joint].command is not None for k in motions)
     names = ("measured", "nominal", *(("command",) if has_command else ()), "refused")
-    return series_figure(joint, names, documents)
+    return page.series_figure(joint, names, documents)
 
 
 def _rate_rows(report: CheckReport) -> Iterator[tuple[str, ...]]:
