@@ -25,15 +25,7 @@ from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader
 from numpy.typing import NDArray
 
-from marsarm.telemetry.format import (
-    FORMAT_RECORD,
-    HEADER_RECORD,
-    LogDamaged,
-    LogError,
-    LogNotReadable,
-    LostMessages,
-    header_records,
-)
+from marsarm.telemetry import format
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
 from marsarm.telemetry.mcap_columns import read_records, unpack_chunk
@@ -93,7 +85,7 @@ def is_part(log: Log, written: Log) -> bool:
 
 
 def is_loss_reported(
-    here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]
+    here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[format.LostMessages, ...]
 ) -> bool:
     """Check that every message is here, by its log time, (n,) by topic, or within a reported span."""
     for topic, times in written.time_ns.items():
@@ -117,11 +109,11 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None) -> str:
     """
     try:
         log = parse_log(HERE, damaged)
-    except LogDamaged:
+    except format.LogDamaged:
         return "detected"
-    except LogNotReadable:
+    except format.LogNotReadable:
         return "refused"
-    except LogError as error:
+    except format.LogError as error:
         return f"WRONG: {error}"
     if not is_part(log, made.log) or log.header != made.log.header:
         return "WRONG: other values"
@@ -147,7 +139,7 @@ def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: P
     bad.write_bytes(damaged)
     try:
         recovered = recover(bad, good, no_progress)
-    except LogError as error:
+    except format.LogError as error:
         return "nothing to save" if all(is_hit) else f"WRONG: {error}"
     log = parse_log(good, good.read_bytes())
     if not is_part(log, made.log):
@@ -266,13 +258,13 @@ def change_record(random: Random, made: Original) -> bytes:
 
 def change_header(random: Random, data: bytes) -> bytes:
     """Change a text of the header, together with its CRC."""
-    header = read_records(data).metadata[HEADER_RECORD]
+    header = read_records(data).metadata[format.HEADER_RECORD]
     name = sorted(header)[int(random.integers(len(header)))]
     text = change_bytes(random, header[name].encode()).decode("latin-1")
-    begin = data.index(FORMAT_RECORD.encode()) - RECORD_HEAD.size - 4
-    end = data.index(HEADER_RECORD.encode(), begin) - 4
+    begin = data.index(format.FORMAT_RECORD.encode()) - RECORD_HEAD.size - 4
+    end = data.index(format.HEADER_RECORD.encode(), begin) - 4
     end += RECORD_HEAD.unpack_from(data, end - RECORD_HEAD.size)[1]
-    return data[:begin] + encode_records(*header_records({**header, name: text})) + data[end:]
+    return data[:begin] + encode_records(*format.header_records({**header, name: text})) + data[end:]
 
 
 def change_records(made: Original, tries: int, seed: int, folder: Path) -> Judgements:
@@ -284,12 +276,12 @@ def change_records(made: Original, tries: int, seed: int, folder: Path) -> Judge
         began_s, bytes_before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
         read = "read"
         try:
-            with suppress(LogError):
+            with suppress(format.LogError):
                 recover(path, folder / "good.mcap", no_progress)
             log = read_log(path)
             info_document(log)
             channels_document(log, select_channels(log))
-        except LogError:
+        except format.LogError:
             read = "refused"
         except Exception as error:
             read = f"WRONG: {type(error).__name__}: {error}"

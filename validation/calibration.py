@@ -10,18 +10,12 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from marsarm.calibration import verify
 from marsarm.calibration.calibrate import calibrate, calibrated_params, rms_m, save_parameter_file
 from marsarm.calibration.campaign import CampaignPlan, earth_reference, run_campaign
 from marsarm.calibration.campaign_data import BadData, Campaign
 from marsarm.calibration.execution import check_data, check_fit
 from marsarm.calibration.residual_model import residual_model
-from marsarm.calibration.verify import (
-    compare_with_truth,
-    hardstop_errors_rad,
-    register_tools,
-    simulate_campaign,
-    zero_errors_rad,
-)
 from marsarm.common.rates import clopper_pearson
 from sim.arms import BuiltArm, arm_named, nominal_params
 from simgap.common.errors import BadRequest
@@ -36,9 +30,9 @@ def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Arra
     """Measure an arm; return the campaign, and the errors of the motor zeros, (5,) [rad]."""
     plan = CampaignPlan(seed=seed)
     if not closed_loop:
-        return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
+        return verify.simulate_campaign(arm, plan), verify.hardstop_errors_rad(arm)
     reference = earth_reference(arm, no_progress)
-    return run_campaign(arm, reference, plan, no_progress), zero_errors_rad(arm, reference)
+    return run_campaign(arm, reference, plan, no_progress), verify.zero_errors_rad(arm, reference)
 
 
 def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
@@ -53,10 +47,10 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
     except BadData as error:
         refused = str(error)
     if files is not None:
-        params = calibrated_params(found, register_tools(arm, seed))
+        params = calibrated_params(found, verify.register_tools(arm, seed))
         save_parameter_file(found, params, files / f"{seed}.toml")
     before, held = found.before[:, found.held_out_poses], found.held_out_error
-    comparison = compare_with_truth(arm, found, zero_error_rad)
+    comparison = verify.compare_with_truth(arm, found, zero_error_rad)
     state = residual_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)

@@ -11,8 +11,8 @@ from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, s
 from helpers.real_robots import load_real
 from simgap.checks.audit import audit
 from simgap.checks.commands import count_foreign_commands
-from simgap.checks.nominal import simulate_nominal
 from simgap.checks.records import RemarkKind
+from simgap.command.check import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_motions, diagnose
 from simgap.logs import JointLog, Logs, Signal
@@ -29,7 +29,7 @@ SLOW = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def clean() -> Logs:
+def clean():
     return slow_logs(planar_arm())
 
 
@@ -92,26 +92,15 @@ def test_a_stop_against_the_largest_load_may_be_a_torque_limit():
     assert "look alike" in remark.text
 
 
-def test_a_torque_at_its_limit_is_saturation(clean):
-    def add_torque(log):
-        wave = 4.0 * np.sin(2 * np.pi * log.position.time_s / 3.0)
-        return replace(log, torque=Signal(log.position.time_s, np.clip(wave, -2.0, 2.0)))
-
-    found = audit(planar_arm(torque_limit_Nm=2.0), with_joint(clean, "elbow", add_torque))
-    assert kinds(found) == [(RemarkKind.SATURATION, "elbow")]
-    unlimited = planar_arm(torque_limit_Nm=float("inf"))
-    assert kinds(audit(unlimited, with_joint(clean, "elbow", add_torque))) == [
-        (RemarkKind.SATURATION, "elbow")
-    ]
-
-
-def test_a_torque_with_a_smooth_peak_is_no_saturation(clean):
+@pytest.mark.parametrize("limit_Nm", [2.0, np.inf])
+@pytest.mark.parametrize(("highest_Nm", "expected"), [(2.0, [(RemarkKind.SATURATION, "elbow")]), (9.0, [])])
+def test_a_torque_at_its_limit_is_saturation_and_a_smooth_peak_is_none(clean, limit_Nm, highest_Nm, expected):
     def add_torque(log):
         wave = np.round(4.0 * np.sin(2 * np.pi * log.position.time_s / 3.0), 1)
-        return replace(log, torque=Signal(log.position.time_s, wave))
+        return replace(log, torque=Signal(log.position.time_s, np.clip(wave, -highest_Nm, highest_Nm)))
 
-    unlimited = planar_arm(torque_limit_Nm=float("inf"))
-    assert audit(unlimited, with_joint(clean, "elbow", add_torque)).remarks == ()
+    robot = planar_arm(torque_limit_Nm=max(limit_Nm, highest_Nm))
+    assert kinds(audit(robot, with_joint(clean, "elbow", add_torque))) == expected
 
 
 def test_positions_that_repeat_while_the_joint_moves_are_stale_and_refused(clean):
@@ -136,16 +125,14 @@ def test_missing_rows_and_an_uneven_rate_are_named(clean):
     def lose(log):
         keep = np.ones(log.position.value.size, bool)
         keep[100:120] = False
-        position = Signal(log.position.time_s[keep], log.position.value[keep])
-        return replace(log, position=position)
-
-    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", lose))) == [(RemarkKind.MISSING, "elbow")]
+        return replace(log, position=Signal(log.position.time_s[keep], log.position.value[keep]))
 
     def shake(log):
         late_s = np.where(np.arange(log.position.time_s.size) % 2, 0.008, 0.0)
         return replace(log, position=replace(log.position, time_s=log.position.time_s + late_s))
 
-    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(RemarkKind.JITTER, "elbow")]
+    for change, kind in ((lose, RemarkKind.MISSING), (shake, RemarkKind.JITTER)):
+        assert kinds(audit(planar_arm(), with_joint(clean, "elbow", change))) == [(kind, "elbow")]
 
 
 def test_positions_that_are_no_numbers_are_refused(clean):
@@ -189,11 +176,8 @@ def test_logs_of_other_robots_lose_no_sample(real_data, robot):
 
 def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):
     def scale(log):
-        return replace(
-            log,
-            position=Signal(log.position.time_s, np.degrees(log.position.value)),
-            command=Signal(log.command.time_s, np.degrees(log.command.value)),
-        )
+        degrees = {name: getattr(log, name) for name in ("position", "command")}
+        return replace(log, **{name: replace(s, value=np.degrees(s.value)) for name, s in degrees.items()})
 
     robot = planar_arm()
     robot.model.jnt_limited[1] = False
@@ -210,9 +194,8 @@ def test_the_current_at_a_stop_is_compared_with_that_elsewhere(elsewhere_A, said
         current_A = np.where(log.command.value > 0.38, 1.0, elsewhere_A)
         return replace(log, current=Signal(log.command.time_s, current_A))
 
-    found = audit(
-        planar_arm(), with_joint(cut_off("elbow", lambda sent: np.minimum(sent, 0.38)), "elbow", measure)
-    )
+    logs = cut_off("elbow", lambda sent: np.minimum(sent, 0.38))
+    found = audit(planar_arm(), with_joint(logs, "elbow", measure))
     texts = [one.text for one in found.remarks]
     assert any(said in text for text in texts), texts
 
@@ -230,11 +213,10 @@ def test_the_error_of_the_model_does_not_depend_on_where_the_clock_starts(begin_
     motion = record(planar_arm(), 1, commands(1, -0.6, 0.4))
     time_s = motion.joints["elbow"].position.time_s + begin_s
     time_s = time_s - time_s[0]  # rounded as the times of a log are
-    joints = {
-        name: JointLog(Signal(time_s, one.position.value), Signal(time_s, one.command.value))
-        for name, one in motion.joints.items()
-    }
-    found = simulate_nominal(Models(planar_arm()), replace(motion, joints=joints)).mean_abs_rad
+    logs = motion.joints.items()
+    signals = {name: [replace(s, time_s=time_s) for s in (one.position, one.command)] for name, one in logs}
+    moved = replace(motion, joints={name: JointLog(*one) for name, one in signals.items()})
+    found = simulate_nominal(Models(planar_arm()), moved).mean_abs_rad
     expected = simulate_nominal(Models(planar_arm()), motion).mean_abs_rad
     assert found == pytest.approx(expected, abs=1e-6)
 

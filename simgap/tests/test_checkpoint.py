@@ -2,10 +2,9 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -44,20 +43,20 @@ class MortalToy(ToyResiduals):
         return super().residuals(effects, sizes)
 
 
-def mortal(last: int = 10**9) -> MortalToy:
+def mortal(last=10**9):
     toy = draw_toy(1, TRUTH, n_samples=60)
     model = MortalToy(toy.commands, toy.measured, toy.joints)
     model.last = last
     return model
 
 
-def find(model: ToyResiduals, folder: Path | None, meter: Meter | None = None) -> Found:
+def find(model, folder, meter=None):
     with Checkpoint(folder, EFFECTS) as checkpoint:
         selection = select_effects(model, BASE, EFFECTS, seed=1, meter=meter, checkpoint=checkpoint)
         return selection, find_confidence_sets(selection)
 
 
-def bits(found: Found) -> list[bytes]:
+def bits(found):
     """Return every number of what was found."""
     selection, sets = found
     arrays: list[Array] = [selection.context.scales, selection.context.base_left_out]
@@ -66,11 +65,11 @@ def bits(found: Found) -> list[bytes]:
 
 
 @pytest.fixture(scope="module")
-def whole() -> tuple[list[bytes], int, int]:
+def whole():
     """The bits of a run that was not killed, the candidates that it took, and those of its longest step."""
     model, longest, step = mortal(), 0, Checkpoint.step
 
-    def count(self: Checkpoint, meter: Meter, name: str, work: Callable[[], T]) -> T:
+    def count(self, meter, name, work):
         nonlocal longest
         before = model.calls
         found = step(self, meter, name, work)
@@ -83,9 +82,7 @@ def whole() -> tuple[list[bytes], int, int]:
 
 
 @pytest.mark.parametrize("share", slow_but([0.02, 0.35, 0.65, 0.95], 0.65))
-def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
-    whole: tuple[list[bytes], int, int], tmp_path: Path, share: float
-) -> None:
+def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(whole, tmp_path, share):
     expected, calls, longest = whole
     with pytest.raises(Killed):
         find(mortal(int(share * calls)), tmp_path / "steps")
@@ -95,9 +92,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
     assert not (tmp_path / "steps").exists()
 
 
-def test_a_step_that_was_torn_is_carried_out_again(
-    whole: tuple[list[bytes], int, int], tmp_path: Path
-) -> None:
+def test_a_step_that_was_torn_is_carried_out_again(whole, tmp_path):
     expected, calls, _ = whole
     with pytest.raises(Killed):
         find(mortal(int(0.7 * calls)), tmp_path / "steps")
@@ -108,7 +103,7 @@ def test_a_step_that_was_torn_is_carried_out_again(
 
 
 @pytest.mark.slow
-def test_the_progress_goes_on_from_where_it_was(whole: tuple[list[bytes], int, int], tmp_path: Path) -> None:
+def test_the_progress_goes_on_from_where_it_was(whole, tmp_path):
     shares: list[float] = []
     with pytest.raises(Killed):
         find(mortal(int(0.8 * whole[1])), tmp_path / "steps", Meter(lambda share, _: shares.append(share)))
@@ -118,7 +113,7 @@ def test_the_progress_goes_on_from_where_it_was(whole: tuple[list[bytes], int, i
     assert again[0][0] == pytest.approx(shares[-1], abs=0.05)
 
 
-def test_after_the_last_round_as_much_is_left_as_was_expected_after_it() -> None:
+def test_after_the_last_round_as_much_is_left_as_was_expected_after_it():
     shares: list[float] = []
     meter = Meter(lambda share, _: shares.append(share))
     meter.begin_round(100, 0.5)
@@ -128,8 +123,8 @@ def test_after_the_last_round_as_much_is_left_as_was_expected_after_it() -> None
     assert shares == pytest.approx([100 / (110 + 50), 125 / (125 + 25)])
 
 
-def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path: Path) -> None:
-    def fail() -> None:
+def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path):
+    def fail():
         with Checkpoint(tmp_path / "steps") as checkpoint:
             checkpoint.step(Meter(), "one", lambda: np.ones(3))
             checkpoint.step(Meter(), "two", lambda: 1 / 0)
@@ -140,17 +135,13 @@ def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_folder_that_cannot_be_made_stops_no_diagnosis(
-    whole: tuple[list[bytes], int, int], tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_made_stops_no_diagnosis(whole, tmp_path):
     (tmp_path / "file").write_text("")
     assert bits(find(mortal(), tmp_path / "file" / "steps")) == whole[0]
 
 
-def test_a_full_disk_stops_no_diagnosis(
-    whole: tuple[list[bytes], int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
+def test_a_full_disk_stops_no_diagnosis(whole, tmp_path, monkeypatch):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(Killed):
@@ -160,7 +151,7 @@ def test_a_full_disk_stops_no_diagnosis(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path: Path) -> None:
+def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path):
     names = [f"{STEPS}old", f"{STEPS}new", "results of the user"]
     for name, age_s in zip(names, (EXPIRED_s + 60.0, EXPIRED_s - 3600.0, 10 * EXPIRED_s), strict=True):
         (tmp_path / name).mkdir()
@@ -169,11 +160,11 @@ def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path: Path) -
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"{STEPS}mine", *names[1:]])
 
 
-def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path: Path) -> None:
+def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path):
     for _ in range(2):
         checkpoint = Checkpoint(tmp_path / "steps")
 
-        def outer(own: Checkpoint = checkpoint) -> list[int]:
+        def outer(own=checkpoint):
             return [own.step(Meter(), "inner", lambda k=k: k) for k in range(3)]
 
         assert checkpoint.step(Meter(), "outer", outer) == [0, 1, 2]
@@ -181,7 +172,7 @@ def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path: Path) -> None:
     assert len(list((tmp_path / "steps").iterdir())) == 5
 
 
-def test_only_records_of_the_diagnosis_are_made_from_a_file() -> None:
+def test_only_records_of_the_diagnosis_are_made_from_a_file():
     for module, name in (
         ("os", "system"),
         ("simgap.selection.checkpoint", "Checkpoint"),
@@ -191,7 +182,7 @@ def test_only_records_of_the_diagnosis_are_made_from_a_file() -> None:
             unpack({"record": [module, name], "fields": []}, [], {})
 
 
-def test_the_digest_changes_with_every_input() -> None:
+def test_the_digest_changes_with_every_input():
     robot, logs = planar_arm(), slow_logs(planar_arm(), count=2)
     moved = with_joint(logs, "elbow", lambda log: replace(log, command=log.position))
     used = {("motion 0", "elbow"): np.array([True, False])}
@@ -211,7 +202,7 @@ def test_the_digest_changes_with_every_input() -> None:
     assert len({same, *others}) == 1 + len(others)
 
 
-def test_the_digest_changes_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_digest_changes_with_the_code(monkeypatch, tmp_path):
     robot = planar_arm()
     before = digest_inputs(robot, (), None, (), 1)
     (tmp_path / "fit.py").write_text("")
@@ -219,7 +210,7 @@ def test_the_digest_changes_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert digest_inputs(robot, (), None, (), 1) != before
 
 
-def test_an_effect_without_a_file_has_no_digest() -> None:
+def test_an_effect_without_a_file_has_no_digest():
     kind = type("Typed", (Toy,), {"__module__": "typed"})
     assert digest_inputs(planar_arm(), (), None, (kind("base", "x", np.square),), 1) is None
 
@@ -228,7 +219,7 @@ TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})
 
 
 @pytest.mark.parametrize("truth", slow_but(TRUTHS, TRUTHS[1]))
-def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth: dict[str, float]) -> None:
+def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth):
     model = draw_toy(1, truth)
     reports: list[tuple[float, int]] = []
     meter = Meter(lambda share, text: reports.append((share, model.calls)))
@@ -239,7 +230,7 @@ def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth
     assert all(share > 0.0 for share, _ in reports[2:])  # also while the base parameters are fitted
 
 
-def test_a_round_that_takes_longer_than_expected_never_seems_done() -> None:
+def test_a_round_that_takes_longer_than_expected_never_seems_done():
     shares: list[float] = []
     meter = Meter(lambda share, text: shares.append(share))
     meter.begin_round(30, 0)

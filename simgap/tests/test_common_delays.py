@@ -1,7 +1,6 @@
 """Delays that all joints have in common, on a small arm whose joints move one another."""
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,9 +9,8 @@ import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
-from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.effects.effect import Effect, Family
+from simgap.effects.effect import Family
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.patch.patch import make_patch
 from simgap.patch.text import read_effect
@@ -29,7 +27,7 @@ N_REST, N_TICKS = (round(one / ARM.control_period_s) for one in (REST_S, REST_S 
 COMMON = ("all joints: command delay", "all joints: measurement delay")
 
 
-def commands(seed: int) -> Array:
+def commands(seed):
     """Return commands of a motion that begins at rest, (n_ticks, n_joints)."""
     rng, time_s = np.random.default_rng(seed), ARM.control_period_s * np.arange(N_TICKS)
     angular, size = rng.uniform(3.0, 12.0, (2, 3)), rng.uniform(0.1, 0.3, (2, 3))
@@ -37,7 +35,7 @@ def commands(seed: int) -> Array:
     return np.asarray(waves.sum(axis=0))
 
 
-def log_of(name: str, command: Array, shown_rad: Array, repeat: str) -> Motion:
+def log_of(name, command, shown_rad, repeat):
     time_s = ARM.control_period_s * np.arange(N_TICKS - N_REST)
     joints = {
         joint.name: JointLog(
@@ -48,7 +46,7 @@ def log_of(name: str, command: Array, shown_rad: Array, repeat: str) -> Motion:
     return Motion(name, joints, {}, repeat)
 
 
-def logs_with(effects: Sequence[Effect], sizes: Sequence[float]) -> Logs:
+def logs_with(effects, sizes):
     """Simulate motions with these effects; the last one repeats that before it."""
     rng, motions = np.random.default_rng(1), []
     for k in range(6):
@@ -60,24 +58,24 @@ def logs_with(effects: Sequence[Effect], sizes: Sequence[float]) -> Logs:
 
 
 @cache
-def delays() -> dict[str, Effect]:
+def delays():
     """Return all delays, by key."""
     return {one.key: one for one in catalogue(ARM, logs_with([], [])) if one.name.endswith(" delay")}
 
 
-def findings(logs: Logs, effects: Sequence[Effect]) -> list[tuple[str, ...]]:
+def findings(logs, effects):
     """Return the sets of the findings among these effects, the best first."""
     (kind,) = list_kinds(ARM, logs.fit, None)
     selection = select_effects(kind.make(logs.fit, False), base_effects(ARM, logs), effects, seed=1)
     return [list_members(one)[2] for one in find_confidence_sets(selection)]
 
 
-def own(common: str) -> list[Effect]:
+def own(common):
     """Return the delays of this kind at each joint."""
     return [one for one in delays().values() if one.name == delays()[common].name and one.key != common]
 
 
-def test_a_delay_of_all_joints_acts_as_one_at_each() -> None:
+def test_a_delay_of_all_joints_acts_as_one_at_each():
     command = commands(0)
     for n_periods, key in ((4.0, COMMON[0]), (0.4, COMMON[1]), (3.7, COMMON[1]), (-1.3, COMMON[1])):
         assert delays()[key].family == Family.TIMING
@@ -88,7 +86,7 @@ def test_a_delay_of_all_joints_acts_as_one_at_each() -> None:
         np.testing.assert_allclose(one[..., N_REST:], each[..., N_REST:], atol=1e-6)
 
 
-def test_a_patch_has_the_delay_of_each_joint() -> None:
+def test_a_patch_has_the_delay_of_each_joint():
     runtime = tomllib.loads(make_patch(ARM, [delays()[COMMON[0]]], [[DELAY_S]]).runtime)
     assert [(one["place"], one["effect"], one["size"]) for one in runtime["effects"]] == [
         (joint.name, "command delay", {"delay_s": DELAY_S}) for joint in ARM.joints
@@ -98,14 +96,14 @@ def test_a_patch_has_the_delay_of_each_joint() -> None:
 
 
 @pytest.mark.slow
-def test_one_delay_of_all_joints_is_one_finding_and_may_be_either() -> None:
+def test_one_delay_of_all_joints_is_one_finding_and_may_be_either():
     key = COMMON[1]
     (members,) = findings(logs_with(own(key), [DELAY_S] * 3), [*own(key), *(delays()[one] for one in COMMON)])
     assert {*members} == {*COMMON}
 
 
 @pytest.mark.slow
-def test_a_delay_of_one_joint_stays_there() -> None:
+def test_a_delay_of_one_joint_stays_there():
     (members,) = findings(logs_with([delays()["elbow: command delay"]], [DELAY_S]), [*delays().values()])
     assert members[0] == "elbow: command delay"
     assert not {*COMMON} & {*members}

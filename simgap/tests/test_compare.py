@@ -15,13 +15,13 @@ from simgap.effects.variation import Difference
 from simgap.report.document import comparison_details, comparison_lines
 from simgap.result import Comparison, Limit
 from simgap.selection.checkpoint import Meter
-from simgap.selection.context import Score, Selection
+from simgap.selection.context import Score
 from simgap.selection.selection import SHORTLIST, list_best
 
 N_MOTIONS = 8
 
 
-def draw_sets(seed: int, common: dict[str, float], change: dict[str, float]) -> ToyResiduals:
+def draw_sets(seed, common, change):
     """Draw two sets of motions; the effects of the second differ by a change."""
     after = {key: common.get(key, 0.0) + change.get(key, 0.0) for key in {*common, *change}}
     sets = [draw_toy(seed, common, N_MOTIONS), draw_toy(seed + 100, after, N_MOTIONS)]
@@ -35,7 +35,7 @@ def draw_sets(seed: int, common: dict[str, float], change: dict[str, float]) -> 
     return model
 
 
-def compare_toys(model: ToyResiduals) -> Selection:
+def compare_toys(model):
     found = select_differences(tell_apart(model), BASE, CATALOGUE, 1, Meter())
     return select_sure(found, None)[0]
 
@@ -44,9 +44,7 @@ def compare_toys(model: ToyResiduals) -> Selection:
 @pytest.mark.parametrize(
     "change", [{}, {"far: sine": 0.05}, {"near: square": -0.1}], ids=["none", "new", "gone"]
 )
-def test_a_change_is_named_with_its_size_and_what_is_common_is_not(
-    seed: int, change: dict[str, float]
-) -> None:
+def test_a_change_is_named_with_its_size_and_what_is_common_is_not(seed, change):
     found = compare_toys(draw_sets(seed, {"near: square": 0.1}, change))
     columns = found.context.union.columns
     sizes = {one.key: float(found.chosen.sizes[columns([one])][0]) for one in list_differences(found)}
@@ -54,7 +52,7 @@ def test_a_change_is_named_with_its_size_and_what_is_common_is_not(
     assert [*sizes.values()] == pytest.approx([*change.values()], rel=0.1)
 
 
-def test_a_change_that_was_not_seen_has_a_limit() -> None:
+def test_a_change_that_was_not_seen_has_a_limit():
     limits = list_limits(compare_toys(draw_sets(1, {}, {})))
     assert [(one.place, one.name) for one in limits] == [("near", "gain"), ("far", "gain")]
     assert all(one.low <= 0.0 <= one.high and one.high - one.low < 0.01 for one in limits)
@@ -69,7 +67,7 @@ class Amount(Toy):
         return (Size(self.label, 0.0, 5.0, 1.0),)
 
 
-def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
+def test_an_amount_that_grows_acts_after_and_one_that_falls_before():
     raw = draw_sets(1, {}, {})
     amount, is_after = Amount("near", "square", np.square), raw.motion_of >= N_MOTIONS
     change = Difference("near", amount)
@@ -84,13 +82,13 @@ def test_an_amount_that_grows_acts_after_and_one_that_falls_before() -> None:
     assert (change.name, change.describe(np.array([-2.0]))) == ("change of square", "square -2")
 
 
-def test_an_effect_and_its_change_count_once_in_the_shortlist_and_are_both_refitted() -> None:
+def test_an_effect_and_its_change_count_once_in_the_shortlist_and_are_both_refitted():
     effects = [*CATALOGUE[: SHORTLIST + 1], Difference("near", CATALOGUE[0])]
     ranked = [Score(one, np.zeros(0), 0.1) for one in effects]
     assert [one.effect for one in list_best(ranked)] == [*effects[:SHORTLIST], effects[-1]]
 
 
-def test_four_lines_tell_a_change_or_what_could_not_be_seen() -> None:
+def test_four_lines_tell_a_change_or_what_could_not_be_seen():
     limit = Limit("lift", "gain_ratio", -0.02, 0.03)
     found = diagnosis(findings=(finding(effect="change of gain", text="gain_ratio -0.1"),))
     where, what, far, following = comparison_lines(Comparison(found, (limit,)))

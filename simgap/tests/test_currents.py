@@ -11,7 +11,7 @@ from helpers.robot_folder import write_csv, write_robot
 from helpers.two_joint_arm import arm, simulated
 from simgap import diagnose
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.checks.nominal import simulate_nominal
+from simgap.command.check import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import CurrentScale
 from simgap.loading import load, take_currents_as_torques
@@ -30,7 +30,7 @@ def six_motions():
     return [simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}") for seed in range(6)]
 
 
-def guessed(constant_Nm_A: float, true_Nm_A: float, is_known: bool):
+def guessed(constant_Nm_A, true_Nm_A, is_known):
     """Return the arm and its logs, in which torques are known as currents."""
     robot = arm()
     robot = replace(

@@ -4,34 +4,21 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers import pendulum
+from helpers.pendulum import motion, simulated, waves
 from simgap.common.errors import RobotError
 from simgap.patch.patch import make_patch
-from simgap.robot import ControlMode, Robot
+from simgap.robot import ControlMode
 
-FILE = """name = "pendulum"
-model = "model.xml"
-time_step_s = 0.0005
-control_rate_Hz = 2000.0
-time = {{ column = "t", unit = "s" }}
-[joints.swing]
-mode = "{mode}"
-position = {{ column = "q", unit = "rad" }}
-command = {{ column = "c", unit = "{unit}" }}
-{more}
-"""
-UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m", "current": "A", "voltage": "V"}
 MOTOR = 'motorconst="0.05" resistance="2" gear="20"'
 STEP_S = 0.0005
 
 
-def read(folder, attributes, mode, more="", actuator="dcmotor"):
+def read(folder, attributes, mode, more="", actuator="dcmotor", defaults=""):
     """Read the pendulum with a DC motor."""
-    xml = pendulum(damping=0.01).model_xml
+    xml = pendulum.pendulum(damping=0.01).model_xml.replace("<worldbody>", f"{defaults}<worldbody>")
     drive = f'<actuator><{actuator} name="motor" joint="swing" {attributes}/></actuator></mujoco>'
-    (folder / "model.xml").write_text(xml.replace("</mujoco>", drive))
-    (folder / "robot.toml").write_text(FILE.format(mode=mode, unit=UNITS[mode], more=more))
-    return Robot.from_toml(folder / "robot.toml")
+    return pendulum.read(folder, xml.replace("</mujoco>", drive), mode, STEP_S, more)
 
 
 def by_mujoco(text, command, scale=1.0):
@@ -50,16 +37,13 @@ def by_mujoco(text, command, scale=1.0):
 
 
 def test_a_motor_of_a_default_class_is_read_and_patched(tmp_path):
-    xml = pendulum(damping=0.01).model_xml
     motor = '<default><default class="servo"><dcmotor motorconst="0.05" resistance="2"/></default></default>'
-    drive = '<actuator><dcmotor class="servo" name="motor" joint="swing" gear="20"/></actuator></mujoco>'
-    text = xml.replace("<worldbody>", f"{motor}<worldbody>").replace("</mujoco>", drive)
-    (tmp_path / "model.xml").write_text(text)
-    (tmp_path / "robot.toml").write_text(FILE.format(mode="voltage", unit="V", more=""))
-    robot = Robot.from_toml(tmp_path / "robot.toml")
+    robot = read(tmp_path, 'class="servo" gear="20"', "voltage", defaults=motor)
     assert (robot.joints[0].kp_Nm_rad, robot.joints[0].kd_Nms_rad) == pytest.approx((0.5, 0.5))
     command = waves(STEP_S * np.arange(4000), 3)
-    patched, native = (by_mujoco(one, command) for one in (make_patch(robot, [], []).model_xml, text))
+    patched, native = (
+        by_mujoco(one, command) for one in (make_patch(robot, [], []).model_xml, robot.model_xml)
+    )
     assert np.ptp(native) > 0.2
     assert patched == pytest.approx(native, abs=2e-3)
 
@@ -121,8 +105,5 @@ def test_the_mode_voltage_needs_a_motor(tmp_path):
         read(tmp_path, 'gear="2"', "voltage", actuator="motor")
     with pytest.raises(RobotError, match="kp_Nm_rad: has no meaning in the mode voltage; remove it"):
         read(tmp_path, MOTOR, "voltage", "kp_Nm_rad = 3.0")
-
-
-def test_a_delay_of_the_model_is_refused(tmp_path):
     with pytest.raises(RobotError, match="'motor' has a delay of its own; a diagnosis looks for delays"):
         read(tmp_path, 'kp="4" delay="0.01" nsample="5"', "position", actuator="position")

@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from helpers.pendulum import (
-    ARMATURE_kgm2,
-    INERTIA_kgm2,
-    LENGTH_m,
-    MASS_kg,
-    at_swing,
-    motion,
-    pendulum,
-    scales,
-    simulated,
-    waves,
-)
-from simgap.arrays import Array
+from helpers import pendulum
+from simgap.effects import forces
 from simgap.effects.actuation import (
     BackEmf,
     DampingGain,
@@ -40,45 +29,32 @@ from simgap.effects.command import (
     MeasurementDelay,
     VelocityLimit,
 )
-from simgap.effects.effect import JointEffect
-from simgap.effects.forces import (
-    AsymmetricFriction,
-    ConstantTorque,
-    CoulombFriction,
-    LoadFriction,
-    PeriodicTorque,
-    PositionTorque,
-    Spring,
-    StribeckFriction,
-    TemperatureFriction,
-    ViscousFriction,
-)
 from simgap.effects.inertia import Armature
-from simgap.logs import Motion, Signal
-from simgap.robot import ControlMode, Robot
+from simgap.logs import Signal
+from simgap.robot import ControlMode
 
 TIME_s = np.arange(0, 2, 0.01)
 
-LINK_kgm2 = MASS_kg * LENGTH_m**2
+LINK_kgm2 = pendulum.MASS_kg * pendulum.LENGTH_m**2
 Torque = Callable[[float, float, float], float]
 
 
-def level(mode: ControlMode = ControlMode.TORQUE, dry_Nm: float = 0.0, limit_Nm: float = np.inf) -> Robot:
+def level(mode=ControlMode.TORQUE, dry_Nm=0.0, limit_Nm=np.inf):
     """Make a pendulum without gravity and damping, with a fine step."""
-    return pendulum(
+    return pendulum.pendulum(
         mode, damping=0.0, dry_Nm=dry_Nm, limit_Nm=limit_Nm, step_s=0.0005, period_s=0.0005, is_level=True
     )
 
 
-def held(command: float, **others: Signal) -> Motion:
+def held(command, **others):
     """Make a log with a constant command that starts at 0."""
-    return motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, command), **others)
+    return pendulum.motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, command), **others)
 
 
-def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
+def exact(torque, inertia_kgm2=pendulum.INERTIA_kgm2):
     """Integrate the level pendulum from rest under a torque of time, angle and speed."""
 
-    def slope(t: float, y: Array) -> list[float]:
+    def slope(t, y):
         return [y[1], torque(t, y[0], y[1]) / inertia_kgm2]
 
     found = solve_ivp(slope, (0, TIME_s[-1]), [0.0, 0.0], t_eval=TIME_s, rtol=1e-8, atol=1e-10, max_step=0.01)
@@ -88,61 +64,54 @@ def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
 @pytest.mark.parametrize(
     ("kind", "size", "torque"),
     [
-        (ViscousFriction, [0.05], lambda t, q, v: 0.1 - 0.05 * v),
-        (CoulombFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
-        (StribeckFriction, [0.05, 2.0], lambda t, q, v: 0.1 - 0.05 * np.exp(-((v / 2.0) ** 2))),
-        (AsymmetricFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
-        (AsymmetricFriction, [-0.04], lambda t, q, v: 0.1),
-        (ConstantTorque, [0.03], lambda t, q, v: 0.13),
-        (Spring, [0.5, 0.02], lambda t, q, v: 0.12 - 0.5 * q),
-        (PeriodicTorque, [0.02, 0.03], lambda t, q, v: 0.1 + 0.02 * np.cos(q) + 0.03 * np.sin(q)),
-        (PositionTorque, [0.02, -0.05], lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q)),
+        (forces.ViscousFriction, [0.05], lambda t, q, v: 0.1 - 0.05 * v),
+        (forces.CoulombFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
+        (forces.StribeckFriction, [0.05, 2.0], lambda t, q, v: 0.1 - 0.05 * np.exp(-((v / 2.0) ** 2))),
+        (forces.AsymmetricFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
+        (forces.AsymmetricFriction, [-0.04], lambda t, q, v: 0.1),
+        (forces.ConstantTorque, [0.03], lambda t, q, v: 0.13),
+        (forces.Spring, [0.5, 0.02], lambda t, q, v: 0.12 - 0.5 * q),
+        (forces.PeriodicTorque, [0.02, 0.03], lambda t, q, v: 0.1 + 0.02 * np.cos(q) + 0.03 * np.sin(q)),
+        (forces.PositionTorque, [0.02, -0.05], lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q)),
         (TorqueConstant, [0.3], lambda t, q, v: 0.13),
         (TorqueLimit, [20.0], lambda t, q, v: 0.05),
         (BackEmf, [0.1], lambda t, q, v: min(0.1, 0.2 * max(1 - 0.1 * v, 0.0))),
     ],
 )
-def test_a_constant_motor_torque_moves_the_joint_as_the_law_says(
-    kind: type[JointEffect], size: list[float], torque: Torque
-) -> None:
+def test_a_constant_motor_torque_moves_the_joint_as_the_law_says(kind, size, torque):
     robot = level(limit_Nm=0.2)
-    found = simulated(robot, held(0.1), (at_swing(kind, robot), size))
+    found = pendulum.simulated(robot, held(0.1), (pendulum.at_swing(kind, robot), size))
     law = exact(torque)
     assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
 
 
-def test_a_spring_may_be_weaker_than_that_of_the_model_but_does_not_push_away() -> None:
-    stiffness, _ = at_swing(Spring, level(), stiffness_Nm_rad=0.1).sizes
+def test_a_spring_may_be_weaker_than_that_of_the_model_but_does_not_push_away():
+    stiffness, _ = pendulum.at_swing(forces.Spring, level(), stiffness_Nm_rad=0.1).sizes
     assert stiffness.low == -0.1
 
 
-def test_load_friction_counts_the_inertia_of_the_link_and_not_of_the_rotor() -> None:
-    robot = level()
-    found = simulated(robot, held(0.1), (at_swing(LoadFriction, robot), [0.3]))
-    law = exact(lambda t, q, v: 0.1, INERTIA_kgm2 + 0.3 * LINK_kgm2)
+@pytest.mark.parametrize(
+    ("kind", "size", "motor_Nm", "more_kgm2"),
+    [
+        (forces.LoadFriction, 0.3, 0.1, 0.3 * LINK_kgm2),  # of the link and not of the rotor
+        (Armature, 0.5 * pendulum.ARMATURE_kgm2, 0.1, 0.5 * pendulum.ARMATURE_kgm2),
+        (forces.TemperatureFriction, 0.004, 0.06, 0.0),  # it counts from the hottest temperature
+    ],
+)
+def test_load_friction_armature_and_cold_friction_slow_a_joint_as_the_law_says(
+    kind, size, motor_Nm, more_kgm2
+):
+    robot, heat = level(), Signal(TIME_s, np.full(TIME_s.size, 30.0))
+    found = pendulum.simulated(robot, held(0.1, temperature=heat), (pendulum.at_swing(kind, robot), [size]))
+    law = exact(lambda t, q, v: motor_Nm, pendulum.INERTIA_kgm2 + more_kgm2)
     assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
 
 
-def test_armature_adds_to_the_inertia() -> None:
-    robot = level()
-    found = simulated(robot, held(0.1), (at_swing(Armature, robot), [0.5 * ARMATURE_kgm2]))
-    law = exact(lambda t, q, v: 0.1, INERTIA_kgm2 + 0.5 * ARMATURE_kgm2)
-    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
-
-
-def test_cold_friction_counts_from_the_hottest_temperature() -> None:
-    robot = level()
-    heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))
-    found = simulated(robot, held(0.1, temperature=heat), (at_swing(TemperatureFriction, robot), [0.004]))
-    law = exact(lambda t, q, v: 0.06)
-    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
-
-
-def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
+def test_stribeck_friction_holds_what_coulomb_friction_lets_go():
     robot = level(dry_Nm=0.05)
-    effect = at_swing(StribeckFriction, robot)
-    assert np.abs(simulated(robot, held(0.09), (effect, [0.05, 0.1])))[-1] < 1e-3
-    assert simulated(robot, held(0.11), (effect, [0.05, 0.1]))[-1] > 1.0
+    effect = pendulum.at_swing(forces.StribeckFriction, robot)
+    assert np.abs(pendulum.simulated(robot, held(0.09), (effect, [0.05, 0.1])))[-1] < 1e-3
+    assert pendulum.simulated(robot, held(0.11), (effect, [0.05, 0.1]))[-1] > 1.0
 
 
 @pytest.mark.parametrize(
@@ -160,113 +129,112 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
         (DeadZone, [0.05], lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v),
     ],
 )
-def test_a_position_loop_moves_as_the_law_says(
-    kind: type[JointEffect], size: list[float], torque: Torque
-) -> None:
+def test_a_position_loop_moves_as_the_law_says(kind, size, torque):
     robot = level(ControlMode.POSITION, limit_Nm={TorqueConstant: 0.5, BackEmf: 0.2}.get(kind, np.inf))
-    found = simulated(robot, held(0.2), (at_swing(kind, robot), size))
+    found = pendulum.simulated(robot, held(0.2), (pendulum.at_swing(kind, robot), size))
     assert np.abs(found - exact(torque)).max() < 3e-3
 
 
-def test_a_leaky_integral_agrees_with_its_differential_equation() -> None:
+def test_a_leaky_integral_agrees_with_its_differential_equation():
     robot = level(ControlMode.POSITION)
-    found = simulated(robot, held(0.2), (at_swing(LeakyIntegral, robot), [2.0, 0.5]))
+    found = pendulum.simulated(robot, held(0.2), (pendulum.at_swing(LeakyIntegral, robot), [2.0, 0.5]))
 
-    def slope(_: float, y: Array) -> list[float]:
+    def slope(_, y):
         error = 0.2 - y[0]
         torque = 4.0 * (error + 2.0 * y[2]) - 0.1 * y[1]
-        return [y[1], torque / INERTIA_kgm2, error - 0.5 * y[2]]
+        return [y[1], torque / pendulum.INERTIA_kgm2, error - 0.5 * y[2]]
 
     law = solve_ivp(slope, (0, TIME_s[-1]), [0.0] * 3, t_eval=TIME_s, rtol=1e-8, atol=1e-10).y[0]
     assert np.abs(found - law).max() < 3e-3
 
 
-def test_a_sagging_supply_lowers_gains_by_the_torque_in_use() -> None:
+def test_a_sagging_supply_lowers_gains_by_the_torque_in_use():
     robot = level(ControlMode.POSITION)
-    effect = SupplySag.of(robot, {"swing": scales(torque_Nm=1.0)})
-    found = simulated(robot, held(0.1), (effect, [0.5]))
+    effect = SupplySag.of(robot, {"swing": pendulum.scales(torque_Nm=1.0)})
+    found = pendulum.simulated(robot, held(0.1), (effect, [0.5]))
 
-    def torque(_: float, q: float, v: float) -> float:
+    def torque(_, q, v):
         wanted = 4.0 * (0.1 - q) - 0.1 * v
         return wanted / (1 + 0.5 * abs(wanted))  # torque = (1 - 0.5 |torque|) wanted
 
     assert np.abs(found - exact(torque)).max() < 1e-3
 
 
-def test_a_supply_falls_by_no_more_than_twice_what_its_voltage_shows() -> None:
-    log = motion(TIME_s, 0 * TIME_s, 0 * TIME_s)
+def test_a_supply_falls_by_no_more_than_twice_what_its_voltage_shows():
+    log = pendulum.motion(TIME_s, 0 * TIME_s, 0 * TIME_s)
     volts = np.where(TIME_s < 0.8 * TIME_s[-1], 12.0, 10.8)
     swing = replace(log.joints["swing"], voltage=Signal(TIME_s, volts))
     with_voltage = replace(log, joints={"swing": swing})
     for logs, high in ([], 1.0), ([log], 1.0), ([with_voltage], 0.2):
-        (size,) = SupplySag.of(pendulum(), {"swing": scales(torque_Nm=1.0)}, logs).sizes
+        (size,) = SupplySag.of(pendulum.pendulum(), {"swing": pendulum.scales(torque_Nm=1.0)}, logs).sizes
         assert size.high == pytest.approx(high)
 
 
-def test_a_delayed_command_is_an_earlier_command() -> None:
-    robot = pendulum()
-    command = waves(TIME_s, 4)
+def test_a_delayed_command_is_an_earlier_command():
+    robot = pendulum.pendulum()
+    command = pendulum.waves(TIME_s, 4)
+    log = pendulum.motion(TIME_s, 0 * TIME_s, command)
     for delay_s in (0.02, 0.0230, 0.0461):
-        late = motion(TIME_s, 0 * TIME_s, command)
-        log = late.joints["swing"]
-        moved = replace(log, command=Signal(TIME_s + delay_s, command))
-        found = simulated(robot, late, (at_swing(CommandDelay, robot), [delay_s]))
-        assert np.abs(found - simulated(robot, replace(late, joints={"swing": moved}))).max() < 1e-4
+        moved = replace(log.joints["swing"], command=Signal(TIME_s + delay_s, command))
+        found = pendulum.simulated(robot, log, (pendulum.at_swing(CommandDelay, robot), [delay_s]))
+        assert np.abs(found - pendulum.simulated(robot, replace(log, joints={"swing": moved}))).max() < 1e-4
 
 
-def test_a_measurement_delay_shifts_the_samples() -> None:
-    robot = pendulum()
-    log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 4))
-    plain = simulated(robot, log)
+def test_a_measurement_delay_shifts_the_samples():
+    robot = pendulum.pendulum()
+    log = pendulum.motion(TIME_s, 0 * TIME_s, pendulum.waves(TIME_s, 4))
+    plain = pendulum.simulated(robot, log)
     for delay_s, shift in ((0.03, 3), (-0.02, -2)):
-        shown = simulated(robot, log, (at_swing(MeasurementDelay, robot), [delay_s]))
+        shown = pendulum.simulated(robot, log, (pendulum.at_swing(MeasurementDelay, robot), [delay_s]))
         inside = slice(5, -5)
         assert np.abs(shown[inside] - np.roll(plain, shift)[inside]).max() < 1e-12
 
 
-def test_encoder_errors_are_seen_and_fed_back() -> None:
+def test_encoder_errors_are_seen_and_fed_back():
     robot = level(ControlMode.POSITION)
     position = np.full(TIME_s.size, 0.1)
-    log = motion(TIME_s, position, position)
+    log = pendulum.motion(TIME_s, position, position)
     for kind, size in ((JointZero, 0.03), (EncoderScale, 0.05)):
-        effect = at_swing(kind, robot)
-        shown = simulated(robot, log, (effect, [size]))
+        effect = pendulum.at_swing(kind, robot)
+        shown = pendulum.simulated(robot, log, (effect, [size]))
         assert shown == pytest.approx(position, abs=1e-12)  # the loop holds what the encoder shows
-        assert effect.decode(np.array([[size]]), effect.encode(np.array([[size]]), position[None])) == (
-            pytest.approx(position[None])
-        )
+        sizes = np.array([[size]])
+        assert effect.decode(sizes, effect.encode(sizes, position[None])) == pytest.approx(position[None])
 
 
-def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder() -> None:
+def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder():
     robot = level(ControlMode.POSITION)
     (joint,) = robot.joints
 
-    def law(scale: float) -> Array:
+    def law(scale):
         return scale * exact(
             lambda t, q, v: joint.kp_Nm_rad * (0.1 - scale * q) - joint.kd_Nms_rad * scale * v
         )
 
     shown, plain = (
-        simulated(robot, held(0.1), (at_swing(EncoderScale, robot), [size])) for size in (0.08, 0.0)
+        pendulum.simulated(robot, held(0.1), (pendulum.at_swing(EncoderScale, robot), [size]))
+        for size in (0.08, 0.0)
     )
     expected = law(1.08) - law(1.0)
     assert np.abs(shown - plain - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def shaped(kind: type[JointEffect], size: float, command: Array, period_s: float = 0.01) -> Array:
+def shaped(kind, size, command, period_s=0.01):
     """Shape a command of one simulation."""
-    return at_swing(kind, pendulum()).shape_command(np.array([[size]]), command[None], period_s)[0]
+    return pendulum.at_swing(kind, pendulum.pendulum()).shape_command(
+        np.array([[size]]), command[None], period_s
+    )[0]
 
 
 @pytest.mark.parametrize("speed_rad_s", [0.5, 30.0, 300.0])
-def test_a_velocity_limit_is_the_mean_of_a_ramp_in_each_control_period(speed_rad_s: float) -> None:
+def test_a_velocity_limit_is_the_mean_of_a_ramp_in_each_control_period(speed_rad_s):
     found = shaped(VelocityLimit, 1 / speed_rad_s, np.where(TIME_s > 0.095, 0.403, 0.0))
     fine_s = TIME_s[:, None] + 0.01 * (np.arange(1000) + 0.5) / 1000
     ramp = np.clip(speed_rad_s * (fine_s - 0.1), 0.0, 0.403)
     assert found == pytest.approx(ramp.mean(axis=1), abs=1e-6)
 
 
-def test_an_acceleration_limit_follows_a_step_with_a_triangle_of_speed_and_does_not_overshoot() -> None:
+def test_an_acceleration_limit_follows_a_step_with_a_triangle_of_speed_and_does_not_overshoot():
     found = shaped(AccelerationLimit, 1 / 2.0, np.where(TIME_s > 0.005, 0.5, 0.0))
     assert found.max() <= 0.5 + 1e-12
     assert found[-1] == pytest.approx(0.5, abs=1e-6)
@@ -276,7 +244,7 @@ def test_an_acceleration_limit_follows_a_step_with_a_triangle_of_speed_and_does_
     assert np.interp(0.495, found, TIME_s) == pytest.approx(1.0 - np.sqrt(2 * 0.005 / 2.0), abs=0.03)
 
 
-def test_a_clamp_cuts_the_commanded_range_at_one_end() -> None:
+def test_a_clamp_cuts_the_commanded_range_at_one_end():
     command = np.sin(5 * TIME_s)
     assert np.array_equal(shaped(ClampHigh, 0.2, command), np.minimum(command, 0.8))
     assert np.array_equal(shaped(ClampLow, 0.3, command), np.maximum(command, -0.7))

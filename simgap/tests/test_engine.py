@@ -1,6 +1,5 @@
 """The engine against an independent integrator: bits, starts, error of the step, stages that are off."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -22,7 +21,6 @@ from helpers.pendulum import (
 )
 from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm
-from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DeadZone, GainError
 from simgap.effects.command import CommandDelay, MeasurementDelay
@@ -40,10 +38,10 @@ from simgap.simulation.windows import cut_windows, held_means
 TIME_s = np.arange(0, 3, 0.01)
 
 
-def swing(torque: Callable[[float, float, float], float], time_s: Array, q_rad: float = 0.0) -> Array:
+def swing(torque, time_s, q_rad=0.0):
     """Integrate the pendulum under a torque of time, angle and speed, with damping 0.02."""
 
-    def slope(t: float, y: Array) -> list[float]:
+    def slope(t, y):
         gravity = -MASS_kg * g_m_s2 * LENGTH_m * np.sin(y[0])
         return [y[1], (torque(t, y[0], y[1]) + gravity - 0.02 * y[1]) / INERTIA_kgm2]
 
@@ -53,7 +51,7 @@ def swing(torque: Callable[[float, float, float], float], time_s: Array, q_rad: 
     return np.asarray(found.y[0])
 
 
-def test_the_engine_agrees_with_an_independent_integrator_to_second_order() -> None:
+def test_the_engine_agrees_with_an_independent_integrator_to_second_order():
     exact = swing(lambda t, q, v: 4.0 * (waves(np.array([t]), 1)[0] - q) - 0.1 * v, TIME_s)
     often_s = np.arange(0, 3, 0.0005)
     command = Signal(often_s, waves(often_s + 0.00025, 1))  # held values that are right in their middle
@@ -64,8 +62,8 @@ def test_the_engine_agrees_with_an_independent_integrator_to_second_order() -> N
     assert errors[1] < 0.3 * errors[0]
 
 
-def test_a_clipped_torque_converges_to_an_independent_integrator() -> None:
-    def torque(_: float, q: float, v: float) -> float:
+def test_a_clipped_torque_converges_to_an_independent_integrator():
+    def torque(_, q, v):
         return float(np.clip(4.0 * (1.5 - q) - 0.1 * v, -0.6, 0.6))
 
     log = motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, 1.5))
@@ -83,16 +81,14 @@ def test_a_clipped_torque_converges_to_an_independent_integrator() -> None:
         (ControlMode.CURRENT, 0.1, lambda v: 0.2),
     ],
 )
-def test_every_control_mode_has_its_law(
-    mode: ControlMode, command: float, torque: Callable[[float], float]
-) -> None:
+def test_every_control_mode_has_its_law(mode, command, torque):
     log = motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, command))
     found = simulated(pendulum(mode, dry_Nm=0.0, step_s=0.0005, period_s=0.0005), log)
     assert np.abs(found - swing(lambda t, q, v: torque(v), TIME_s)).max() < 2e-3
 
 
 @pytest.mark.parametrize("period_s", [0.0005, 0.01])
-def test_a_motor_without_torque_lets_the_pendulum_fall(period_s: float) -> None:
+def test_a_motor_without_torque_lets_the_pendulum_fall(period_s):
     off = Signal(TIME_s, (TIME_s < 1.0).astype(float))
     log = motion(TIME_s, np.full(TIME_s.size, 0.5), np.full(TIME_s.size, 0.5), enabled=off)
     robot = pendulum(dry_Nm=0.0, kp=400.0, step_s=0.0005, period_s=period_s)
@@ -104,27 +100,27 @@ def test_a_motor_without_torque_lets_the_pendulum_fall(period_s: float) -> None:
     assert np.abs(found[100 : 100 + free.size] - free).max() < 3e-3
 
 
-def test_the_gain_of_a_motion_scales_the_stiffness_alone() -> None:
+def test_the_gain_of_a_motion_scales_the_stiffness_alone():
     log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 2), gain={"swing": 2.0})
     doubled = simulated(pendulum(kp=2.0), log)
     assert np.array_equal(doubled, simulated(pendulum(kp=4.0), replace(log, gain={})))
 
 
-def test_dry_friction_holds_up_to_its_size() -> None:
+def test_dry_friction_holds_up_to_its_size():
     for torque_Nm, moves in ((0.095, False), (0.105, True)):
         robot = pendulum(ControlMode.TORQUE, damping=0.0, dry_Nm=0.1, is_level=True)
         found = simulated(robot, motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, torque_Nm)))
         assert (np.abs(found[-1]) > 0.05) == moves
 
 
-def test_a_loaded_joint_creeps_by_less_than_half_a_milliradian_in_a_minute() -> None:
+def test_a_loaded_joint_creeps_by_less_than_half_a_milliradian_in_a_minute():
     time_s = np.arange(0, 60, 0.05)
     robot = pendulum(ControlMode.TORQUE, damping=0.0, dry_Nm=0.1, is_level=True, step_s=0.005, period_s=0.005)
     found = simulated(robot, motion(time_s, 0 * time_s, np.full(time_s.size, 0.09)))
     assert np.abs(found).max() < 5e-4  # with the defaults of MuJoCo: about 0.4 rad
 
 
-def test_a_blow_up_has_a_finite_penalty_and_no_effect_on_others(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_blow_up_has_a_finite_penalty_and_no_effect_on_others(capfd):
     robot = pendulum(ControlMode.TORQUE)
     log = motion(TIME_s, 0 * TIME_s, np.ones(TIME_s.size))
     model = SimulationResiduals(robot, [log], n_threads=1)
@@ -142,7 +138,7 @@ MOTIONS = [
 ]
 
 
-def candidates() -> tuple[list, Array]:  # type: ignore[type-arg]
+def candidates():
     """Make effects with all hooks, and candidates with some of them."""
     robot = pendulum()
     kinds = (StribeckFriction, LoadFriction, DeadZone, CommandDelay, MeasurementDelay, CoulombFriction)
@@ -153,7 +149,7 @@ def candidates() -> tuple[list, Array]:  # type: ignore[type-arg]
     return effects, share * present * typical
 
 
-def test_the_bits_depend_neither_on_threads_nor_on_other_candidates() -> None:
+def test_the_bits_depend_neither_on_threads_nor_on_other_candidates():
     effects, sizes = candidates()
     one, two = (
         SimulationResiduals(pendulum(), MOTIONS, n_threads=n).residuals(effects, sizes) for n in (1, 2)
@@ -164,7 +160,7 @@ def test_the_bits_depend_neither_on_threads_nor_on_other_candidates() -> None:
         assert np.array_equal(alone[0], one[k])
 
 
-def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
+def test_the_bits_of_a_motion_depend_on_no_other_motion():
     effects, sizes = candidates()
     model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
     together = model.residuals(effects, sizes)
@@ -174,7 +170,7 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
         )
 
 
-def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all() -> None:
+def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all():
     effects, sizes = candidates()
     model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
     n = len(model.motions)
@@ -192,9 +188,7 @@ STEADY: list[Effect] = [
 
 
 @pytest.mark.parametrize("limit_Nm", slow_but([0.6, float("inf")], 0.6))
-def test_many_periods_in_one_call_give_the_bits_of_single_ones(
-    limit_Nm: float, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_many_periods_in_one_call_give_the_bits_of_single_ones(limit_Nm, monkeypatch, capfd):
     robot = pendulum(limit_Nm=limit_Nm, step_s=0.001, period_s=0.002)
     off = Signal(TIME_s, ((TIME_s < 0.3) | (TIME_s > 0.605)).astype(float))
     logs = [*MOTIONS, motion(TIME_s, 0.1 * TIME_s, waves(TIME_s, 4), name="m4", enabled=off)]
@@ -207,14 +201,14 @@ def test_many_periods_in_one_call_give_the_bits_of_single_ones(
     capfd.readouterr()  # MuJoCo itself prints a warning on the gain of 1e300
 
 
-def test_samples_that_are_not_kept_have_no_residual() -> None:
+def test_samples_that_are_not_kept_have_no_residual():
     keep = TIME_s < 1.0
     log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 1))
     model = SimulationResiduals(pendulum(), [log], keep={("m", "swing"): keep}, n_threads=1)
     assert model.time_s.max() < 1.0
 
 
-def test_windows_begin_at_measured_positions_and_speeds() -> None:
+def test_windows_begin_at_measured_positions_and_speeds():
     position = 0.3 + 0.2 * TIME_s
     windows = cut_windows(pendulum(), motion(TIME_s, position, position), 1.0, 0.02)
     assert [round(window.start_s, 6) for window in windows] == [0.0, 1.0, 2.0]
@@ -222,7 +216,7 @@ def test_windows_begin_at_measured_positions_and_speeds() -> None:
     assert [window.v_rad_s[0] for window in windows] == pytest.approx([0.2] * 3)
 
 
-def test_a_window_begins_where_a_stop_left_the_joint() -> None:
+def test_a_window_begins_where_a_stop_left_the_joint():
     position = np.where(TIME_s < 1.0, 0.3, 0.1)
     log, stopped = motion(TIME_s, position, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.99)
     windows = cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stopped})
@@ -233,23 +227,23 @@ def test_a_window_begins_where_a_stop_left_the_joint() -> None:
     assert not np.any((kept_s > 0.6) & (kept_s < 0.99))
 
 
-def test_a_short_stretch_without_samples_begins_no_window() -> None:
+def test_a_short_stretch_without_samples_begins_no_window():
     log, stale = motion(TIME_s, 0 * TIME_s, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.7)
     assert len(cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stale})) == 1
 
 
-def test_a_step_between_two_periods_counts_in_proportion() -> None:
+def test_a_step_between_two_periods_counts_in_proportion():
     means = held_means(Signal(np.array([0.0, 0.0125]), np.array([1.0, 3.0])), np.arange(0, 0.06, 0.01))
     assert means == pytest.approx([1.0, 2.5, 3.0, 3.0, 3.0])
 
 
-def test_a_motion_without_commands_is_refused_in_one_sentence() -> None:
+def test_a_motion_without_commands_is_refused_in_one_sentence():
     log = Motion("m", {"swing": JointLog(position=Signal(TIME_s, TIME_s))}, {})
     with pytest.raises(RobotError, match="motion m: joint swing has no command"):
         SimulationResiduals(pendulum(), [log])
 
 
-def test_variables_of_the_measured_motion_are_those_of_the_motion() -> None:
+def test_variables_of_the_measured_motion_are_those_of_the_motion():
     position = 0.3 * np.sin(2 * TIME_s)
     model = SimulationResiduals(pendulum(), [motion(TIME_s, position, position + 1)], n_threads=1)
     t = model.time_s
@@ -268,19 +262,19 @@ NOISE_rad = 1e-4
 FINE = pendulum(step_s=0.00025)
 
 
-def measure(position_rad: Array, seed: int) -> Array:
+def measure(position_rad, seed):
     """Add the noise of an encoder."""
     return position_rad + NOISE_rad * np.random.default_rng(seed).standard_normal(position_rad.size)
 
 
-def worst_residual(step_s: float, measured_rad: Array, command: Array) -> float:
+def worst_residual(step_s, measured_rad, command):
     robot = pendulum(step_s=step_s, period_s=0.004)
     model = SimulationResiduals(robot, [motion(STARTS_s, measured_rad, command)], n_threads=1)
     return float(np.abs(model.residuals([], np.zeros((1, 0)))).max())
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_joint_that_is_pulled_from_rest_starts_at_rest(seed: int) -> None:
+def test_a_joint_that_is_pulled_from_rest_starts_at_rest(seed):
     command = np.full(STARTS_s.size, 0.5)
     truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
     speed_rad_s = truth[4] / STARTS_s[4]
@@ -289,7 +283,7 @@ def test_a_joint_that_is_pulled_from_rest_starts_at_rest(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_joint_whose_log_begins_in_motion_starts_with_its_speed(seed: int) -> None:
+def test_a_joint_whose_log_begins_in_motion_starts_with_its_speed(seed):
     command = waves(STARTS_s, seed)
     truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
     speed_rad_s = np.gradient(truth, STARTS_s)
@@ -299,7 +293,7 @@ def test_a_joint_whose_log_begins_in_motion_starts_with_its_speed(seed: int) -> 
     assert np.abs(model.residuals([], np.zeros((1, 0)))).max() < 20 * NOISE_rad
 
 
-def test_steps_that_are_too_long_for_the_motor_show_no_residual() -> None:
+def test_steps_that_are_too_long_for_the_motor_show_no_residual():
     command = waves(STARTS_s, 5)
     truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
     long = np.abs(simulated(pendulum(step_s=0.004, period_s=0.004), motion(STARTS_s, truth, command)) - truth)
@@ -307,7 +301,7 @@ def test_steps_that_are_too_long_for_the_motor_show_no_residual() -> None:
 
 
 @pytest.mark.parametrize("seed", slow_but(range(3), 1))
-def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed: int) -> None:
+def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed):
     command = waves(STARTS_s, seed)
     truth = simulated(FINE, motion(STARTS_s, 0 * STARTS_s, command))
     measured_rad = measure(truth, seed)
@@ -328,7 +322,7 @@ def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed: int) -> 
 IDLE = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
-def path(model: mujoco.MjModel) -> Array:
+def path(model):
     """Swing all joints far, into their limits if they have some."""
     data = mujoco.MjData(model)
     found = []
@@ -339,12 +333,12 @@ def path(model: mujoco.MjModel) -> Array:
     return np.array(found)
 
 
-def so101() -> Robot:
+def so101():
     return Robot.from_toml(robot_path("so101"))
 
 
 @pytest.mark.parametrize("robot", [pendulum, arm, so101])
-def test_the_stages_that_are_skipped_change_no_bit(robot: Callable[[], Robot]) -> None:
+def test_the_stages_that_are_skipped_change_no_bit(robot):
     model = Models(robot()).compiled([]).robot.model
     assert model.opt.disableflags & IDLE == IDLE
     fast = path(model)
@@ -352,7 +346,7 @@ def test_the_stages_that_are_skipped_change_no_bit(robot: Callable[[], Robot]) -
     assert np.array_equal(fast, path(model))
 
 
-def test_the_profiler_is_off_inside_and_on_again_outside() -> None:
+def test_the_profiler_is_off_inside_and_on_again_outside():
     mujoco.set_mjcb_time(None)  # a plant in this process has switched it off for good
     model = pendulum().model
     seconds = []

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,13 +31,9 @@ def heavier(model):
 
 @cache
 def log(kind="nominal"):
-    others = {
-        "nominal": {},
-        "counterbalance": {"applied_Nm": counterbalance_Nm},
-        "heavier": {"change": heavier},
-        "noisy": {"noise_rad": 1e-4},
-    }
-    return simulated(arm(), seed=3, name=kind, **others[kind])
+    others = {"counterbalance": {"applied_Nm": counterbalance_Nm}, "heavier": {"change": heavier}}
+    others["noisy"] = {"noise_rad": 1e-4}
+    return simulated(arm(), seed=3, name=kind, **others.get(kind, {}))
 
 
 def residuals_of(*motions):
@@ -191,37 +186,26 @@ def test_variables_are_those_of_the_measured_motion():
     assert of_joint(model, model.explain("position"), "elbow") == pytest.approx(at_rows, abs=1e-4)
     assert np.array_equal(model.explain("time"), model.time_s)
     assert np.all(np.isnan(model.explain("temperature")))
-    still = {
-        name: replace(one.position, value=0.0 * one.position.value + one.position.value[0])
-        for name, one in log().joints.items()
-    }
-    joints = {name: replace(one, position=still[name]) for name, one in log().joints.items()}
+    starts = {name: one.position.value[0] for name, one in log().joints.items()}
+    resting = {name: replace(measured, value=np.full(measured.value.size, q)) for name, q in starts.items()}
+    joints = {name: replace(one, position=resting[name]) for name, one in log().joints.items()}
     model = residuals_of(replace(log(), joints=joints))
-    angle = np.sum([measured.value[0], log().joints["shoulder"].position.value[0]])
+    angle = sum(starts.values())
     carried_Nm = -9.81 * 2.0 * (0.15 * np.cos(angle) + 0.02 * np.sin(angle))  # at rest; axes point along +y
     assert of_joint(model, model.explain("load"), "elbow")[0] == pytest.approx(carried_Nm, rel=0.02)
 
 
-def test_logs_without_torques_are_refused():
-    position = log().joints["elbow"].position
+def test_logs_without_torques_and_logs_that_are_shorter_than_the_filter_are_refused():
+    one = log().joints["elbow"]
     with pytest.raises(RobotError, match="no log has torques"):
-        residuals_of(Motion("m", {"elbow": JointLog(position)}, {}))
-
-
-def test_a_log_that_is_shorter_than_the_filter_is_refused():
-    short = {
-        name: JointLog(
-            Signal(one.position.time_s[:9], one.position.value[:9]),
-            torque=Signal(one.torque.time_s[:9], one.torque.value[:9]),
-        )
-        for name, one in log().joints.items()
-    }
+        residuals_of(Motion("m", {"elbow": JointLog(one.position)}, {}))
+    position, torque = (Signal(each.time_s[:9], each.value[:9]) for each in (one.position, one.torque))
     with pytest.raises(RobotError, match="20 or more"):
-        residuals_of(Motion("m", short, {}))
+        residuals_of(Motion("m", dict.fromkeys(log().joints, JointLog(position, torque=torque)), {}))
 
 
 @cache
-def kr300(folder: Path):
+def kr300(folder):
     robot, logs = load_real(folder, "kr300")
     effects = {effect.key: effect for effect in catalogue(robot, logs)}
     shared = {"a2": scales(robot, *logs.motions)["a2"]}

@@ -29,7 +29,7 @@ class Coupled(ToyResiduals):
         return rows.reshape(len(rows), -1)
 
 
-def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None:
+def test_residuals_of_coupled_joints_are_those_of_their_sizes_together():
     toy = draw_toy(1, {})
     model = Coupled(toy.commands, toy.measured, NAMES)
     context, present = fit_base(start_context(model, BASE, CATALOGUE, 1, Meter()))
@@ -40,7 +40,7 @@ def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None
         np.testing.assert_array_equal(fit.sizes, present.sizes)
 
 
-def test_joints_without_base_parameters_share_no_simulation_if_they_are_coupled() -> None:
+def test_joints_without_base_parameters_share_no_simulation_if_they_are_coupled():
     toy = draw_toy(1, {})
     for kind, groups in ((ToyResiduals, ((0, 1),)), (Coupled, ((0,), (1,)))):
         model = kind(toy.commands, toy.measured, NAMES)
@@ -48,7 +48,7 @@ def test_joints_without_base_parameters_share_no_simulation_if_they_are_coupled(
         assert context.sharing.groups == groups
 
 
-def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
+def test_a_fit_that_starts_beyond_a_bound_ends_inside():
     model = draw_toy(1, {})
     union = Union(BASE)
     start = Hypothesis(np.arange(1), np.array([9.0, 0.0]), 0)
@@ -57,7 +57,7 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
 
 
-def test_a_step_without_a_fold_goes_as_far_as_the_optimum_without_it() -> None:
+def test_a_step_without_a_fold_goes_as_far_as_the_optimum_without_it():
     toy = draw_toy(1, {})
     context, present = fit_base(start_context(toy, BASE, (), 1, Meter()))
     (fold, *_), fit = context.folds, present.fits[0]
@@ -71,7 +71,7 @@ def test_a_step_without_a_fold_goes_as_far_as_the_optimum_without_it() -> None:
 
 
 @pytest.mark.slow
-def test_an_effect_at_a_body_has_an_interval_that_holds_its_size() -> None:
+def test_an_effect_at_a_body_has_an_interval_that_holds_its_size():
     body, held = Toy("base", "square of all", np.square), 0
     for seed in range(10):
         model = draw_toy(seed, {"near: square": 0.1, "far: square": 0.1})
@@ -83,7 +83,7 @@ def test_an_effect_at_a_body_has_an_interval_that_holds_its_size() -> None:
     assert held >= 7  # 99 % of a binomial around 9
 
 
-def test_a_joint_without_data_does_not_hide_an_effect_at_a_body() -> None:
+def test_a_joint_without_data_does_not_hide_an_effect_at_a_body():
     model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
     model.joints = (*NAMES, "silent")
     body = Toy("base", "square of all", np.square)
@@ -91,7 +91,7 @@ def test_a_joint_without_data_does_not_hide_an_effect_at_a_body() -> None:
     assert [effect.key for effect in chosen.effects] == [body.key]
 
 
-def test_the_noise_of_all_repeats_counts_in_any_order() -> None:
+def test_the_noise_of_all_repeats_counts_in_any_order():
     model = draw_toy(1, {})
     rng = np.random.default_rng(2)
     rows = rng.normal(0.0, 1.0, model.commands.shape)

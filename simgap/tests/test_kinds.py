@@ -11,16 +11,15 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects.actuation import GainError
 from simgap.effects.command import MeasurementDelay
 from simgap.effects.effect import Family, joint_scales
-from simgap.logs import Logs, Motion
+from simgap.logs import Logs
 from simgap.report.traces import trace_motions
 from simgap.residuals.simulation_residuals import list_kinds
-from simgap.robot import Robot
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
 
 
-def with_commands(robot: Robot) -> list[Motion]:
+def with_commands(robot):
     """Return motions in which the logged torque was the command too."""
     found = [simulated(robot, seed, duration_s=2.0, name=f"m{seed}") for seed in range(4)]
     return [
@@ -30,12 +29,12 @@ def with_commands(robot: Robot) -> list[Motion]:
 
 
 @pytest.fixture(scope="module")
-def unloaded() -> tuple[Robot, list[Motion]]:
+def unloaded():
     robot = arm(is_loaded=False)
     return robot, with_commands(robot)
 
 
-def test_logged_torques_show_no_change_of_the_controller(unloaded: tuple[Robot, list[Motion]]) -> None:
+def test_logged_torques_show_no_change_of_the_controller(unloaded):
     robot, motions = unloaded
     logs = Logs(tuple(motions))
     (kind,) = list_kinds(robot, motions, None)
@@ -44,7 +43,7 @@ def test_logged_torques_show_no_change_of_the_controller(unloaded: tuple[Robot, 
         assert not (kind.shows(effect) and effect.family is Family.ACTUATION)
 
 
-def test_logged_torques_give_friction_a_scale_without_gravity(unloaded: tuple[Robot, list[Motion]]) -> None:
+def test_logged_torques_give_friction_a_scale_without_gravity(unloaded):
     robot, motions = unloaded
     (kind,) = list_kinds(robot, motions, None)
     base = [one for one in base_effects(robot, Logs(tuple(motions))) if kind.shows(one)]
@@ -52,7 +51,7 @@ def test_logged_torques_give_friction_a_scale_without_gravity(unloaded: tuple[Ro
     assert all(one.is_identifiable for one in list_base(robot, context, present, []))
 
 
-def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded: tuple[Robot, list[Motion]]) -> None:
+def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded):
     robot, motions = unloaded
     found = diagnosis(kind="inverse dynamics", effects=(), sizes=())
     traces = trace_motions(robot, motions, found)
@@ -62,7 +61,7 @@ def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded: tuple[Rob
     assert all(one.measured is None and one.explained.any() for one in traces)
 
 
-def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded: tuple[Robot, list[Motion]]) -> None:
+def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded):
     robot, motions = unloaded
     late, other = MeasurementDelay.at(robot, "shoulder", joint_scales(robot, motions)), Rub("shoulder")
     kinds = ("simulation", "second encoder", "second encoder")
@@ -76,9 +75,7 @@ def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded: tuple[Robot
     assert found.of_model() == ((late, other), ((0.015,), (0.2,)))
 
 
-def test_a_joint_with_a_command_alone_makes_the_commands_simulated(
-    unloaded: tuple[Robot, list[Motion]],
-) -> None:
+def test_a_joint_with_a_command_alone_makes_the_commands_simulated(unloaded):
     robot, motions = unloaded
     first = robot.joints[0].name
     mixed = [

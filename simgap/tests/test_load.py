@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_parquet, write_robot
+from helpers.robot_folder import COLUMNS, changed, write_csv, write_npz, write_parquet, write_robot
 from simgap.checks.records import RemarkKind
 from simgap.checks.signals import find_wraps
 from simgap.common.errors import RobotError
@@ -36,8 +36,7 @@ def test_values_are_in_si_units_at_the_joint_in_every_format(tmp_path, robot, wr
 
 
 def test_a_csv_may_have_semicolons_and_decimal_commas(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, GERMAN))
-    slow, _ = load(robot, write_csv(tmp_path, ";", ",")).motions
+    slow, _ = load(write_robot(tmp_path, GERMAN), write_csv(tmp_path, ";", ",")).motions
     np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
 
 
@@ -52,11 +51,7 @@ def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):
 def test_an_array_may_have_times_of_its_own(tmp_path):
     change = ('{ column = "m2", unit', '{ column = "m2", time_column = "tm", unit')
     no_motion = ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', "")
-    robot = Robot.from_toml(
-        write_robot(
-            tmp_path, change, no_motion, ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n")
-        )
-    )
+    robot = write_robot(tmp_path, change, no_motion, ('gain_column = "gain"\n', ""))
     path = write_npz(tmp_path, t=np.arange(7.0), m2=np.ones(3), tm=np.array([2.0, 4.0, 6.0]))
     (motion,) = load(robot, path).motions
     assert motion.name == "log"
@@ -73,25 +68,23 @@ def test_rows_of_a_motion_need_not_follow_one_another(tmp_path, robot):
 
 def test_times_count_from_the_start_of_the_motion(tmp_path, robot):
     path = write_parquet(tmp_path, t=[1e12 + one for one in COLUMNS["t"]])
-    np.testing.assert_allclose(
-        load(robot, path).motions[0].joints["elbow"].position.time_s, [0.0, 0.01, 0.02], atol=1e-6
-    )
+    slow, _ = load(robot, path).motions
+    np.testing.assert_allclose(slow.joints["elbow"].position.time_s, [0.0, 0.01, 0.02], atol=1e-6)
 
 
 def test_two_columns_together_name_a_motion(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ('["motion"]', '["motion", "gain"]')))
+    robot = write_robot(tmp_path, ('["motion"]', '["motion", "gain"]'))
     assert [one.name for one in load(robot, write_parquet(tmp_path)).motions] == ["slow 2", "fast 3"]
 
 
-def test_motions_that_repeat_one_another_share_a_text(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"')))
-    path = write_parquet(tmp_path, again=["x"] * 7)
-    assert [one.repeat_of for one in load(robot, path).motions] == ["x", "x"]
-
-
-def test_motions_that_repeat_one_another_can_be_named(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeats = [["slow", "fast"]]')))
-    assert [one.repeat_of for one in load(robot, write_parquet(tmp_path)).motions] == ["slow", "slow"]
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [('repeat_column = "again"', ["x", "x"]), ('repeats = [["slow", "fast"]]', ["slow", "slow"])],
+)
+def test_motions_that_repeat_one_another_share_a_text_or_are_named(tmp_path, line, names):
+    robot = write_robot(tmp_path, ("[motion]", f"[motion]\n{line}"))
+    found = load(robot, write_parquet(tmp_path, again=["x"] * 7)).motions
+    assert [one.repeat_of for one in found] == names
 
 
 @pytest.mark.parametrize(
@@ -109,19 +102,13 @@ def test_repeats_that_are_wrong_are_refused(tmp_path, line, message):
 
 
 def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
-    robot = Robot.from_toml(
-        write_robot(
-            tmp_path, ("[joints.elbow]\n", '[joints.elbow]\nenabled = { column = "on", unit = "flag" }\n')
-        )
-    )
-    text = write_csv(tmp_path).read_text().splitlines()
+    enabled = '[joints.elbow]\nenabled = { column = "on", unit = "flag" }\n'
+    robot, path = write_robot(tmp_path, ("[joints.elbow]\n", enabled)), write_csv(tmp_path)
     words = ["on", "true", "false", "true", "true", "true", "true", "true"]
-    (tmp_path / "log.csv").write_text(
-        "\n".join(f"{row},{word}" for row, word in zip(text, words, strict=True))
-    )
-    np.testing.assert_array_equal(
-        load(robot, tmp_path / "log.csv").motions[0].joints["elbow"].enabled.value, [1, 0, 1]
-    )
+    rows = zip(path.read_text().splitlines(), words, strict=True)
+    path.write_text("\n".join(map(",".join, rows)))
+    slow, _ = load(robot, path).motions
+    np.testing.assert_array_equal(slow.joints["elbow"].enabled.value, [1, 0, 1])
 
 
 def test_a_counter_that_wraps_lies_where_the_model_has_the_joint_and_is_told(tmp_path):
@@ -140,11 +127,9 @@ def test_a_counter_that_wraps_lies_where_the_model_has_the_joint_and_is_told(tmp
 
 def test_a_share_of_a_range_is_an_angle(tmp_path):
     share = 'unit = "fraction", at_0_rad = -0.2, at_1_rad = 1.8'
-    robot = Robot.from_toml(write_robot(tmp_path, ('column = "c1", unit = "deg"', f'column = "c1", {share}')))
-    path = write_parquet(tmp_path, c1=[0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(
-        load(robot, path).motions[0].joints["shoulder"].command.value, [-0.2, 0.8, 1.8]
-    )
+    robot = write_robot(tmp_path, ('column = "c1", unit = "deg"', f'column = "c1", {share}'))
+    slow, _ = load(robot, write_parquet(tmp_path, c1=[0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0])).motions
+    np.testing.assert_allclose(slow.joints["shoulder"].command.value, [-0.2, 0.8, 1.8])
 
 
 @pytest.mark.parametrize(
@@ -173,12 +158,11 @@ def test_bad_rows_are_refused_in_one_sentence(tmp_path, robot, changes, said):
 
 
 def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ('column = "m2"', 'column = "m_2"')))
-    for path in (write_parquet(tmp_path), write_csv(tmp_path), write_npz(tmp_path)):
-        with pytest.raises(
-            RobotError, match=r"has no column 'm_2', which the robot file names; did you mean 'm2'"
-        ):
-            load(robot, path)
+    robot = write_robot(tmp_path, ('column = "m2"', 'column = "m_2"'))
+    said = "has no column 'm_2', which the robot file names; did you mean 'm2'"
+    for write in (write_parquet, write_csv, write_npz):
+        with pytest.raises(RobotError, match=said):
+            load(robot, write(tmp_path))
 
 
 def test_arrays_of_other_lengths_than_their_times_are_refused(tmp_path, robot):
@@ -203,10 +187,8 @@ def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_pat
 
 
 def test_motions_of_one_name_in_two_files_have_the_name_of_the_file(tmp_path, robot):
-    paths = [
-        write_parquet(tmp_path, "monday"),
-        write_parquet(tmp_path, "friday", motion=["slow"] * 3 + ["q"] * 4),
-    ]
+    friday = write_parquet(tmp_path, "friday", motion=["slow"] * 3 + ["q"] * 4)
+    paths = [write_parquet(tmp_path, "monday"), friday]
     found = load(robot, paths, held_out=["friday"])
     assert names(found.motions) == ["monday:slow", "fast", "friday:slow", "q"]
     assert names(found.judged) == ["friday:slow", "q"]
@@ -216,11 +198,10 @@ def test_motions_of_one_name_in_two_files_have_the_name_of_the_file(tmp_path, ro
 
 def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
     robot = write_robot(tmp_path, ('columns = ["motion"]\n', ""))
-    paths = []
+    rows = {name: one[:3] for name, one in COLUMNS.items()}
     for folder in ("run1", "run2"):
         (tmp_path / folder).mkdir()
-        rows = {name: one[:3] for name, one in COLUMNS.items()}
-        paths.append(write_parquet(tmp_path / folder, **rows))
+    paths = [write_parquet(tmp_path / folder, **rows) for folder in ("run1", "run2")]
     found = load(robot, paths, held_out=["run2/log"])
     assert (names(found.fit), names(found.judged)) == (["run1/log"], ["run2/log"])
     with pytest.raises(RobotError, match=r"run1/log\.parquet: is given twice; give each log once"):
@@ -232,28 +213,25 @@ def test_a_file_that_is_damaged_absent_or_empty_is_refused(tmp_path, robot, name
     path = tmp_path / name
     with pytest.raises(RobotError, match="there is no such log"):
         load(robot, path)
-    path.write_bytes(b"")
-    with pytest.raises(RobotError, match=str(path)):
-        load(robot, path)
-    path.write_bytes(bytes(range(256)))
-    with pytest.raises(RobotError, match=str(path)):
-        load(robot, path)
+    for content in (b"", bytes(range(256))):
+        path.write_bytes(content)
+        with pytest.raises(RobotError, match=str(path)):
+            load(robot, path)
 
 
-def test_a_name_that_is_too_long_and_a_folder_are_refused(tmp_path, robot):
-    with pytest.raises(RobotError, match="there is no such log"):
-        load(robot, tmp_path / f"{'a' * 300}.csv")
-    (tmp_path / "log.csv").mkdir()
-    with pytest.raises(RobotError, match=r"log\.csv: is no regular file; name a log"):
-        load(robot, tmp_path / "log.csv")
-
-
-def test_a_file_of_another_kind_is_refused(tmp_path, robot):
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (f"{'a' * 300}.csv", "there is no such log"),
+        ("folder.csv", r"folder\.csv: is no regular file; name a log"),
+        ("log.mat", r"is no log by its suffix; name a file that ends in one of \.parquet"),
+    ],
+)
+def test_a_name_that_is_too_long_a_folder_and_a_file_of_another_kind_are_refused(tmp_path, robot, name, said):
+    (tmp_path / "folder.csv").mkdir()
     (tmp_path / "log.mat").write_text("x")
-    with pytest.raises(
-        RobotError, match=r"is no log by its suffix; name a file that ends in one of \.parquet"
-    ):
-        load(robot, tmp_path / "log.mat")
+    with pytest.raises(RobotError, match=said):
+        load(robot, tmp_path / name)
 
 
 SPLIT = """default = "first"
@@ -270,11 +248,7 @@ held_out = ["a"]
 
 def logs(folder, *changes, **options):
     """Load with a split file that has changes."""
-    text = SPLIT
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "split.toml").write_text(text)
+    (folder / "split.toml").write_text(changed(SPLIT, *changes))
     path = write_robot(folder, ('model = "model.xml"', 'model = "model.xml"\nsplit = "split.toml"'))
     return load(path, write_parquet(folder), **options)
 
@@ -283,14 +257,12 @@ def names(motions):
     return [one.name for one in motions]
 
 
-def test_the_default_split_counts(tmp_path):
-    found = logs(tmp_path)
-    assert (names(found.fit), names(found.judged)) == (["slow"], ["fast"])
-
-
-def test_another_split_may_be_named(tmp_path):
-    found = logs(tmp_path, split="second")
-    assert (names(found.fit), names(found.judged)) == (["fast"], ["slow"])
+@pytest.mark.parametrize(
+    ("options", "fit", "judged"), [({}, "slow", "fast"), ({"split": "second"}, "fast", "slow")]
+)
+def test_the_default_split_counts_or_one_that_is_named(tmp_path, options, fit, judged):
+    found = logs(tmp_path, **options)
+    assert (names(found.fit), names(found.judged)) == ([fit], [judged])
 
 
 def test_motions_may_be_held_out_by_motion_condition_or_file(tmp_path):
@@ -330,25 +302,18 @@ def test_what_is_wrong_with_a_split_is_one_sentence(tmp_path, change, options, s
 
 def test_an_hour_between_two_parts_is_told_with_the_windows_that_cut_it(tmp_path):
     early = COLUMNS["t"][:3]
-    columns = COLUMNS | {"t": [*early, *(3.6e6 + np.array(COLUMNS["t"][3:]))]}
-    robot = write_robot(
-        tmp_path,
-        ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"\n', ""),
-        ('gain_column = "gain"\n', ""),
-    )
-    path = write_parquet(tmp_path, **columns)
+    no_motion = ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"\n', "")
+    robot = write_robot(tmp_path, no_motion, ('gain_column = "gain"\n', ""))
+    path = write_parquet(tmp_path, t=[*early, *(3.6e6 + np.array(COLUMNS["t"][3:]))])
     windows = "windows_s = { part1 = [0, 0.02], part2 = [3600, 3600.03] }"
     with pytest.raises(RobotError) as error:
         load(robot, path)
-    assert "has 100 a second with 1 gap of up to 3600 s: cut it there, in [motion] " + windows in str(
-        error.value
-    )
+    said = "has 100 a second with 1 gap of up to 3600 s: cut it there, in [motion] "
+    assert said + windows in str(error.value)
     robot.write_text(robot.read_text().replace("[motion]\n", f"[motion]\n{windows}\n"))
     assert [one.joints["elbow"].position.value.size for one in load(robot, path).motions] == [3, 4]
 
 
 def test_parts_in_which_no_joint_settles_are_no_windows():
-    assert cut_at_pauses(0.0, [(0.01, 2.0), (6.004, 7.0), (7.2, 9.0)], 12.0) == {
-        "part1": [2.0, 6.01],
-        "part2": [9.0, 12.0],
-    }
+    found = cut_at_pauses(0.0, [(0.01, 2.0), (6.004, 7.0), (7.2, 9.0)], 12.0)
+    assert found == {"part1": [2.0, 6.01], "part2": [9.0, 12.0]}

@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from helpers.robot_folder import write_robot
 from simgap.common.errors import RobotError
-from simgap.files.decoding import BadMessage, make_decoder
+from simgap.files.mcap_log import BadMessage, make_decoder
 from simgap.loading import load
 
 JOINT_STATE = """# joints

@@ -1,8 +1,6 @@
 """Diagnoses of a real KR300 and a real XL330: named effects hold for motions that took no part."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,16 +11,15 @@ from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
 from simgap.loading import load
-from simgap.logs import JointLog, Motion, Signal
+from simgap.logs import Signal
 from simgap.residuals.inverse_residuals import InverseResiduals, shows
-from simgap.result import Diagnosis, Finding
 from simgap.robot import Robot
 
 pytestmark = [pytest.mark.real_data, pytest.mark.slow]
 GEAR = 267.43
 
 
-def find(folder: Path, split: str) -> tuple[Robot, Diagnosis, float]:
+def find(folder, split):
     """Return robot, diagnosis, and the torque error of axis 2 on the other batch [motor N m, RMS]."""
     robot = Robot.from_toml(robot_path("kr300"))
     logs = load(robot, [folder / "kr300_A.parquet", folder / "kr300_B.parquet"], split=split)
@@ -35,7 +32,7 @@ def find(folder: Path, split: str) -> tuple[Robot, Diagnosis, float]:
     return robot, result, error
 
 
-def find_without_torques(folder: Path, split: str) -> Diagnosis:
+def find_without_torques(folder, split):
     """Diagnose with a catalogue without external torques."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -45,21 +42,21 @@ def find_without_torques(folder: Path, split: str) -> Diagnosis:
         return find(folder, split)[1]
 
 
-def list_names(result: Diagnosis) -> set[tuple[str, str]]:
+def list_names(result):
     return {(one.place, one.effect) for one in result.findings}
 
 
 @pytest.fixture(scope="module")
-def fitted_a(real_data) -> tuple[Robot, Diagnosis, float]:
+def fitted_a(real_data):
     return find(real_data / "kr300", "fit_a")
 
 
 @pytest.fixture(scope="module")
-def fitted_b(real_data) -> tuple[Robot, Diagnosis, float]:
+def fitted_b(real_data):
     return find(real_data / "kr300", "fit_b")
 
 
-def torque_at_axis_2(result: Diagnosis) -> Finding:
+def torque_at_axis_2(result):
     return next(one for one in result.findings if (one.place, one.family) == ("a2", Family.EXTERNAL))
 
 
@@ -132,7 +129,7 @@ def test_no_compliance_is_named_at_axis_1_which_gravity_does_not_load(batch, req
 
 
 @pytest.fixture(scope="module")
-def swung(real_data) -> Diagnosis:
+def swung(real_data):
     """The servo with a pendulum, judged on a gain that was held out."""
     robot, logs = load_real(real_data, "pendulum")
     assert {motion.conditions["gain_kp"] for motion in logs.judged} == {400.0}
@@ -146,7 +143,7 @@ def test_few_effects_predict_the_gain_that_was_held_out(swung):
     assert "load-dependent friction" in {one.effect for one in swung.findings}
 
 
-def is_refused(robot: Robot, motions: Sequence[Motion]) -> bool:
+def is_refused(robot, motions):
     """Return whether a diagnosis ends in an error, or without a fitted motion."""
     try:
         result = diagnose(robot, motions, seed=1)
@@ -172,5 +169,5 @@ def test_positions_that_are_stamped_20_ms_later_may_be_a_delay_and_nothing_else_
     assert len(after) - len(late) <= len(swung.findings)
 
 
-def delayed(log: JointLog) -> JointLog:
+def delayed(log):
     return replace(log, position=Signal(log.position.time_s + 0.02, log.position.value))

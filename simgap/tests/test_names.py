@@ -11,7 +11,7 @@ from helpers.command import run_simgap
 from simgap.common.names import list_names
 
 
-def run_python(*words: str) -> str:
+def run_python(*words):
     return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout.strip()
 
 

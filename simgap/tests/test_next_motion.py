@@ -17,7 +17,6 @@ from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.command.next_motion import command_table
 from simgap.common.errors import RobotError
-from simgap.effects.effect import Effect
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
@@ -66,7 +65,7 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
         asked.extend(some)
         return [slopes[k] for k in some]
 
-    def confused(k: int) -> float:
+    def confused(k):
         pairs = [(0, 1), (0, 2), (1, 2)]
         return float(
             np.mean([norm.cdf(1.6449 - find_sigma(predictions[k], slopes[k], *one)) for one in pairs])
@@ -92,7 +91,7 @@ DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement d
 ZONE = EFFECTS["swing: dead zone"]
 
 
-def swing(log: Motion, delay_s: float, seed: int) -> Motion:
+def swing(log, delay_s, seed):
     noise = np.random.default_rng(seed).normal(0.0, 3e-4, TIME_s.size)
     position = Signal(TIME_s, simulated(ROBOT, log, (DELAY, (delay_s,))) + noise)
     return replace(log, joints={"swing": replace(log.joints["swing"], position=position)})
@@ -101,7 +100,7 @@ def swing(log: Motion, delay_s: float, seed: int) -> Motion:
 LOGS = Logs(tuple(swing(one, 0.02, k) for k, one in enumerate(PLANNED)))
 
 
-def rival(effect: Effect, size: float, p: float = 0.3) -> Rival:
+def rival(effect, size, p=0.3):
     base = base_effects(ROBOT, LOGS)
     sizes = (*((0.0,) * len(one.sizes) for one in base), (size,))
     return Rival(DELAY.key, effect.key, p, "simulation", (*base, effect), sizes, 1 + len(base))
@@ -121,7 +120,7 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few(monkeypatch):
     """Compare few motions, which takes less time."""
     monkeypatch.setattr(family, "MOST", 12)
 

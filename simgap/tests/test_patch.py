@@ -131,18 +131,13 @@ def test_the_runtime_file_of_an_earlier_patch_is_deleted(tmp_path):
     assert sorted(one.name for one in tmp_path.iterdir()) == ["effects.toml", "patched.xml"]
 
 
-def test_a_comment_above_each_change_says_the_effect_with_old_and_new_number():
-    effects, sizes = made({CoulombFriction: 0.05})
-    text = make_patch(ROBOT, effects, sizes).model_xml
-    assert "<!-- frictionloss 0.01 to 0.06: swing: Coulomb friction, coulomb_Nm = 0.05 -->" in text
-
-
-def test_comments_and_other_elements_of_the_user_stay():
+def test_a_comment_above_each_change_says_the_effect_and_what_the_user_wrote_stays():
     xml = ROBOT.model_xml.replace("<worldbody>", "<worldbody><!-- my arm --><light name='sun'/>")
-    xml = f"<!-- head -->{xml}"
-    text = make_patch(replace(ROBOT, model_xml=xml), *made({CoulombFriction: 0.05})).model_xml
-    assert "<!-- my arm -->" in text
+    robot = replace(ROBOT, model_xml=f"<!-- head -->{xml}")
+    text = make_patch(robot, *made({CoulombFriction: 0.05})).model_xml
+    assert "<!-- frictionloss 0.01 to 0.06: swing: Coulomb friction, coulomb_Nm = 0.05 -->" in text
     assert text.startswith("<!-- head -->")
+    assert "<!-- my arm -->" in text
     assert 'name="sun"' in text
 
 
@@ -159,9 +154,8 @@ def test_an_actuator_that_has_the_law_of_the_robot_file_is_not_touched():
     joint = replace(ROBOT.joints[0], actuator_index=0, torque_limit_Nm=math.inf)
     robot = replace(ROBOT, model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, joints=(joint,))
     assert not [one for one in make_patch(robot, [], []).changes if one.startswith("actuator")]
-    (changed,) = (
-        one for one in make_patch(robot, *made({GainError: 0.5})).changes if one.startswith("actuator")
-    )
+    changes = make_patch(robot, *made({GainError: 0.5})).changes
+    (changed,) = [one for one in changes if one.startswith("actuator")]
     assert changed == "actuator m: kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5"
 
 

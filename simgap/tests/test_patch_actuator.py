@@ -4,34 +4,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.pendulum import pendulum
+from helpers import pendulum
 from simgap.common.errors import RobotError
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
-from simgap.robot import Robot
 from test_patch import COMMAND, TIME_s, by_engine
 
-FILE = """name = "pendulum"
-model = "model.xml"
-time_step_s = 0.002
-control_rate_Hz = 500.0
-[time]
-column = "t"
-unit = "s"
-[joints.swing]
-mode = "{mode}"
-position = {{ column = "q", unit = "rad" }}
-command = {{ column = "c", unit = "{unit}" }}
-"""
-UNITS = {"position": "rad", "torque": "N m"}
 
-
-def read(folder, actuator, mode="position", of_joint=""):
+def read(folder, actuator, mode="position", of_joint="", more=""):
     """Read the pendulum with an actuator of its own."""
-    xml = pendulum().model_xml.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
-    (folder / "model.xml").write_text(xml.replace('name="swing"', f'name="swing" {of_joint}'))
-    (folder / "robot.toml").write_text(FILE.format(mode=mode, unit=UNITS[mode]))
-    return Robot.from_toml(folder / "robot.toml")
+    xml = pendulum.pendulum().model_xml.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
+    return pendulum.read(folder, xml.replace('name="swing"', f'name="swing" {of_joint}'), mode, more=more)
 
 
 def by_patch(robot):
@@ -78,11 +61,8 @@ def test_an_actuator_with_dynamics_of_its_own_is_refused(tmp_path):
 @pytest.mark.parametrize("given_Nm", [None, 1.0])
 def test_the_torque_limit_is_the_smaller_range_or_that_of_the_file(given_Nm, tmp_path):
     actuator = '<position joint="swing" kp="4" kv="0.1" gear="-2" forcerange="-1 1"/>'
-    robot = read(tmp_path, actuator, of_joint='actuatorfrcrange="-0.3 0.3"')
-    if given_Nm:
-        with (tmp_path / "robot.toml").open("a") as file:
-            file.write(f"torque_limit_Nm = {given_Nm}\n")
-        robot = Robot.from_toml(tmp_path / "robot.toml")
+    more = f"torque_limit_Nm = {given_Nm}" if given_Nm else ""
+    robot = read(tmp_path, actuator, of_joint='actuatorfrcrange="-0.3 0.3"', more=more)
     assert robot.joints[0].torque_limit_Nm == (given_Nm or 0.3)
     assert by_patch(robot) == pytest.approx(by_engine([], [], robot), abs=1e-9)
 

@@ -1,7 +1,5 @@
 """A payload between two conditions: a twin of a UR10e with exact masses and a wrong scale of currents."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -38,7 +36,7 @@ PAYLOAD_kg, CENTRE_M = 2.8, (0.03, 0.05, 0.015)
 MIDDLE_RAD = np.array([0.0, -1.2, 0.0, 0.0, 0.0, 0.0])
 
 
-def write_log(path: Path, payload_kg: float, seed: int) -> None:
+def write_log(path, payload_kg, seed):
     """Write motions of two waves a joint, with the currents that inverse dynamics needs."""
     spec = mujoco.MjSpec.from_string(MODEL)
     if payload_kg:
@@ -67,7 +65,7 @@ def write_log(path: Path, payload_kg: float, seed: int) -> None:
     np.savetxt(path, np.concatenate(rows), delimiter=",", header=",".join(names), comments="", fmt="%.9g")
 
 
-def write_twin(folder: Path) -> Robot:
+def write_twin(folder):
     joints = "".join(
         f"""
 [joints."{name}"]
@@ -99,7 +97,7 @@ effects = ["payload"]
 
 
 @pytest.mark.slow
-def test_mass_and_centre_of_a_payload_are_found_with_the_scale_of_the_currents(tmp_path: Path) -> None:
+def test_mass_and_centre_of_a_payload_are_found_with_the_scale_of_the_currents(tmp_path):
     robot = write_twin(tmp_path)
     write_log(tmp_path / "unloaded.csv", 0.0, 1)
     write_log(tmp_path / "loaded.csv", PAYLOAD_kg, 2)

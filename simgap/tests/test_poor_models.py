@@ -8,12 +8,11 @@ import pytest
 from helpers.pendulum import motion, pendulum, simulated, waves
 from helpers.toy import CATALOGUE, NAMES, Toy, draw_toy
 from helpers.verdicts import ARMATURE, FRICTION, GAIN
-from simgap.arrays import Array
 from simgap.assemble import doubt_names, list_base
 from simgap.catalogue.catalogue import base_effects
 from simgap.effects.actuation import DampingGain
 from simgap.effects.effect import Size
-from simgap.logs import Logs, Motion, Signal
+from simgap.logs import Logs, Signal
 from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals
@@ -28,7 +27,7 @@ TIME_s = np.arange(0.0, 2.0, 0.01)
 TRUE_KD, TRUE_DAMPING = 0.06, 0.005
 
 
-def swing(seed: int, on: Array) -> Motion:
+def swing(seed, on):
     """Record a damped pendulum whose motor has power where `on` is 1."""
     command = waves(TIME_s, seed)
     log = motion(TIME_s, 0.0 * TIME_s + command[0], command, f"m{seed}", enabled=Signal(TIME_s, on))
@@ -37,7 +36,7 @@ def swing(seed: int, on: Array) -> Motion:
     return replace(log, joints={"swing": joint})
 
 
-def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_power() -> None:
+def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_power():
     robot = pendulum(kp=3.0, kd=0.0, damping=0.0)
     motions = [swing(k, (TIME_s < 1.2).astype(float)) for k in range(4)]
     base = base_effects(robot, Logs(tuple(motions)))
@@ -52,7 +51,7 @@ def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_
     assert found["gain_ratio"] == pytest.approx(1.0 / 3.0, rel=0.05)
 
 
-def test_residuals_about_the_nominal_model_are_the_same_bits() -> None:
+def test_residuals_about_the_nominal_model_are_the_same_bits():
     motions = [swing(1, np.ones(TIME_s.size))]
     robot = pendulum()
     raw = SimulationResiduals(robot, motions, n_threads=1, fit_starts=True)
@@ -75,7 +74,7 @@ class Bounded(Toy):
 
 
 @pytest.mark.parametrize(("least", "is_pushed"), [(-5.0, False), (0.3, False), (0.35, True)])
-def test_only_a_bound_that_the_motions_contradict_counts(least: float, is_pushed: bool) -> None:
+def test_only_a_bound_that_the_motions_contradict_counts(least, is_pushed):
     toy = draw_toy(1, {})
     Bounded.least = least
     base = tuple(Bounded(name, "gain", lambda x: x) for name in NAMES)
@@ -83,7 +82,7 @@ def test_only_a_bound_that_the_motions_contradict_counts(least: float, is_pushed
     assert [bool(find_pushed(context, fit).size) for fit in present.fits] == [is_pushed] * 2
 
 
-def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion() -> None:
+def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion():
     toy = draw_toy(1, {})
     near = [one for one in CATALOGUE if one.place == "near"]
     context, present = fit_base(start_context(toy, (), CATALOGUE, 1, Meter()))
@@ -91,7 +90,7 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion() -> None:
     before = np.ones(toy.joint_of.size)
     fit = JointFit(present.sizes, np.arange(1), 0, before[rows], rows, np.zeros((rows.size, 1)))
 
-    def judge(after: Array, n_taken: int) -> bool:
+    def judge(after, n_taken):
         taken = FittedModel(tuple(near[:n_taken]), present.sizes, present.fits, before)
         return pays(context, taken, Candidate(near[3], (0,), fit, after, False, 0.1, -20.0))
 
@@ -101,7 +100,7 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion() -> None:
     assert judge(0.8 * before[rows] * np.linspace(0.9, 1.0, rows.size), 3)
 
 
-def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name() -> None:
+def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name():
     known, elsewhere = FRICTION, replace(FRICTION, place="elbow")
     unknown = replace(FRICTION, families=(), effects=())
     small = replace(unknown, share=0.4)
@@ -112,6 +111,6 @@ def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name() -> None
     assert "95 % sure of the kind" in finding_sentences(found[:1])[0]
 
 
-def test_a_base_parameter_at_a_contradicted_bound_is_told() -> None:
+def test_a_base_parameter_at_a_contradicted_bound_is_told():
     (line,) = bound_sentences([GAIN, replace(ARMATURE, value=0.0, is_pushed=True)])
     assert line.startswith("armature of pan (0) ends at its bound, ")

@@ -8,7 +8,6 @@ import pytest
 from helpers.real_robots import repository_file
 from helpers.robot_folder import MODEL, write_robot
 from simgap.common.errors import RobotError
-from simgap.common.toml import Record
 from simgap.files import robot_file
 from simgap.loading import SplitFile, SplitTable
 from simgap.robot import ControlMode, Robot
@@ -31,17 +30,11 @@ def test_numbers_of_the_file_count_more_than_those_of_the_model(tmp_path):
     assert shoulder.is_known
 
 
-def test_the_limit_of_a_geared_actuator_is_at_the_joint(tmp_path):
-    assert Robot.from_toml(write_robot(tmp_path)).joint("elbow").torque_limit_Nm == pytest.approx(5.0)
-
-
-def test_a_joint_with_a_vertical_axis_is_not_loaded_by_gravity(tmp_path):
+def test_a_joint_has_its_limit_and_counts_as_loaded_where_gravity_moves_it_more_than_friction_holds(tmp_path):
     robot = Robot.from_toml(write_robot(tmp_path))
+    assert robot.joint("elbow").torque_limit_Nm == pytest.approx(5.0)  # of a geared actuator
     assert robot.joint("shoulder").is_loaded_by_gravity
-    assert not robot.joint("elbow").is_loaded_by_gravity
-
-
-def test_a_joint_whose_friction_exceeds_gravity_does_not_count_as_loaded(tmp_path):
+    assert not robot.joint("elbow").is_loaded_by_gravity  # its axis is vertical
     stiff = MODEL.replace('frictionloss="0.1"', 'frictionloss="100"')
     assert not Robot.from_toml(write_robot(tmp_path, model=stiff)).joint("shoulder").is_loaded_by_gravity
 
@@ -134,6 +127,10 @@ def test_an_error_is_one_sentence_with_the_path_of_its_key(tmp_path, old, new, s
     assert "\n" not in str(error.value)
 
 
+SLIDE = MODEL.replace('joint name="shoulder"', 'joint name="shoulder" type="slide"')
+BALL = MODEL.replace('name="elbow" axis="0 0 1" range="-2 2"', 'name="elbow" type="ball"')
+
+
 @pytest.mark.parametrize(
     ("model", "said"),
     [
@@ -141,15 +138,10 @@ def test_an_error_is_one_sentence_with_the_path_of_its_key(tmp_path, old, new, s
         ("<robot/>", "its root is <robot>; name an MJCF file"),
         (MODEL.replace('mass="1"', 'mass="-1"'), "MuJoCo cannot compile it: "),
         (
-            MODEL.replace('joint name="shoulder"', 'joint name="shoulder" type="slide"'),
+            SLIDE,
             "joints.shoulder.command.unit: 'deg' is no unit of length; write one of m, cm, mm, um, as 's",
         ),
-        (
-            MODEL.replace('joint name="elbow"', 'joint name="elbow" type="ball"').replace(
-                'axis="0 0 1" range="-2 2"', ""
-            ),
-            "'elbow' is no hinge and no slide",
-        ),
+        (BALL, "'elbow' is no hinge and no slide"),
     ],
 )
 def test_a_model_that_is_wrong_is_refused(tmp_path, model, said):
@@ -179,7 +171,7 @@ TABLES = {
 }
 
 
-def lines_of(record: type[Record]) -> list[str]:
+def lines_of(record):
     """Return the lines of the list of a record: key, default, meaning."""
     lines = []
     for key, field in record.model_fields.items():
@@ -191,7 +183,7 @@ def lines_of(record: type[Record]) -> list[str]:
 
 
 @pytest.mark.parametrize("heading", TABLES)
-def test_the_page_has_a_line_for_each_key(heading: str) -> None:
+def test_the_page_has_a_line_for_each_key(heading):
     section = repository_file("docs/robot-file.md").read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
     shown = [line for line in section.splitlines() if line.startswith("- `")]
     assert shown == lines_of(TABLES[heading])

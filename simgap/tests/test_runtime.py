@@ -14,7 +14,7 @@ from simgap.effects.forces import LoadFriction
 from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
-from test_patch import SCALES
+from test_patch import SCALES, made
 
 ROBOT = pendulum()
 TIME_s = np.arange(0.0, 3.0, 0.002)
@@ -40,11 +40,6 @@ class Pull(JointEffect):
 """
 
 
-def made(sizes):
-    """Return effects at the pendulum, and their sizes."""
-    return [kind.at(ROBOT, "swing", SCALES) for kind in sizes], [(size,) for size in sizes.values()]
-
-
 def read(tmp_path, text, model_xml):
     (tmp_path / "runtime.toml").write_text(text)
     return RuntimeEffects.from_toml(mujoco.MjModel.from_xml_string(model_xml), tmp_path / "runtime.toml")
@@ -67,8 +62,7 @@ def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
     patch = make_patch(ROBOT, [pull], [(0.2,)])
     assert f'file = "{tmp_path / "own.py"}"' in patch.runtime
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
-    (tmp_path / "runtime.toml").write_text(patch.runtime)
-    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
+    runtime, data = read(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
     runtime.act(model, data, np.zeros(1))
     mujoco.mj_step(model, data, runtime.n_steps)
     assert data.qfrc_applied[0] == pytest.approx(0.2)
@@ -87,30 +81,24 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
     assert math.isclose(data.time, 0.002)
 
 
-def test_sizes_of_another_effect_are_refused_by_their_names(tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "friction_per_load =",
+            "friction_per_weight =",
+            "size has friction_per_weight; it takes friction_per",
+        ),
+        ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
+        ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ("", "", "use the patched model"),
+    ],
+)
+def test_a_runtime_file_of_another_format_effect_or_model_is_refused(tmp_path, old, new, said):
     patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
-    text = patch.runtime.replace("friction_per_load =", "friction_per_weight =")
-    with pytest.raises(RobotError, match="size has friction_per_weight; it takes friction_per_load"):
-        read(tmp_path, text, patch.model_xml)
-
-
-def test_a_model_without_the_joints_of_the_file_is_refused(tmp_path):
-    patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
-    with pytest.raises(RobotError, match="use the patched model"):
-        read(tmp_path, patch.runtime, "<mujoco/>")
-
-
-def test_a_runtime_file_of_another_format_is_refused(tmp_path):
-    (tmp_path / "runtime.toml").write_text('format = "else"\n')
-    with pytest.raises(RobotError, match="is not 'robot runtime 1'"):
-        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
-
-
-def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
-    text = make_patch(ROBOT, *made({LoadFriction: 0.1})).runtime
-    (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.forces:LoadFriction", "os:system"))
-    with pytest.raises(RobotError, match="os is no module of simgap"):
-        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
+    assert old in patch.runtime
+    with pytest.raises(RobotError, match=said):
+        read(tmp_path, patch.runtime.replace(old, new), patch.model_xml if old else "<mujoco/>")
 
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from helpers.marks import slow_but
-from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
+from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, draw_toy
 from simgap import assemble
 from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
 from simgap.selection.chance import FALSE_ALARM
@@ -20,25 +20,23 @@ from simgap.selection.verdict import find_confidence_sets, size_intervals, unexp
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
 
-def named(model: ToyResiduals) -> list[str]:
+def named(model):
     return sorted(effect.key for effect in select_effects(model, BASE, CATALOGUE, seed=1).chosen.effects)
 
 
 @pytest.mark.slow
-def test_without_an_effect_a_name_is_as_rare_as_its_probability_says() -> None:
+def test_without_an_effect_a_name_is_as_rare_as_its_probability_says():
     false = [seed for seed in range(20) if named(draw_toy(seed, {}))]
     assert binom.sf(len(false) - 1, 20, FALSE_ALARM) > 0.05
 
 
 @pytest.mark.parametrize("seed", slow_but(range(5), 0))
-def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
+def test_three_effects_at_two_joints_are_named_and_no_other(seed):
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
 
 
 @pytest.mark.parametrize(("delay_s", "expected"), [(0.1, ["far: delay_s"]), (0.04, [])])
-def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(
-    delay_s: float, expected: list[str]
-) -> None:
+def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(delay_s, expected):
     late = Toy("far", "delay_s", np.square)
     model = draw_toy(1, {})
     model.step_s = 0.1
@@ -47,7 +45,7 @@ def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(
     assert [effect.key for effect in selection.chosen.effects] == expected
 
 
-def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
+def test_what_explains_little_of_a_residual_is_not_called_its_cause():
     model = draw_toy(1, {"far: double": 0.05})
     rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
     selection = select_effects(model, BASE, rest, seed=1)
@@ -61,7 +59,7 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
 
 
-def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn() -> None:
+def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     selection = select_effects(draw_toy(1, {"near: square": 0.1, "far: sine": 0.05}), BASE, CATALOGUE, seed=1)
     sure, sets, rejected = select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
     assert [one.effect.key for one in sets] == ["far: sine"]
@@ -72,9 +70,7 @@ def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn() -> None:
 
 
 @pytest.mark.parametrize(("held_out", "members"), [("square", ["square"]), ("bent", ["square", "bent"])])
-def test_what_predicts_motions_that_took_no_part_as_well_stays_in_the_set(
-    held_out: str, members: list[str]
-) -> None:
+def test_what_predicts_motions_that_took_no_part_as_well_stays_in_the_set(held_out, members):
     shapes = {"square": np.square, "bent": lambda x: x**2 + 0.2 * x**3}
     bent = Toy("near", "bent", shapes["bent"])
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, bent), seed=1)
@@ -84,7 +80,7 @@ def test_what_predicts_motions_that_took_no_part_as_well_stays_in_the_set(
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
 
 
-def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
     assert select_sure(selection, None)[2] == []
     monkeypatch.setattr(assemble, "find_interval", lambda *_: (-1.0, 1.0))
@@ -93,7 +89,7 @@ def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch: pytest.MonkeyP
     assert rejected.reason == "its 90 % interval holds 0"
 
 
-def test_effects_that_resemble_each_other_are_told_as_their_place() -> None:
+def test_effects_that_resemble_each_other_are_told_as_their_place():
     model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
     near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
     selection = select_effects(model, BASE, (CATALOGUE[0], near_square), seed=1)
@@ -103,7 +99,7 @@ def test_effects_that_resemble_each_other_are_told_as_their_place() -> None:
     assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
 
 
-def test_an_effect_of_all_joints_is_named_at_its_body() -> None:
+def test_an_effect_of_all_joints_is_named_at_its_body():
     model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
     body = Toy("base", "square of all", np.square)
     chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
@@ -111,7 +107,7 @@ def test_an_effect_of_all_joints_is_named_at_its_body() -> None:
 
 
 @pytest.mark.parametrize(("far", "is_one"), [(0.1, True), (0.06, False)])
-def test_findings_of_one_size_are_one_finding_of_all_joints(far: float, is_one: bool) -> None:
+def test_findings_of_one_size_are_one_finding_of_all_joints(far, is_one):
     model = draw_toy(1, {"near: square": 0.1, "far: square": far})
     shared = [SharedToy("both", label, SHAPES[label]) for label in ("square", "cube")]
     selection = select_effects(model, BASE, (*CATALOGUE, *shared), seed=1)
@@ -122,7 +118,7 @@ def test_findings_of_one_size_are_one_finding_of_all_joints(far: float, is_one: 
     ] * is_one
 
 
-def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
+def test_two_effects_that_the_data_cannot_separate_stay_in_the_set():
     twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3)
     model = draw_toy(1, {"near: square": 0.1})
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
@@ -130,7 +126,7 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
 
 
-def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it() -> None:
+def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it():
     twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3 + 0.03 * np.sin(9.0 * x))
     model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
@@ -143,7 +139,7 @@ def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_par
 
 
 @pytest.mark.parametrize("seed", slow_but(range(5), 0))
-def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
+def test_a_cause_near_the_noise_is_called_a_cause(seed):
     selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
     assert "near: square" in {one.key for one in selection.chosen.effects}
     (found,) = (one for one in find_confidence_sets(selection) if one.effect.key == "near: square")
@@ -151,7 +147,7 @@ def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases() -> None:
+def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases():
     held = 0
     for seed in range(200):
         selection = select_effects(draw_toy(seed, {"near: square": 0.1}), BASE, CATALOGUE[:1], seed=1)
@@ -161,7 +157,7 @@ def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases() -> 
     assert 170 <= held <= 190  # 95 % of a binomial around 180
 
 
-def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
+def test_problems_that_share_simulations_end_where_they_end_alone():
     model = draw_toy(1, TRUTH)
     union = Union((*BASE, *CATALOGUE))
     zero = np.zeros(len(union.sizes))
@@ -177,7 +173,7 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
         np.testing.assert_array_equal(shared.sizes, single.sizes)
 
 
-def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
+def test_a_residual_that_follows_a_variable_is_seen_in_other_motions():
     rng = np.random.default_rng(1)
     x, noise, motion = rng.uniform(-1.0, 1.0, 4000), rng.normal(0.0, 1.0, 4000), np.repeat([0, 1], 2000)
     follows = unexplained_dependence(noise + 2.0 * x, x, motion)
@@ -186,19 +182,19 @@ def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
     assert alone < 0.01
 
 
-def test_a_constant_residual_follows_no_variable() -> None:
+def test_a_constant_residual_follows_no_variable():
     rng = np.random.default_rng(1)
     x, noise, motion = rng.uniform(-1.0, 1.0, 400), rng.normal(0.0, 0.2, 400), np.repeat([0, 1, 2, 3], 100)
     assert unexplained_dependence(1.0 + noise, x, motion) < 0.05
 
 
-def test_where_no_other_motion_goes_nothing_is_predicted() -> None:
+def test_where_no_other_motion_goes_nothing_is_predicted():
     x = np.linspace(0.0, 1.0, 200)
     assert unexplained_dependence(1.0 + x, x, np.repeat([0, 1], 100)) == 0.0
 
 
 @pytest.mark.parametrize("n_sizes", [1, 2, 8])
-def test_of_noise_any_number_of_sizes_explains_nothing_on_average(n_sizes: int) -> None:
+def test_of_noise_any_number_of_sizes_explains_nothing_on_average(n_sizes):
     rng = np.random.default_rng(n_sizes)
     shares = []
     for _ in range(400):

@@ -43,7 +43,7 @@ class Clamped(ToyResiduals):
         return np.asarray(rows - 0.3 * (np.clip(near, -limit, limit) - near))
 
 
-def test_a_limit_that_acts_only_just_is_found() -> None:
+def test_a_limit_that_acts_only_just_is_found():
     toy = draw_toy(1, {})
     measured = toy.measured + 0.3 * (np.clip(toy.commands, -1 / 1.15, 1 / 1.15) - toy.commands)
     measured[1] = toy.measured[1]
@@ -54,7 +54,7 @@ def test_a_limit_that_acts_only_just_is_found() -> None:
 
 
 @pytest.mark.parametrize("touch", [0.0, 1e-6, 1e-3])
-def test_an_effect_that_one_motion_reaches_is_found_although_others_touch_it(touch: float) -> None:
+def test_an_effect_that_one_motion_reaches_is_found_although_others_touch_it(touch):
     toy = draw_toy(1, {})
     commands = np.clip(toy.commands, -0.8, 0.8 + touch)
     commands[:, 3] = toy.commands[:, 3]
@@ -65,14 +65,14 @@ def test_an_effect_that_one_motion_reaches_is_found_although_others_touch_it(tou
     assert [effect.key for effect in chosen.effects] == [LIMIT.key]
 
 
-def test_an_improvement_that_repeats_is_sure_beside_motions_of_very_different_strength() -> None:
+def test_an_improvement_that_repeats_is_sure_beside_motions_of_very_different_strength():
     before = np.geomspace(1.0, 1e4, 12)
     ratio = 0.9 + 0.02 * np.random.default_rng(1).standard_normal(12)
     assert compare_motions(np.arange(12), before, ratio * before) > 10.0
     assert abs(compare_motions(np.arange(12), before, before[::-1])) < 1e-12
 
 
-def test_a_change_without_use_seldom_exceeds_what_noise_can_do() -> None:
+def test_a_change_without_use_seldom_exceeds_what_noise_can_do():
     toy = draw_toy(1, {})
     context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
     rows, rng = np.flatnonzero(toy.joint_of == 0), np.random.default_rng(2)
@@ -83,7 +83,7 @@ def test_a_change_without_use_seldom_exceeds_what_noise_can_do() -> None:
     assert np.mean(np.array(found) > 2.0) < 0.05
 
 
-def test_models_that_do_not_differ_are_equal() -> None:
+def test_models_that_do_not_differ_are_equal():
     toy = draw_toy(1, {})
     context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
     rows = np.flatnonzero(toy.joint_of == 0)
@@ -91,9 +91,7 @@ def test_models_that_do_not_differ_are_equal() -> None:
 
 
 @pytest.mark.parametrize(("of_one", "of_other"), [([], [0, 7, 50]), ([0], [9]), ([-1], [0])])
-def test_motions_repeat_one_another_also_where_samples_are_missing(
-    of_one: list[int], of_other: list[int]
-) -> None:
+def test_motions_repeat_one_another_also_where_samples_are_missing(of_one, of_other):
     model = draw_toy(1, {})
     kept = np.ones(model.time_s.size, dtype=bool)
     first, last = (
@@ -123,14 +121,14 @@ class Hidden(ToyResiduals):
         return rows.reshape(len(rows), -1)
 
 
-def test_an_effect_that_shows_only_beside_another_is_named_with_it() -> None:
+def test_an_effect_that_shows_only_beside_another_is_named_with_it():
     toy = draw_toy(1, {"near: sine": 0.1, "near: step": 0.1})
     model = Hidden(toy.commands, toy.measured, NAMES)
     chosen = select_effects(model, BASE, (STEP, CATALOGUE[2]), seed=1).chosen
     assert {effect.key for effect in chosen.effects} == {STEP.key, "near: sine"}
 
 
-def test_an_effect_at_a_body_of_a_robot_with_one_joint_is_fitted_with_the_joint() -> None:
+def test_an_effect_at_a_body_of_a_robot_with_one_joint_is_fitted_with_the_joint():
     toy = draw_toy(1, {})
     model = ToyResiduals(toy.commands[:1], toy.measured[:1], NAMES[:1])
     body = Toy("base", "square of all", np.square)
@@ -138,7 +136,7 @@ def test_an_effect_at_a_body_of_a_robot_with_one_joint_is_fitted_with_the_joint(
 
 
 @pytest.mark.parametrize(("truth", "low", "high"), [(0.1, 0.0, 1e-6), (0.0, 0.05, 1.0)])
-def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float, high: float) -> None:
+def test_an_effect_is_due_to_chance_where_it_is_absent(truth, low, high):
     square = CATALOGUE[0]
     toy = draw_toy(1, {square.key: truth})
     context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
@@ -147,7 +145,7 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     assert low <= np.exp(find_log_chance(context, fits[:1], [square], without)) <= high
 
 
-def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch):
     found = select_effects(draw_toy(1, {"near: sine": 0.1, "near: step": 0.1}), BASE, CATALOGUE, seed=1)
     monkeypatch.setattr(elimination, "find_need", lambda *of: (len(of[-1]) > 1, 0.0))
     left, _, kept = elimination.drop_needless(found.context, found.chosen)
@@ -156,7 +154,7 @@ def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch: p
     assert again.effects == left.effects
 
 
-def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):
     twin = Toy("near", "twin", lambda x: x**2 + 0.001 * x**3)
     found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, twin), seed=1)
     monkeypatch.setattr(verdict, "_cause_p", lambda *of: [0.0] * (len(of[-1]) - 1))
@@ -176,15 +174,13 @@ class Leaking(ToyResiduals):
 
 
 @pytest.mark.parametrize(("other", "groups"), [(0.05, ((0, 1),)), (0.2, ((0,), (1,)))])
-def test_joints_share_if_their_base_parameters_scarcely_move_one_another(
-    other: float, groups: tuple[tuple[int, ...], ...]
-) -> None:
+def test_joints_share_if_their_base_parameters_scarcely_move_one_another(other, groups):
     reach = np.array([[2.0, 2.0 * other], [0.0, 1.0]])
     columns = [np.array([0]), np.array([1])]
     assert find_sharing([0, 1], columns, np.array([True, True]), reach, np.arange(2)).groups == groups
 
 
-def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there() -> None:
+def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there():
     quiet = draw_toy(3, {"near: square": 0.02})
     quiet.measured[1] += 3.0 * 0.02 * np.square(quiet.commands[0])
     model = Leaking(quiet.commands, quiet.measured, NAMES)

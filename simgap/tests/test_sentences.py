@@ -51,12 +51,9 @@ def test_four_lines_say_where_what_how_far_and_next():
     )
 
 
-def test_the_joint_with_the_largest_error_is_told_not_that_with_the_best_share():
+def test_the_joint_with_the_largest_error_is_told_not_that_with_the_best_share_and_an_error_that_grows():
     small = replace(PAN, nominal=0.003, base=0.003, explained=0.0001)
     assert "the error of lift is 25.5 mrad" in lines(errors=(small, LIFT))[2]
-
-
-def test_an_error_that_grows_is_told():
     worse = replace(LIFT, explained=1.5 * LIFT.base)
     assert "The findings add 50 % of what base parameters left" in lines(errors=(worse,))[2]
 
@@ -96,10 +93,9 @@ def test_a_set_that_no_recorded_motion_separates_asks_for_another_kind():
 
 
 def test_effects_that_are_not_named_for_one_reason_share_a_sentence():
-    alike = [
-        Rejected("a1", name, "a1: gravity does not load it") for name in ("joint compliance", "backlash")
-    ]
-    said = detail_lines(diagnosis(rejected=tuple(alike)))
+    reason = "a1: gravity does not load it"
+    alike = tuple(Rejected("a1", name, reason) for name in ("joint compliance", "backlash"))
+    said = detail_lines(diagnosis(rejected=alike))
     assert "Joint compliance and backlash at a1 are not named: gravity does not load it." in said
 
 
@@ -237,14 +233,10 @@ def test_without_held_out_motions_the_fall_is_not_known():
     assert diagnosis(judged_motions=()).closure is None
 
 
-def test_the_closure_is_one_at_the_floor_and_zero_at_the_nominal_model():
+def test_the_closure_is_one_at_the_floor_zero_at_the_nominal_model_and_none_between_equal_ones():
     assert diagnosis(errors=(replace(LIFT, explained=LIFT.noise_floor),)).closure == pytest.approx(1.0)
     assert diagnosis(errors=(replace(LIFT, explained=LIFT.nominal),)).closure == pytest.approx(0.0)
-
-
-def test_an_error_at_the_floor_has_no_closure():
-    at_floor = diagnosis(errors=(replace(LIFT, nominal=LIFT.noise_floor),))
-    assert at_floor.closure is None
+    assert diagnosis(errors=(replace(LIFT, nominal=LIFT.noise_floor),)).closure is None
 
 
 def test_a_joint_without_gravity_load_shows_only_ratios_to_the_gain():
@@ -291,8 +283,11 @@ def written(one):
     return json.loads(json.dumps(to_document(one), allow_nan=False))
 
 
-def test_a_document_holds_every_number_of_a_finding():
-    (first, second) = written(FULL)["findings"]
+def test_a_document_has_the_verdict_in_a_word_and_in_lines_and_every_number_of_a_finding():
+    document = written(FULL)
+    assert document["verdict"] == "named"
+    assert [line.partition(":")[0] for line in document["lines"]] == ["Where", "What", "How far", "Next"]
+    (first, second) = document["findings"]
     assert first["sizes"] == [{"name": "coulomb_Nm", "value": 0.44, "low_90": 0.41, "high_90": 0.47}]
     assert (first["place"], first["family"], first["effect"]) == ("lift", "friction", "Coulomb friction")
     assert second["sizes"][0]["high_90"] == "inf"
@@ -302,9 +297,3 @@ def test_an_unknown_floor_is_null_and_stays_unknown():
     document = written(diagnosis(errors=(without_floor(LIFT),)))
     assert document["errors"][0]["noise_floor"] is None
     assert document["closure_share"] is None
-
-
-def test_a_document_opens_with_the_verdict_in_a_word_and_in_lines():
-    document = written(FULL)
-    assert document["verdict"] == "named"
-    assert [line.partition(":")[0] for line in document["lines"]] == ["Where", "What", "How far", "Next"]

@@ -8,7 +8,7 @@ from helpers.slide_arm import command_of, model_text, write_folder, write_logs
 from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.audit import audit
-from simgap.checks.nominal import simulate_nominal
+from simgap.command.check import simulate_nominal
 from simgap.common.errors import RobotError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import joint_scales

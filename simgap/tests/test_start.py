@@ -14,9 +14,8 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import GainError
 from simgap.effects.command import CommandDelay, CommonCommandDelay, CommonMeasurementDelay, MeasurementDelay
-from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation
-from simgap.logs import Logs, Motion, Signal
+from simgap.logs import Logs, Signal
 from simgap.patch.patch import save_patch
 from simgap.patch.text import read_found
 from simgap.report.traces import trace_motions
@@ -29,7 +28,7 @@ MODEL = pendulum(kp=3.0)
 DELAY_s = 0.03
 
 
-def swing(seed: int, delay: Effect) -> Motion:
+def swing(seed, delay):
     """Record a pendulum of a third more gain whose commands come late."""
     gain = at_swing(GainError, MODEL)
     command = waves(TIME_s, seed)
@@ -40,12 +39,12 @@ def swing(seed: int, delay: Effect) -> Motion:
 
 
 @pytest.fixture(scope="module")
-def late() -> Effect:
+def late():
     logs = Logs((motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, 1)),))
     return next(one for one in catalogue(MODEL, logs) if one.key == "swing: command delay")
 
 
-def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path, late) -> None:
+def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path, late):
     motions = [swing(k, late) for k in range(4)]
     base = base_effects(MODEL, Logs(tuple(motions)))
     sizes: list[tuple[float, ...]] = [(0.3,) if one.name == "gain error" else (0.0,) for one in base]
@@ -68,7 +67,7 @@ def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path,
     assert np.mean(np.abs(trace.explained)) < 2e-4
 
 
-def test_a_change_of_what_was_known_is_found_with_its_sign() -> None:
+def test_a_change_of_what_was_known_is_found_with_its_sign():
     model, square = draw_toy(3, {"near: square": 0.25}), CATALOGUE[0]
     known = {square: np.array([0.4])}
     changes = changes_of(known)
@@ -81,7 +80,7 @@ def test_a_change_of_what_was_known_is_found_with_its_sign() -> None:
     assert Change("near", square, (0.4,)).sizes[0].low == pytest.approx(-5.4)
 
 
-def test_every_effect_of_the_catalogue_can_be_a_start(tmp_path) -> None:
+def test_every_effect_of_the_catalogue_can_be_a_start(tmp_path):
     logs = Logs(tuple(motion(TIME_s, 0.1 * waves(TIME_s, k), waves(TIME_s, k), f"m{k}") for k in range(2)))
     effects = catalogue(MODEL, logs)
     sizes = [tuple(0.0 for _ in one.sizes) for one in effects]
@@ -93,14 +92,14 @@ def test_every_effect_of_the_catalogue_can_be_a_start(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("kind", "own"), [(CommonCommandDelay, CommandDelay), (CommonMeasurementDelay, MeasurementDelay)]
 )
-def test_a_delay_of_all_joints_can_be_a_start(kind, own, tmp_path) -> None:
+def test_a_delay_of_all_joints_can_be_a_start(kind, own, tmp_path):
     one = at_swing(own, MODEL)
     common = kind((one, replace(one, place="lift")), MODEL.control_period_s)
     save_patch(MODEL, diagnosis(effects=(common,), sizes=((DELAY_s,),)), tmp_path)
     assert [repr(one) for one in read_found(MODEL, tmp_path)] == [repr(common)]
 
 
-def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp_path, late) -> None:
+def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp_path, late):
     with pytest.raises(RobotError, match=r"has no effects\.toml; give the folder of a patch"):
         read_found(MODEL, tmp_path)
     save_patch(MODEL, diagnosis(effects=(late,), sizes=((DELAY_s,),)), tmp_path)
@@ -109,7 +108,7 @@ def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp
         read_found(other, tmp_path)
 
 
-def test_a_start_acts_beside_an_effect_that_follows_a_condition() -> None:
+def test_a_start_acts_beside_an_effect_that_follows_a_condition():
     toy = draw_toy(1, {})
     load = np.arange(float(len(toy.motions)))
     square = CATALOGUE[0]

@@ -14,25 +14,23 @@ from simgap.files.log_file import list_columns, open_log, open_whole
 from simgap.files.robot_file import CsvTable
 from simgap.loading import load
 
+STATE = "observation.state"
 BY_LIST = (
     ('[time]\ncolumn = "t"\nunit = "ms"', ""),
     ('[motion]\ncolumns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', ""),
-    ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n"),
-    (
-        'column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5',
-        'column = "observation.state[0]", unit = "deg"',
-    ),
-    (
-        'column = "c1", unit = "deg"',
-        'column = "action[shoulder.pos]", unit = "percent", at_0_rad = -1.0, at_1_rad = 3.0',
-    ),
-    (
-        'column = "q2", unit = "count", counts_per_turn = 4096.0, side = "motor"',
-        'column = "observation.state[elbow.pos]", unit = "deg"',
-    ),
+    ('gain_column = "gain"\n', ""),
+    ('"q1", unit = "deg", factor = -1.0, zero_rad = 0.5', '"observation.state[0]", unit = "deg"'),
+    ('"c1", unit = "deg"', '"action[shoulder.pos]", unit = "percent", at_0_rad = -1.0, at_1_rad = 3.0'),
+    ('"q2", unit = "count", counts_per_turn = 4096.0, side = "motor"', f'"{STATE}[elbow.pos]", unit = "deg"'),
     ('torque = { column = "m2", unit = "mN m", side = "motor" }\n', ""),
 )
 N = 4
+
+
+def opened(path, text, *names):
+    """Write a file of text; return it with these columns."""
+    path.write_text(text)
+    return open_log(path, names, [], CsvTable())
 
 
 def write_lerobot(folder, episodes=2, names=("shoulder.pos", "elbow.pos"), **info):
@@ -89,23 +87,19 @@ def test_arrays_of_several_dimensions_are_read_by_place(tmp_path):
     change = [('column = "q1"', 'column = "both[0]"'), ('column = "c1"', 'column = "both[1]"')]
     slow, _ = load(write_robot(tmp_path, *change), write_npz(tmp_path, both=both)).motions
     np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
-    with pytest.raises(
-        RobotError, match=r"has no column 'both\[5\]', which the robot file names; did you mean"
-    ):
+    with pytest.raises(RobotError, match=r"no column 'both\[5\]', which the robot file names; did you mean"):
         open_log(tmp_path / "log.npz", ["both[5]"], [], CsvTable())
 
 
 def test_json_lines_have_objects_and_lists(tmp_path):
     rows = [{"t": 1.0 * k, "arm": {"q": [k, None if k == 1 else 2 * k]}} for k in range(3)]
     path = tmp_path / "log.jsonl"
-    path.write_text("\n".join(map(json.dumps, rows)) + '\n{"t": 3.0, "ar')
-    log = open_log(path, ["t", "arm.q[1]"], [], CsvTable())
+    log = opened(path, "\n".join(map(json.dumps, rows)) + '\n{"t": 3.0, "ar', "t", "arm.q[1]")
     np.testing.assert_array_equal(log.numbers("t").value, [0.0, 1.0, 2.0])
     assert log.numbers("arm.q[1]").is_present.tolist() == [True, False, True]
     assert log.losses == ["line 4 is cut, where the file ends; the 3 lines before it are used"]
-    path.write_text("{}\nno\n{}")
     with pytest.raises(RobotError, match="line 2 is no JSON"):
-        open_log(path, ["t"], [], CsvTable())
+        opened(path, "{}\nno\n{}", "t")
 
 
 @pytest.mark.parametrize(
@@ -119,27 +113,22 @@ def test_the_form_of_a_csv_is_found_by_itself(tmp_path, separator, decimal):
 
 @pytest.mark.parametrize("head", ["", "0,1\n"])
 def test_a_csv_without_names_has_its_columns_by_place(tmp_path, head):
-    path = tmp_path / "log.csv"
-    path.write_text(head + "0.0,1.5\n0.1,2.5\n")
     name = "1" if head else "column[1]"
-    np.testing.assert_array_equal(open_log(path, [name], [], CsvTable()).numbers(name).value, [1.5, 2.5])
+    log = opened(tmp_path / "log.csv", head + "0.0,1.5\n0.1,2.5\n", name)
+    np.testing.assert_array_equal(log.numbers(name).value, [1.5, 2.5])
 
 
 def test_the_last_row_of_a_csv_may_be_cut(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("t,a,b\n0,1,2\n1,2,3\n2,5")
-    log = open_log(path, ["b"], [], CsvTable())
+    log = opened(tmp_path / "log.csv", "t,a,b\n0,1,2\n1,2,3\n2,5", "b")
     np.testing.assert_array_equal(log.numbers("b").value, [2.0, 3.0])
     assert log.losses == ["line 4 has 2 of 3 columns, where the file was cut; the 2 rows before it are used"]
-    path.write_text("t,a,b\n0,1\n1,2,3\n")
     with pytest.raises(RobotError, match="line 2 has 2 of 3 columns; give each row all columns"):
-        open_log(path, ["b"], [], CsvTable())
+        opened(tmp_path / "log.csv", "t,a,b\n0,1\n1,2,3\n", "b")
 
 
 def test_all_rows_of_a_csv_decide_its_types(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("t,a\n" + "".join(f"{k},0\n" for k in range(300_000)) + "300000,0.5\n")
-    assert open_log(path, ["a"], [], CsvTable()).numbers("a").value[-1] == 0.5
+    text = "t,a\n" + "".join(f"{k},0\n" for k in range(300_000)) + "300000,0.5\n"
+    assert opened(tmp_path / "log.csv", text, "a").numbers("a").value[-1] == 0.5
 
 
 @pytest.mark.parametrize(
@@ -155,9 +144,7 @@ def test_all_rows_of_a_csv_decide_its_types(tmp_path):
     ],
 )
 def test_lines_without_numbers_before_the_rows_are_header_or_left_out(tmp_path, head, n_left_out):
-    path = tmp_path / "log.csv"
-    path.write_text(head + "0.0,1.5\n0.1,2.5\n0.2,3.5\n0.3,4.5\n0.4")
-    log = open_log(path, ["t", "q"], [], CsvTable())
+    log = opened(tmp_path / "log.csv", head + "0.0,1.5\n0.1,2.5\n0.2,3.5\n0.3,4.5\n0.4", "t", "q")
     np.testing.assert_array_equal(log.numbers("q").value, [1.5, 2.5, 3.5, 4.5])
     n_lines = head.count("\n") + 5
     cut = f"line {n_lines} has 1 of 2 columns, where the file was cut; the 4 rows before it are used"
@@ -194,9 +181,8 @@ def test_nan_in_a_csv_is_an_empty_cell_and_a_word_is_none(tmp_path):
 
 @pytest.mark.parametrize("times", ["9:30:00.5,9:30:01,10:00:00", "09:30:00,09:30:01,10:00:00"])
 def test_times_of_day_are_seconds(tmp_path, times):
-    path = tmp_path / "log.csv"
-    path.write_text("t,q\n" + "".join(f"{time},1\n" for time in times.split(",")))
-    found = open_log(path, ["t"], [], CsvTable()).numbers("t").value
+    text = "t,q\n" + "".join(f"{time},1\n" for time in times.split(","))
+    found = opened(tmp_path / "log.csv", text, "t").numbers("t").value
     assert found.tolist() == [34200.5 if "." in times else 34200.0, 34201.0, 36000.0]
 
 

@@ -9,16 +9,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from simgap.common import toml
 from simgap.common.errors import RobotError
-from simgap.common.toml import (
-    Record,
-    describe_faults,
-    key_path,
-    parse_record,
-    parse_toml,
-    read_toml,
-    toml_text,
-)
 from simgap.units import UNITS, Quantity, find_unit
 
 TABLE = {
@@ -32,11 +24,11 @@ TABLE = {
 
 
 def test_every_bit_of_a_table_comes_back_below_its_comments():
-    text = toml_text(TABLE, ["about", ""])
+    text = toml.toml_text(TABLE, ["about", ""])
     assert text.startswith("# about\n#\n\n")
-    assert repr(tomllib.loads(text)) == repr(parse_toml(text, "t.toml"))
-    assert parse_toml(text, "t.toml") == TABLE
-    assert str(parse_toml(text, "t.toml")["vector"][1]) == "-0.0"
+    assert repr(tomllib.loads(text)) == repr(toml.parse_toml(text, "t.toml"))
+    assert toml.parse_toml(text, "t.toml") == TABLE
+    assert str(toml.parse_toml(text, "t.toml")["vector"][1]) == "-0.0"
     assert "matrix = [\n    [1.0, 2.0],\n" in text
 
 
@@ -52,26 +44,26 @@ def test_every_bit_of_a_table_comes_back_below_its_comments():
     ],
     ids=["torn", "a long number", "a long hexadecimal number", "a deep list", "binary", "large"],
 )
-def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes, expected: str):
+def test_a_file_that_is_no_toml_is_refused(tmp_path, content, expected):
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(RobotError, match=rf"bad\.toml: {expected}"):
-        read_toml(path)
+        toml.read_toml(path)
 
 
-def test_a_file_that_is_not_there_or_would_be_waited_for_is_refused(tmp_path: Path):
+def test_a_file_that_is_not_there_or_would_be_waited_for_is_refused(tmp_path):
     with pytest.raises(RobotError, match=r"none\.toml: cannot be read \(No such file"):
-        read_toml(tmp_path / "none.toml")
+        toml.read_toml(tmp_path / "none.toml")
     os.mkfifo(tmp_path / "pipe.toml")
     with pytest.raises(RobotError, match=r"pipe\.toml: is not a regular file"):
-        read_toml(tmp_path / "pipe.toml")
+        toml.read_toml(tmp_path / "pipe.toml")
     with pytest.raises(RobotError, match="cannot be read"):
-        read_toml(tmp_path / "zero\0byte.toml")
+        toml.read_toml(tmp_path / "zero\0byte.toml")
 
 
-def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path):
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
     (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbfx = 1\n")
-    assert read_toml(tmp_path / "mark.toml") == {"x": 1}
+    assert toml.read_toml(tmp_path / "mark.toml") == {"x": 1}
 
 
 @dataclass(frozen=True)
@@ -79,16 +71,16 @@ class Wheel:
     radius_m: float
 
 
-class Rover(Record):
+class Rover(toml.Record):
     name: str
     wheel: tuple[Wheel, ...] = ()
     limits: dict[str, tuple[float, float]] | None = None
 
 
-def faults(**content: object) -> list[str]:
+def faults(**content):
     with pytest.raises(ValidationError) as caught:
         Rover.model_validate(content, strict=False)
-    return describe_faults(Rover, caught.value)
+    return toml.describe_faults(Rover, caught.value)
 
 
 def test_faults_name_the_path_of_the_key_and_what_would_be_right():
@@ -101,12 +93,12 @@ def test_faults_name_the_path_of_the_key_and_what_would_be_right():
     ]
     assert faults(name="R", limits={"roll": [1.0]}) == ["limits.roll[2]: is missing; add it"]
     with pytest.raises(RobotError, match=r"rover\.toml: name: should be a valid string, not 3"):
-        parse_record(Rover, {"name": 3}, Path("rover.toml"))
+        toml.parse_record(Rover, {"name": 3}, Path("rover.toml"))
 
 
 def test_lists_count_from_1():
-    assert key_path(("command", 0, "position_m", 2)) == "command[1].position_m[3]"
-    assert key_path(()) == ""
+    assert toml.key_path(("command", 0, "position_m", 2)) == "command[1].position_m[3]"
+    assert toml.key_path(()) == ""
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from simgap.common.progress import no_progress
 from validation.campaigns import Context
 from validation.cases import arm_score, sealed
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out
-from validation.cases.arm_truth import CaseKind, SealedEffect, TrueCase, list_uncatalogued, locate_outside
+from validation.cases.arm_truth import SealedEffect, TrueCase, list_uncatalogued, locate_outside
 
 CLASSES = arm_score.EquivalenceClasses({
     ("rub", "knee"): arm_score.PublishedHypothesis(0, 1.5, "friction", "knee"),
@@ -23,12 +23,12 @@ CLASSES = arm_score.EquivalenceClasses({
 })  # fmt: skip
 
 
-def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0, number: int = 0) -> TrueCase:
+def true(kind, *effects, times=2.0, number=0):
     made = tuple(SealedEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
     return TrueCase(f"case-00{number}", kind, made, (), 1)
 
 
-def finding(effect: str, place: str, level: str = "effect", **more: Any) -> dict[str, Any]:
+def finding(effect, place, level="effect", **more):
     known = CLASSES.known[effect, place]
     named = [f"{p}: {n}" for n, p in ((effect, place), *more.get("others", ()))]
     sets = {
@@ -40,24 +40,24 @@ def finding(effect: str, place: str, level: str = "effect", **more: Any) -> dict
     return {"effect": effect, "place": place, "level": level, "not_excluded": sets, "sizes": sizes}
 
 
-def said(*findings: dict[str, Any], verdict: str = "set") -> dict[str, Any]:
+def said(*findings, verdict="set"):
     return {"verdict": verdict, "findings": list(findings), "seconds": 9.0}
 
 
-def scored(*solved: Any) -> dict[str, tuple[int, int]]:
+def scored(*solved):
     """Return hits and cases of each bar and rate."""
     document = arm_score.score(CLASSES, solved).document
     rates = {**document["bars"], **{name: one for name, one in document.items() if name != "bars"}}
     return {name: (one["hits"], one["of"]) for name, one in rates.items() if isinstance(one, dict)}
 
 
-def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
+def test_anything_but_none_is_a_false_alarm_without_effect():
     cases = [(true("none"), said(verdict=verdict)) for verdict in ("none", "unknown", "none")]
     found = scored(*cases, (true("none"), said(finding("rub", "hip", "none"))))
     assert found["false alarms"] == (2, 4)
 
 
-def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
+def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level():
     """Dither at the elbow is of the family actuation; place, family and name count by themselves."""
     outside = true("out-of-catalogue", ("dither", "elbow"))
     found = scored(
@@ -73,18 +73,18 @@ def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
     assert found["reported"] == (0, 0)
 
 
-def test_every_effect_outside_has_a_family_and_a_location() -> None:
+def test_every_effect_outside_has_a_family_and_a_location():
     for effect, place in list_uncatalogued():
         assert locate_outside(effect, place) not in ("x", "y", "z", "")
 
 
-def test_one_of_the_same_class_is_right() -> None:
+def test_one_of_the_same_class_is_right():
     found = scored((true("single", ("rub", "knee")), said(finding("drag", "knee"))))
     assert found["right effect"] == found["right place"] == found["set coverage"] == (1, 1)
     assert found["90 % intervals that cover"] == (0, 0)
 
 
-def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> None:
+def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on():
     hip = ("rub", "hip")
     found = scored(
         (true("single", hip), said(finding(*hip))),
@@ -105,17 +105,17 @@ def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> N
         (finding("rub", "hip", "place"), False),
     ],
 )
-def test_the_set_of_the_level_that_is_reported_holds_the_truth(one: Any, is_covered: bool) -> None:
+def test_the_set_of_the_level_that_is_reported_holds_the_truth(one, is_covered):
     found = scored((true("single", ("bend", "shin.x")), said(one)))
     assert found["set coverage"] == (int(is_covered), 1)
 
 
-def test_a_cause_that_is_not_located_claims_no_set() -> None:
+def test_a_cause_that_is_not_located_claims_no_set():
     found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "none"))))
     assert (found["reported"], found["set coverage"]) == ((1, 1), (0, 0))
 
 
-def test_each_of_a_pair_has_its_own_finding() -> None:
+def test_each_of_a_pair_has_its_own_finding():
     pair = true("pair", ("rub", "hip"), ("bend", "shin.x"))
     alone = scored((pair, said(finding("rub", "hip"))))
     assert (alone["reported"], alone["right effect"]) == ((1, 2), (1, 1))
@@ -124,7 +124,7 @@ def test_each_of_a_pair_has_its_own_finding() -> None:
     assert both["named, but not of the case"] == (1, 2)
 
 
-def test_intervals_are_of_the_very_effect_that_was_named() -> None:
+def test_intervals_are_of_the_very_effect_that_was_named():
     one = true("single", ("rub", "hip"))
     found = scored(
         (one, said(finding("rub", "hip"))),
@@ -165,7 +165,7 @@ class WrittenCases(ArmCases):
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Return a folder of cases of which none is solved."""
     for case in TRUTH.cases:
         found = [finding(one.name, one.place) for one in case.effects if case.kind in ("single", "pair")]
@@ -182,13 +182,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def solved(folder: Path) -> Path:
+def solved(folder):
     """Return a folder whose cases are solved."""
     sealed.solve_cases(folder, WrittenCases(), run_here, no_progress)
     return folder
 
 
-def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved: Path) -> None:
+def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved):
     found = sealed.score_cases(solved, WrittenCases(), False)
     assert found.document["digest"] == TRUTH.digest()
     bars = found.document["bars"]
@@ -203,10 +203,8 @@ def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved: Path) 
     assert sealed.solve_cases(solved, WrittenCases(), run_here, no_progress) == (2, 6)
 
 
-def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def mute(_: ArmCases, folder: Path, case: Path, without: str = "") -> Any:
+def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder, monkeypatch):
+    def mute(_, folder, case, without=""):
         raise NoDiagnosis(f"{case.name} has no logs")
 
     monkeypatch.setattr(WrittenCases, "diagnose", mute)
@@ -217,7 +215,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
     assert (found["named"]["hits"], found["reported"]["hits"]) == (0, found["reported"]["of"])
 
 
-def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved: Path) -> None:
+def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved):
     context = Context(run=lambda work, jobs: map(work, reversed(jobs)), out=solved)
     found = leave_out(context, WrittenCases(), 60)
     assert found["wrong"] == ["case-002: bend at shin.x: drag at knee", "case-001: rub at hip: drag at knee"]
@@ -240,7 +238,7 @@ NO_SIZE = {"name": "size", "low_90": None, "high_90": 0.002}
         (json.dumps(GOOD | {"seconds": 10**400}), "finite"),
     ],
 )
-def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
+def test_what_is_no_solved_case_is_refused(tmp_path, text, why):
     sealed.write_json(tmp_path / sealed.SOLVED_FOLDER / "case-000.json", GOOD)
     assert sealed.load_results(tmp_path, ArmCases()) == {"case-000": GOOD}
     (tmp_path / sealed.SOLVED_FOLDER / "case-004.json").write_text(text)
@@ -248,7 +246,7 @@ def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) 
         sealed.load_results(tmp_path, ArmCases())
 
 
-def test_a_size_or_an_effect_of_another_version_is_refused(solved: Path) -> None:
+def test_a_size_or_an_effect_of_another_version_is_refused(solved):
     document = json.loads(sealed.result_path(solved, "case-001").read_bytes())
     document["findings"][0]["sizes"][0]["name"] = "size_of_another"
     sealed.write_json(sealed.result_path(solved, "case-001"), document)
@@ -261,7 +259,7 @@ def test_a_size_or_an_effect_of_another_version_is_refused(solved: Path) -> None
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
-def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+def test_classes_that_are_none_are_refused(tmp_path, text):
     (tmp_path / arm_score.CLASSES_FILE).write_text(text)
     with pytest.raises(BadRequest, match=r"classes\.json: holds no classes \("):
         arm_score.load_classes(tmp_path)
@@ -280,9 +278,7 @@ def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
         ("other", {"step": "score"}, "no folder of cases"),
     ],
 )
-def test_cases_that_cannot_be_made_are_refused_and_nothing_is_written(
-    tmp_path: Path, out: str, sizes: dict[str, Any], said: str
-) -> None:
+def test_cases_that_cannot_be_made_are_refused_and_nothing_is_written(tmp_path, out, sizes, said):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("")
     (tmp_path / "nothing").symlink_to("nowhere/x")

@@ -26,16 +26,8 @@ from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
 from sim.tolerances import draw_calibration_errors
 from tests.tools import TOOLS
-from validation.cases import arm
+from validation.cases import arm, arm_truth
 from validation.cases.arm import ArmCases, choose_sessions, draw_truth
-from validation.cases.arm_truth import (
-    ALLOWED_KEYS,
-    TrueCase,
-    TruthLeaked,
-    check_leakage,
-    list_uncatalogued,
-    resolve_effect,
-)
 from validation.cases.sealed import CASES_FOLDER, record_case
 
 pytestmark = pytest.mark.slow
@@ -44,30 +36,30 @@ MAKER = ArmCases(("cold",))
 SESSIONS = choose_sessions(MAKER.sessions)
 
 
-def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, TrueCase]:
+def cases(kinds=("single", "out-of-catalogue")):
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
         DetectableEffect(to_hypothesis(one), 0.4, number)
         for number, one in enumerate(list_candidates(None))
         if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
     ]
-    unknown = [one for (name, _), one in list_uncatalogued().items() if name == "drifting-current"]
+    unknown = [one for (name, _), one in arm_truth.list_uncatalogued().items() if name == "drifting-current"]
     outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
     truth = draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth if case.kind == kind) for kind in kinds}
 
 
-Recorded = tuple[Path, TrueCase]
+Recorded = tuple[Path, arm_truth.TrueCase]
 
 
 @pytest.fixture(scope="module", params=["single", "out-of-catalogue"])
-def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def recorded(request, tmp_path_factory):
     folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
     MAKER.record(folder, case)
     return folder / "cold.mcap", case
 
 
-def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
+def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise():
     one, again, other = (sample_background(np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
@@ -75,11 +67,11 @@ def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
     assert len(one) == len(draw_calibration_errors(default_arm(), 0)) + 11
 
 
-def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
+def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded):
     path, case = recorded
-    check_leakage(path, case)
+    arm_truth.check_leakage(path, case)
     log = read_log(path)
-    assert set(log.header) <= ALLOWED_KEYS
+    assert set(log.header) <= arm_truth.ALLOWED_KEYS
     assert "/truth" not in log.packets
     here = load_recording(path)
     assert (here.name, here.params.arm_name) == ("cold", "nominal")
@@ -87,7 +79,7 @@ def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) 
 
 
 @pytest.mark.slow
-def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
+def test_a_case_that_is_made_again_is_the_same(recorded, tmp_path):
     path, case = recorded
     MAKER.record(tmp_path, case)
     one, again = read_log(path), read_log(tmp_path / path.name)
@@ -96,7 +88,7 @@ def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Pat
     assert all(np.array_equal(one[topic], again[topic]) for topic in one.packets)
 
 
-CASE = TrueCase("case-000", "none", (), ("gear-stiffness:elbow:factor=1.0312345678",), 1234567890)
+CASE = arm_truth.TrueCase("case-000", "none", (), ("gear-stiffness:elbow:factor=1.0312345678",), 1234567890)
 LEAKS: dict[str, Callable[..., dict[str, str]]] = {
     "says seed": lambda said: {**said, "seed": "1"},
     "says arm, effects, mjcf_sha256, request, seed": lambda said: said,
@@ -108,41 +100,41 @@ LEAKS: dict[str, Callable[..., dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("words", LEAKS)
-def test_a_header_that_reveals_the_truth_is_refused(words: str, tmp_path: Path) -> None:
+def test_a_header_that_reveals_the_truth_is_refused(words, tmp_path):
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     whole = words.startswith("says arm")
     said = run_header(loop, "nominal", 1, {}, ()) if whole else flight_header(loop, ())
     path = tmp_path / "x.mcap"
     with Recorder(path, LEAKS[words]({**said, SESSION: session_json(SESSIONS[0])})) as recorder:
         recorder.write(loop.cycle())
-    with pytest.raises(TruthLeaked, match=words):
-        check_leakage(path, CASE)
+    with pytest.raises(arm_truth.TruthLeaked, match=words):
+        arm_truth.check_leakage(path, CASE)
 
 
-def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
+def test_the_plants_own_state_is_refused(tmp_path):
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     loop.with_truth = True
     path = tmp_path / "x.mcap"
     with Recorder(path, {**flight_header(loop, ()), SESSION: session_json(SESSIONS[0])}) as recorder:
         recorder.write(next(run_session(loop, SESSIONS[0])).record)
-    with pytest.raises(TruthLeaked, match="the plant's own state in /truth"):
-        check_leakage(path, CASE)
+    with pytest.raises(arm_truth.TruthLeaked, match="the plant's own state in /truth"):
+        arm_truth.check_leakage(path, CASE)
 
 
-def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_with_a_revealing_log_is_deleted(tmp_path, monkeypatch):
     """A perfect homing would measure the friction that is the case's effect."""
     monkeypatch.setattr(blind_case, "blind_reference", lambda built, _: true_reference(built))
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
-    with pytest.raises(TruthLeaked, match=r"flight software begins with friction_Nm"):
+    with pytest.raises(arm_truth.TruthLeaked, match=r"flight software begins with friction_Nm"):
         record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case))
     assert list((tmp_path / "cases").iterdir()) == []
 
 
 @pytest.mark.slow
-def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_is_there_whole_or_not_at_all(tmp_path, monkeypatch):
     case = cases()["single"]
 
-    def stopped(*_: object) -> None:
+    def stopped(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as broken:
@@ -154,16 +146,16 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
     assert [path.name for path in (tmp_path / "cases" / case.name).iterdir()] == ["cold.mcap"]
 
 
-def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
+def test_an_effect_from_outside_is_written_by_its_file_and_switched_on():
     (effect,) = cases()["out-of-catalogue"].effects
     assert effect.spec.startswith("related.py:DriftingCurrent:")
-    made = resolve_effect(effect.spec, TOOLS)
+    made = arm_truth.resolve_effect(effect.spec, TOOLS)
     assert {"drift_A_s": getattr(made, "drift_A_s", None)} == effect.values
-    assert resolve_effect(effect.spec.replace("related.py", "related/sensors.py"), TOOLS) == made
+    assert arm_truth.resolve_effect(effect.spec.replace("related.py", "related/sensors.py"), TOOLS) == made
 
 
-def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:
+def test_a_session_that_does_not_complete_is_left_out(tmp_path):
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
-    case = TrueCase("case-000", "none", (), weak, 5)
+    case = arm_truth.TrueCase("case-000", "none", (), weak, 5)
     MAKER.record(tmp_path, case)
     assert list(tmp_path.rglob("*.mcap")) == []

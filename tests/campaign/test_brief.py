@@ -1,7 +1,6 @@
 """Tests of the command of all campaigns, and of their brief form."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -15,19 +14,19 @@ WITHOUT_A_BRIEF_FORM = {
 """Measurements of speed, lists of other campaigns, what needs optional programs, and diagnoses in pairs."""
 
 
-def test_every_campaign_has_a_brief_form_or_a_reason() -> None:
+def test_every_campaign_has_a_brief_form_or_a_reason():
     assert {one.name for one in TABLE if one.brief is None} == WITHOUT_A_BRIEF_FORM
 
 
 @pytest.mark.parametrize("one", TABLE, ids=lambda one: one.name)
-def test_a_campaign_knows_its_sizes(one: Campaign) -> None:
+def test_a_campaign_knows_its_sizes(one):
     sizes = {name: str(value) for name, value in (one.brief or {}).items()}
     work = one.load()
     if one.name != "so101":  # it has to be told its files
         assert read_sizes(work, (f"{name}={value}" for name, value in sizes.items())).keys() == sizes.keys()
 
 
-def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_campaigns_are_listed(capsys):
     assert main([]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(TABLE)
 
@@ -44,19 +43,15 @@ def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
     ],
 )
-def test_what_cannot_be_run_is_said(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_run_is_said(words, said, capsys):
     assert main(words) == 2
     assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("in_bounds", "status"), [(True, 0), (False, 1)])
 def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
-    in_bounds: bool,
-    status: int,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    in_bounds, status, tmp_path, capsys, monkeypatch
+):
     document = {"rate": 0.123456, "rows": [1, 2], "part": {"n": 3}, "in_bounds": in_bounds}
     monkeypatch.setattr(Campaign, "load", lambda _: lambda context: document)
     assert main(["hardstops", "--json", "--out", str(tmp_path / "found.json")]) == status
@@ -67,11 +62,11 @@ def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
 
 
 @pytest.mark.parametrize(("status", "verdict"), [(0, "in bounds"), (2, "FAILED, exit status 2")])
-def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status: int, verdict: str) -> None:
+def test_the_line_of_a_campaign_in_brief_says_how_it_ended(status, verdict):
     assert BriefResult(TABLE[0], status, 3.0, "").line().endswith(f"  3 s, {verdict}")
 
 
-def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:
+def test_jobs_come_back_in_their_order_and_progress_is_told():
     told: list[tuple[float, float, str]] = []
     backwards = Context(run=lambda work, jobs: map(work, reversed(jobs)), progress=lambda *x: told.append(x))
     assert backwards.each(pow, ((2, 3), (3, 2)), "powers") == [8, 9]

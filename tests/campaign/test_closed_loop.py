@@ -7,7 +7,7 @@ from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.placement import PlacementResult, PlacementRun, random_placement
+from sim.placement import PlacementRun, random_placement
 from sim.scenario.file import built_in_scenarios
 from sim.sequence import Outcome
 from validation.campaigns import Context
@@ -44,7 +44,7 @@ def test_a_tool_change_comes_closer_to_the_spot_than_coordinates_to_their_target
 MAX_TILT_RAD = np.radians(20.0)
 
 
-def run_placement(name: str, seed: int) -> PlacementResult:
+def run_placement(name, seed):
     """Run a random placement in the closed loop, from the ready pose, after the hardstops were found."""
     arm = arm_named(name)
     world, seen = random_placement(seed, arm, "apxs", MAX_TILT_RAD)

@@ -4,7 +4,6 @@ import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -38,12 +37,12 @@ DELAY = DrawnEffect("command delay", "swing", "sensing and timing", 0.004, 0.5, 
 CREEP = DrawnEffect("creeping link", "swing", "transmission", 0.01, 0.5, 2.0, ("geometry", "transmission"))
 
 
-def case(kind: Any, *effects: DrawnEffect) -> SealedCase:
+def case(kind, *effects):
     same = tuple(((one.name, one.place),) if one is DELAY else () for one in effects)
     return SealedCase("case-000", Truth("pendulum", kind, 1000, effects, {}), same)
 
 
-def finding(effect: str, family: str, *others: str) -> dict[str, Any]:
+def finding(effect, family, *others):
     keys = [f"swing: {name}" for name in (effect, *others)]
     return {
         "place": "swing",
@@ -55,7 +54,7 @@ def finding(effect: str, family: str, *others: str) -> dict[str, Any]:
     }
 
 
-def result(*findings: dict[str, Any]) -> dict[str, Any]:
+def result(*findings):
     return {"findings": list(findings), "seconds": 10.0, "refused": ""}
 
 
@@ -63,21 +62,19 @@ TRUE_DELAY = finding("command delay", "sensing and timing", "measurement delay")
 FRICTION = finding("Stribeck friction", "friction")
 
 
-def test_what_was_sealed_comes_back(tmp_path: Path) -> None:
+def test_what_was_sealed_comes_back(tmp_path):
     digest = seal(tmp_path, SealedTruth("salt", (case("single", DELAY),)))
     assert load_truth(tmp_path, MAKER).digest() == digest
 
 
-def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts() -> None:
+def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts():
     plans = plan_robot_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
     assert Counter(one.kind for one in plans) == {"none": 36, "single": 36, "pair": 24, "outside": 24}
     assert set(Counter((one.kind, one.model) for one in plans).values()) == {12, 8}
     assert min(one.seed for one in plans) >= 1000
 
 
-def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     (tmp_path / "cases").mkdir()
     (tmp_path / INDEX_FILE).write_text(json.dumps({"case-000": "pendulum", "case-001": "pendulum"}))
     for name in ("case-000", "case-001"):
@@ -98,7 +95,7 @@ def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(
     ]
 
 
-def test_a_right_answer_meets_all_bars() -> None:
+def test_a_right_answer_meets_all_bars():
     solved = [
         (case("none"), result()),
         (case("single", DELAY), result(TRUE_DELAY)),
@@ -110,7 +107,7 @@ def test_a_right_answer_meets_all_bars() -> None:
     assert found["mean set size"] == 2
 
 
-def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives() -> None:
+def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives():
     bars = score_cases([(case("outside", CREEP), result(FRICTION))]).document["bars"]
     assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 1, 1]
     only_place = {**FRICTION, "families": [], "effects": []}
@@ -118,7 +115,7 @@ def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives() 
     assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 0, 0]
 
 
-def test_effects_below_the_limit_are_not_counted_as_missed() -> None:
+def test_effects_below_the_limit_are_not_counted_as_missed():
     small = replace(DELAY, times_limit=0.9)
     sealed = SealedCase(
         "case-000", Truth("pendulum", "single", 1000, (small,), {}), ((("command delay", "swing"),),)
@@ -127,14 +124,14 @@ def test_effects_below_the_limit_are_not_counted_as_missed() -> None:
 
 
 @pytest.mark.parametrize(("of", "rate", "most"), [(36, 0.05, 4), (24, 0.05, 3), (24, 0.10, 5), (24, 0.15, 7)])
-def test_the_counts_of_the_bars_are_those_of_an_exact_test(of: int, rate: float, most: int) -> None:
+def test_the_counts_of_the_bars_are_those_of_an_exact_test(of, rate, most):
     verdicts = [
         check_rate([True] * hits + [False] * (of - hits), rate, True).is_met for hits in (most, most + 1)
     ]
     assert verdicts == [True, False]
 
 
-def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path: Path) -> None:
+def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path):
     robot, times = load_robot("pendulum"), sample_times()
     signal = Signal(times, np.sin(times))
     joint = JointLog(position=signal, command=signal, temperature=signal)
@@ -151,14 +148,14 @@ def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_case() -> None:
+def test_the_same_seed_gives_the_same_case():
     first, second = (draw_case(11, "none", "pendulum")[1] for _ in range(2))
     pairs = zip(first.motions, second.motions, strict=True)
     assert all((a.joints["swing"].position.value == b.joints["swing"].position.value).all() for a, b in pairs)
 
 
 @pytest.mark.slow
-def test_motions_with_the_commands_of_others_are_not_fitted() -> None:
+def test_motions_with_the_commands_of_others_are_not_fitted():
     robot, logs, _ = draw_case(0, "single", "pendulum")
     try:
         found = diagnose(robot, exchange_commands(logs.motions, 0), seed=0)

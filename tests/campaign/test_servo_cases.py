@@ -3,13 +3,10 @@
 import math
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from simgap.arrays import Array
 from simgap.loading import load
 from simgap.robot import Robot
 from validation.cases.robot import plan_robot_cases, write_logs, write_robot
@@ -24,7 +21,7 @@ MODEL = "servo_200g_100mm"
 FRICTION = DrawnEffect("Stribeck friction", "servo", "friction", 0.02, 0.5, 4.0, ("friction",))
 
 
-def simulate(motor: float, start_rad: float, **factors: float) -> tuple[ServoPlant, Array]:
+def simulate(motor, start_rad, **factors):
     """Return a servo, all factors 0 but those given, and its motion with one command and one gain."""
     names = ("damping", "friction", "armature", "gain")
     ones = Nuisances(**{name: np.array([factors.get(name, 0.0)]) for name in names})
@@ -34,7 +31,7 @@ def simulate(motor: float, start_rad: float, **factors: float) -> tuple[ServoPla
     return plant, plant.simulate(command, PERIOD_S, 1, (25.0, 25.0), gains)[0]
 
 
-def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weight() -> None:
+def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weight():
     plant, q = simulate(0.0, 0.02, gain=100.0)
     half_s = math.pi * math.sqrt(plant.link_kgm2 / plant.weight_Nm)
     lowest = np.argmin(q[: round(1.5 * half_s / PERIOD_S)])
@@ -42,14 +39,14 @@ def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weight()
     assert -q[lowest] == pytest.approx(q[0], rel=0.01)
 
 
-def test_dry_friction_holds_the_weight_up_to_its_size() -> None:
+def test_dry_friction_holds_the_weight_up_to_its_size():
     for share, holds in ((1.05, True), (0.95, False)):
         weight_Nm = 0.2 * 9.81 * 0.1 * math.sin(0.3)
         _, q = simulate(0.0, 0.3, gain=100.0, friction=share * weight_Nm / 0.021)
         assert (np.ptp(q) < 1e-6) == holds
 
 
-def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path: Path) -> None:
+def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path):
     logs = record_logs(Truth(MODEL, "none", 1000, (), {}))
     write_robot(tmp_path, load_robot(MODEL), HELD_OUT, tuple(name for name, _ in PLAN), True)
     write_logs(tmp_path / "log.parquet", logs)
@@ -61,17 +58,17 @@ def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path:
     assert robot.model.dof_damping[0] == robot.model.dof_armature[0] == 0.0
 
 
-def test_sixty_cases_have_their_kinds() -> None:
+def test_sixty_cases_have_their_kinds():
     plans = plan_robot_cases(60, 7, tuple(SERVOS), KIND_SHARES)
     assert Counter(one.kind for one in plans) == {"none": 20, "single": 14, "pair": 13, "triple": 13}
 
 
-def test_only_a_single_wrong_effect_is_sure_and_wrong() -> None:
+def test_only_a_single_wrong_effect_is_sure_and_wrong():
     sealed = SealedCase(
         "case-000", Truth(MODEL, "single", 1000, (FRICTION,), {}), ((("Stribeck friction", "servo"),),)
     )
 
-    def bars(*effects: str) -> dict[str, Any]:
+    def bars(*effects):
         found = {
             "place": "servo", "family": "friction", "effect": effects[0], "places": ["servo"],
             "families": ["friction"], "effects": [f"servo: {one}" for one in effects],

@@ -1,7 +1,5 @@
 """Published logs of the SO-101 become the columns that its robot file reads."""
 
-from pathlib import Path
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -19,10 +17,10 @@ MOTIONS = [
 ROWS = 4
 
 
-def write_motion(folder: Path, first: float, states: int = ROWS) -> None:
+def write_motion(folder, first, states=ROWS):
     """Write a motion as upstream does: positions count up from joint to joint and from row to row."""
 
-    def cells(row: int, shift: float) -> str:
+    def cells(row, shift):
         return str([first + shift + 0.01 * row + 0.001 * j for j in range(len(JOINTS))])
 
     folder.mkdir()

@@ -17,15 +17,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm import blind_case
 from marsarm.diagnosis.arm.arm_effects import locate
-from marsarm.diagnosis.arm.blind_case import (
-    DetectableEffect,
-    SampledEffect,
-    can_sample,
-    nominal_reference,
-    sample_amplitude,
-    sample_effect,
-)
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
@@ -87,13 +80,13 @@ class PlannedCase:
     """Kind and sampled effects of a case."""
 
     kind: CaseKind
-    effects: tuple[SampledEffect, ...]
+    effects: tuple[blind_case.SampledEffect, ...]
 
 
 def plan_cases(
     cases: int,
-    catalogue: Sequence[DetectableEffect],
-    outside: Sequence[DetectableEffect],
+    catalogue: Sequence[blind_case.DetectableEffect],
+    outside: Sequence[blind_case.DetectableEffect],
     rng: np.random.Generator,
 ) -> tuple[PlannedCase, ...]:
     """Plan blind cases in random order.
@@ -102,7 +95,7 @@ def plan_cases(
     Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
     them, their cases have no effect.
     """
-    known, unknown = ([one for one in some if can_sample(one)] for some in (catalogue, outside))
+    known, unknown = ([one for one in some if blind_case.can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
     if not unknown:
         counts["none"] += counts.pop("out-of-catalogue")
@@ -115,29 +108,31 @@ def plan_cases(
 
 
 def _deal_effects(
-    some: Sequence[DetectableEffect], count: int, rng: np.random.Generator
-) -> Iterator[DetectableEffect]:
+    some: Sequence[blind_case.DetectableEffect], count: int, rng: np.random.Generator
+) -> Iterator[blind_case.DetectableEffect]:
     """Yield so many effects, each at a random place; two effects differ by one case at most."""
     names = sorted({one.hypothesis.effect for one in some})
     rounds = -(-count // max(len(names), 1))
     dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
     for name in dealt[:count]:
-        yield sample_effect([one for one in some if one.hypothesis.effect == name], rng)
+        yield blind_case.sample_effect([one for one in some if one.hypothesis.effect == name], rng)
 
 
 def _sample_effects(
     kind: CaseKind,
-    known: Sequence[DetectableEffect],
-    unknown: Iterator[DetectableEffect],
+    known: Sequence[blind_case.DetectableEffect],
+    unknown: Iterator[blind_case.DetectableEffect],
     rng: np.random.Generator,
-) -> tuple[SampledEffect, ...]:
+) -> tuple[blind_case.SampledEffect, ...]:
     if kind == "none":
         return ()
-    first = sample_amplitude(next(unknown) if kind == "out-of-catalogue" else sample_effect(known, rng), rng)
+    first = blind_case.sample_amplitude(
+        next(unknown) if kind == "out-of-catalogue" else blind_case.sample_effect(known, rng), rng
+    )
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]
-    return first, sample_amplitude(sample_effect(others, rng), rng)
+    return first, blind_case.sample_amplitude(blind_case.sample_effect(others, rng), rng)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +211,7 @@ def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
     if truth_topics:
         raise TruthLeaked(f"{path}: has the plant's own state in {', '.join(truth_topics)}")
     reference = json.loads(log.header["boot"])["reference"]
-    nominal = record_to_json(nominal_reference(arm))
+    nominal = record_to_json(blind_case.nominal_reference(arm))
     changed = sorted(name for name in nominal if name != "zero_rad" and reference[name] != nominal[name])
     if changed:
         raise TruthLeaked(f"{path}: flight software begins with {', '.join(changed)} that are not nominal")

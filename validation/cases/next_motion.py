@@ -24,18 +24,9 @@ from simgap.next_motion.rivals import choose_rivals
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from validation.campaigns import Context, Document
-from validation.cases import sealed
+from validation.cases import robot_draw, sealed
 from validation.cases.bars import score_bars
 from validation.cases.robot import DIAGNOSIS_SEED, INDEX_FILE, ROBOT_FILE, ROBOTS_FOLDER, to_document
-from validation.cases.robot_draw import (
-    Kind,
-    Truth,
-    make_campaign,
-    make_effect,
-    make_plant,
-    measure,
-    temperature_degC,
-)
 from validation.cases.robot_score import SealedCase, members, pair_up, plain_place
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
@@ -43,7 +34,7 @@ from validation.cases.sealed import CaseScore
 from validation.cases.servo import ServoCases
 from validation.cases.servo_truth import ServoPlant
 
-KIND_SHARES: Final[dict[Kind, float]] = {"single": 0.5, "pair": 0.5}
+KIND_SHARES: Final[dict[robot_draw.Kind, float]] = {"single": 0.5, "pair": 0.5}
 BAR: Final = 18 / 24
 """Least share of the cases that one motion settles."""
 NEXT_NUMBER: Final = 12
@@ -55,7 +46,7 @@ class NextCases(ServoCases):
     """Cases of servos, each diagnosed again with one more motion if the first verdict left something open."""
 
     name: ClassVar[str] = "next-cases"
-    kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
+    kinds: ClassVar[dict[robot_draw.Kind, float]] = KIND_SHARES
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a log, and again with the proposed motion where that counts."""
@@ -152,18 +143,18 @@ def _key(finding: Mapping[str, Any]) -> str:
     return f"{finding['place']}: {finding['effect']}"
 
 
-def make_next(truth: Truth, planned: Motion) -> Motion:
+def make_next(truth: robot_draw.Truth, planned: Motion) -> Motion:
     """Let the true servo make a motion, and return its log."""
-    campaign = make_campaign(truth.seed, truth.model)
-    effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
-    plant = make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
+    campaign = robot_draw.make_campaign(truth.seed, truth.model)
+    effects = [robot_draw.make_effect(one, campaign.plan.scene) for one in truth.effects]
+    plant = robot_draw.make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
     assert isinstance(plant, ServoPlant)
     ((name, log),) = planned.joints.items()
     assert log.command is not None
     times_s, seed = log.position.time_s, truth.seed * 100 + NEXT_NUMBER
-    gain, heat_degC = np.full(times_s.size, planned.gain[name]), temperature_degC(NEXT_NUMBER)
+    gain, heat_degC = np.full(times_s.size, planned.gain[name]), robot_draw.temperature_degC(NEXT_NUMBER)
     shown = plant.simulate(log.command.value[None], PERIOD_S, seed, heat_degC, gain)
-    (measured,) = measure(shown, np.random.default_rng([truth.seed, 3, NEXT_NUMBER]))
+    (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, NEXT_NUMBER]))
     joint = JointLog(
         position=Signal(times_s, measured),
         command=log.command,

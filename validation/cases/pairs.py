@@ -18,36 +18,19 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from marsarm.common.rates import check_rate
-from simgap.command.comparison import compare_logs
+from simgap.command.diagnosis import compare_logs
 from simgap.command.request import CompareRequest
 from simgap.common.errors import RobotError
 from simgap.result import Comparison
 from validation.campaigns import Context, Document
-from validation.cases import sealed
+from validation.cases import robot, robot_draw, sealed
 from validation.cases.bars import score_bars
-from validation.cases.robot import (
-    DIAGNOSIS_SEED,
-    PlannedRobotCase,
-    RobotCases,
-    find_robot_file,
-    to_document,
-    write_logs,
-)
-from validation.cases.robot_draw import (
-    CaseMotions,
-    DrawnEffect,
-    Kind,
-    draw_effect,
-    make_motions,
-    make_truth,
-    record_logs,
-)
 from validation.cases.robot_score import SealedCase, find_equivalents, first_choice, pair_up, plain_place
 from validation.cases.robot_setup import ARMS, MODELS, limit_noncentrality
 from validation.cases.robot_table import ENTRIES, list_hypotheses
 from validation.cases.sealed import CaseScore, SealedTruth
 
-KIND_SHARES: Final[dict[Kind, float]] = {"none": 0.4, "single": 0.6}
+KIND_SHARES: Final[dict[robot_draw.Kind, float]] = {"none": 0.4, "single": 0.6}
 """Shares of all pairs without and with a change: 16 and 24 of 40."""
 TIMES_LIMIT: Final = (2.0, 8.0)
 """Range of the strength of a change, in family-wise limits."""
@@ -60,29 +43,29 @@ CHANGES: Final = tuple(replace(one, needs="" if one.needs == "known" else one.ne
 class SealedPair(SealedCase):
     """Pair with its truth, whose effects are the change."""
 
-    common: tuple[DrawnEffect, ...]
+    common: tuple[robot_draw.DrawnEffect, ...]
     """Effects of both logs."""
     is_gone: bool
     """True if the effect that changes is there before, False if it is there after."""
 
 
 @dataclass(frozen=True, slots=True)
-class RobotPairs(RobotCases):
+class RobotPairs(robot.RobotCases):
     """Pairs of logs of some robots."""
 
     name: ClassVar[str] = "robot-pairs"
     suffix: ClassVar[str] = ""
-    kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
+    kinds: ClassVar[dict[robot_draw.Kind, float]] = KIND_SHARES
     case_type: ClassVar[type[SealedCase]] = SealedPair
     truth_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(SealedTruth[SealedPair])
 
-    def draw_case(self, plan: PlannedRobotCase) -> SealedPair:
+    def draw_case(self, plan: robot.PlannedRobotCase) -> SealedPair:
         rng = np.random.default_rng([plan.seed, 6, list(MODELS).index(plan.model)])
         made = make_change_motions(plan.seed, plan.model)
         common = (draw_typical(made, rng),) if rng.uniform() < 0.5 else ()
-        changes = (draw_effect(made, CHANGES, common, rng),) if plan.kind != "none" else ()
+        changes = (robot_draw.draw_effect(made, CHANGES, common, rng),) if plan.kind != "none" else ()
         same = tuple(((one.name, one.place),) for one in changes)
-        truth = make_truth(plan.seed, plan.kind, plan.model, changes)
+        truth = robot_draw.make_truth(plan.seed, plan.kind, plan.model, changes)
         return SealedPair(plan.name, truth, same, common, bool(rng.uniform() < 0.5))
 
     def record(self, path: Path, case: SealedCase) -> None:
@@ -91,14 +74,19 @@ class RobotPairs(RobotCases):
         for run, name in enumerate(SETS):
             has_change = (name == "before") == case.is_gone
             effects = (*case.common, *(case.truth.effects if has_change else ()))
-            write_logs(path / f"{name}.parquet", record_logs(replace(case.truth, effects=effects), 1 + run))
+            robot.write_logs(
+                path / f"{name}.parquet",
+                robot_draw.record_logs(replace(case.truth, effects=effects), 1 + run),
+            )
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Compare two logs as a user does."""
-        robot_file = find_robot_file(folder, case.name)
+        robot_file = robot.find_robot_file(folder, case.name)
         before, after = (case / f"{name}.parquet" for name in SETS)
         try:
-            return describe(compare_logs(CompareRequest(robot_file, before, after, seed=DIAGNOSIS_SEED)))
+            return describe(
+                compare_logs(CompareRequest(robot_file, before, after, seed=robot.DIAGNOSIS_SEED))
+            )
         except RobotError as why:
             return {"findings": [], "remaining": [], "refused": str(why)}
 
@@ -106,27 +94,29 @@ class RobotPairs(RobotCases):
         return score_pairs(solved)
 
 
-def make_change_motions(seed: int, model: str) -> CaseMotions:
+def make_change_motions(seed: int, model: str) -> robot_draw.CaseMotions:
     """Return the motions of a case with the limit of a change in place of that of an effect."""
-    made = make_motions(seed, model)
+    made = robot_draw.make_motions(seed, model)
     count = len(list_hypotheses(made.robot, CHANGES))
     limit = float(np.sqrt(2.0)) * limit_noncentrality(len(made.fitted), count)
     return replace(made, limit=limit, times_limit=TIMES_LIMIT)
 
 
-def draw_typical(made: CaseMotions, rng: np.random.Generator) -> DrawnEffect:
+def draw_typical(made: robot_draw.CaseMotions, rng: np.random.Generator) -> robot_draw.DrawnEffect:
     """Draw an effect of the catalogue at any of its places, with a typical size; its strength stays open."""
     every = list_hypotheses(made.robot, ENTRIES)
     one = every[int(rng.integers(len(every)))]
     sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
     kind, size = one.entry.kind, sign * one.entry.typical * one.scale
     families = tuple(sorted(map(str, kind.families)))
-    return DrawnEffect(kind.name, one.place, str(kind.family), size, float(rng.uniform()), 0.0, families)
+    return robot_draw.DrawnEffect(
+        kind.name, one.place, str(kind.family), size, float(rng.uniform()), 0.0, families
+    )
 
 
 def describe(made: Comparison) -> Document:
     """Return what the score needs of a comparison; changes have the names of what changes."""
-    document = to_document(made.found)
+    document = robot.to_document(made.found)
     for one in document["findings"]:
         one["effect"] = one["effect"].removeprefix("change of ")
         one["effects"] = [key.replace(": change of ", ": ") for key in one["effects"]]

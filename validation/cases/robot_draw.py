@@ -13,25 +13,7 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
-from validation.cases.robot_setup import (
-    CORRELATION,
-    HELD_OUT,
-    MODELS,
-    NOISE_RAD,
-    PERIOD_S,
-    QUANTUM_RAD,
-    REPEATED,
-    Nuisance,
-    Plan,
-    draw_plan,
-    information,
-    limit_noncentrality,
-    load_robot,
-    lowest_m,
-    make_nuisance,
-    sample_times,
-    whiten,
-)
+from validation.cases import robot_setup
 from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, entries_of, list_hypotheses
 from validation.cases.robot_truth import TRUE_STEP_S, Nuisances, Plant, Scene, TrueEffect
 from validation.cases.servo_truth import ServoPlant, add_spike, draw_factors
@@ -96,12 +78,12 @@ class CaseMotions:
     """Motions of a case, and what their changes are compared with."""
 
     robot: Robot
-    plan: Plan
+    plan: robot_setup.Plan
     fitted: tuple[int, ...]
     nuisances: Nuisances
     base: Array
     """Shown positions of the fitted motions without effects, (n_fitted, n_joints, n) [rad]."""
-    nuisance: Nuisance
+    nuisance: robot_setup.Nuisance
     limit: float
     """Strength at the family-wise limit."""
     times_limit: tuple[float, float]
@@ -111,7 +93,7 @@ class CaseMotions:
 def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
     """Draw robot, logs with held-out motions, and truth of a case of a key of `ARMS`, the same by seed."""
     truth = draw_truth(seed, kind, model)
-    return load_robot(model), record_logs(truth), truth
+    return robot_setup.load_robot(model), record_logs(truth), truth
 
 
 def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
@@ -119,7 +101,7 @@ def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
     if not COUNTS[kind]:
         return make_truth(seed, kind, model, ())
     campaign = make_campaign(seed, model)
-    rng = np.random.default_rng([seed, 2, list(MODELS).index(model)])
+    rng = np.random.default_rng([seed, 2, list(robot_setup.MODELS).index(model)])
     entries = OUTSIDE if kind == "outside" else entries_of(campaign.robot)
     drawn: tuple[DrawnEffect, ...] = ()
     while len(drawn) < COUNTS[kind]:
@@ -137,12 +119,12 @@ def make_truth(seed: int, kind: Kind, model: str, effects: tuple[DrawnEffect, ..
 @lru_cache(maxsize=4)
 def make_motions(seed: int, model: str) -> CaseMotions:
     """Draw motions and nuisances of a case, and simulate them; nothing in them imitates an effect yet."""
-    robot = load_robot(model)
-    rng = np.random.default_rng([seed, 1, list(MODELS).index(model)])
-    plan = draw_plan(robot, rng)
-    fitted = tuple(k for k, name in enumerate(plan.names) if name not in HELD_OUT)
+    robot = robot_setup.load_robot(model)
+    rng = np.random.default_rng([seed, 1, list(robot_setup.MODELS).index(model)])
+    plan = robot_setup.draw_plan(robot, rng)
+    fitted = tuple(k for k, name in enumerate(plan.names) if name not in robot_setup.HELD_OUT)
     known = np.array([joint.is_known for joint in robot.joints])
-    if MODELS[model].is_servo:
+    if robot_setup.MODELS[model].is_servo:
         factors = draw_factors(rng)
     else:
         factors = {
@@ -151,10 +133,10 @@ def make_motions(seed: int, model: str) -> CaseMotions:
         }
     nuisances = Nuisances(**factors)
     base = simulate_fitted(make_plant(robot, nuisances), plan, fitted)
-    plan = replace(plan, scene=replace(plan.scene, lowest_m=lowest_m(robot, base)))
-    nothing = make_nuisance(np.zeros((whiten_later(base).size, 0)))
-    limit = limit_noncentrality(len(fitted), len(list_hypotheses(robot, entries_of(robot))))
-    times_limit = SERVO_TIMES_LIMIT if MODELS[model].is_servo else TIMES_LIMIT
+    plan = replace(plan, scene=replace(plan.scene, lowest_m=robot_setup.lowest_m(robot, base)))
+    nothing = robot_setup.make_nuisance(np.zeros((whiten_later(base).size, 0)))
+    limit = robot_setup.limit_noncentrality(len(fitted), len(list_hypotheses(robot, entries_of(robot))))
+    times_limit = SERVO_TIMES_LIMIT if robot_setup.MODELS[model].is_servo else TIMES_LIMIT
     return CaseMotions(robot, plan, fitted, nuisances, base, nothing, limit, times_limit)
 
 
@@ -171,33 +153,33 @@ def make_campaign(seed: int, model: str) -> CaseMotions:
             moved = Nuisances(**{**factors, name: changed})
             change = simulate_fitted(make_plant(made.robot, moved), made.plan, made.fitted) - made.base
             columns.append(whiten_later(change) * UNKNOWN / (0.3 * spread))
-    return replace(made, nuisance=make_nuisance(np.array(columns).T)) if columns else made
+    return replace(made, nuisance=robot_setup.make_nuisance(np.array(columns).T)) if columns else made
 
 
 def whiten_later(change_rad: Array) -> Array:
     """Whiten changes of positions, (.., n), without the start of the motions, in one row."""
-    return np.asarray(whiten(change_rad)[..., round(START_S / PERIOD_S) :].ravel())
+    return np.asarray(robot_setup.whiten(change_rad)[..., round(START_S / robot_setup.PERIOD_S) :].ravel())
 
 
 def make_plant(
     robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect] = (), step_s: float = 0.0
 ) -> Plant | ServoPlant:
     """Make a true robot: the nominal one with nuisances and effects; without a step, that of limits."""
-    if MODELS[robot.name].is_servo:
+    if robot_setup.MODELS[robot.name].is_servo:
         return ServoPlant(robot, nuisances, effects, step_s or 2.0 * LIMIT_STEP_S)
     return Plant(robot, nuisances, effects, step_s or LIMIT_STEP_S)
 
 
-def simulate_motion(plant: Plant | ServoPlant, plan: Plan, k: int, seed: int) -> Array:
+def simulate_motion(plant: Plant | ServoPlant, plan: robot_setup.Plan, k: int, seed: int) -> Array:
     """Return shown positions of a motion without noise, (n_joints, n) [rad]."""
-    inputs = plan.commands[k], PERIOD_S, seed, temperature_degC(k)
+    inputs = plan.commands[k], robot_setup.PERIOD_S, seed, temperature_degC(k)
     if isinstance(plant, Plant):
         return plant.simulate(*inputs)
     assert plan.gains is not None
     return plant.simulate(*inputs, plan.gains[k])
 
 
-def simulate_fitted(plant: Plant | ServoPlant, plan: Plan, motions: tuple[int, ...]) -> Array:
+def simulate_fitted(plant: Plant | ServoPlant, plan: robot_setup.Plan, motions: tuple[int, ...]) -> Array:
     """Return shown positions without noise, (n_motions, n_joints, n) [rad]."""
     return np.array([simulate_motion(plant, plan, k, k) for k in motions])
 
@@ -232,7 +214,7 @@ def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
     plant = make_plant(campaign.robot, Nuisances(**factors))
     imitated = whiten_later(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base)
     left = [change, change - imitated]
-    return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
+    return float(np.sqrt(max(min(robot_setup.information(one, one, campaign.nuisance) for one in left), 0.0)))
 
 
 def draw_effect(
@@ -312,7 +294,7 @@ def record_logs(truth: Truth, run: int = 0) -> Logs:
     campaign, seed = make_motions(truth.seed, truth.model), truth.seed
     effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
     plant = make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
-    plan, times = campaign.plan, sample_times()
+    plan, times = campaign.plan, robot_setup.sample_times()
     motions = []
     for k in campaign.fitted if run else range(len(plan.names)):
         name = plan.names[k]
@@ -334,9 +316,9 @@ def record_logs(truth: Truth, run: int = 0) -> Logs:
             )
             for j, joint in enumerate(campaign.robot.joints)
         }
-        repeat = REPEATED[0] if name in REPEATED else ""
+        repeat = robot_setup.REPEATED[0] if name in robot_setup.REPEATED else ""
         motions.append(Motion(name, joints, dict.fromkeys(joints, gain), repeat))
-    return Logs(tuple(motions), HELD_OUT)
+    return Logs(tuple(motions), robot_setup.HELD_OUT)
 
 
 def measure(shown_rad: Array, rng: np.random.Generator) -> Array:
@@ -345,5 +327,11 @@ def measure(shown_rad: Array, rng: np.random.Generator) -> Array:
     noise = np.empty_like(shown_rad)
     noise[:, 0] = white[:, 0]
     for k in range(1, shown_rad.shape[1]):
-        noise[:, k] = CORRELATION * noise[:, k - 1] + np.sqrt(1.0 - CORRELATION**2) * white[:, k]
-    return np.asarray(QUANTUM_RAD * np.round((shown_rad + NOISE_RAD * noise) / QUANTUM_RAD))
+        noise[:, k] = (
+            robot_setup.CORRELATION * noise[:, k - 1]
+            + np.sqrt(1.0 - robot_setup.CORRELATION**2) * white[:, k]
+        )
+    return np.asarray(
+        robot_setup.QUANTUM_RAD
+        * np.round((shown_rad + robot_setup.NOISE_RAD * noise) / robot_setup.QUANTUM_RAD)
+    )

@@ -14,8 +14,12 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.common.files import read_bytes
+from simgap.common.toml import decode_text
 from simgap.files.robot_file import ConditionTable, JointTable, SettingTable
 
+MAX_BYTES: Final = 1 << 30
+"""Largest size of a model: it may hold its meshes."""
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
 
@@ -87,19 +91,11 @@ def _find_place(
 
 def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
     """Read a file of XML as text and as a tree."""
+    text = decode_text(read_bytes(path, MAX_BYTES, "an MJCF file"), str(path))
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise RobotError(f"{path}: is no regular file; name an MJCF file")
-        text = path.read_text(encoding="utf-8")
         return text, ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read ({error.strerror}); name an MJCF file") from error
     except ElementTree.ParseError as error:
         raise RobotError(f"{path}: is not XML: {error}") from error
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: is not UTF-8 text; name an MJCF file") from error
-    except ValueError as error:  # a zero byte in the name
-        raise RobotError(f"{str(path)!r}: is no name of a file; name an MJCF file") from error
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:

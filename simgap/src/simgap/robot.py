@@ -11,21 +11,10 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from simgap import mjcf
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
-from simgap.mjcf import (
-    Drive,
-    describe_unknown,
-    gravity_amplitudes,
-    joint_name,
-    read_drive,
-    read_model_text,
-    read_torque_limit,
-    set_conditions,
-    take_out_joints,
-    tied_joints,
-)
 from simgap.units import find_unit
 
 # MuJoCo would write its warnings to a file in the current directory; simulations look for bad states
@@ -197,14 +186,14 @@ def _build_robot(
     file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})
 ) -> Robot:
     model_path = path.parent / file.model
-    xml = set_conditions(read_model_text(model_path), file.conditions, conditions, path)
+    xml = mjcf.set_conditions(mjcf.read_model_text(model_path), file.conditions, conditions, path)
     left_out = tuple(file.left_out)
     try:
         model = mujoco.MjModel.from_xml_string(xml)
         if left_out:
             _check_left_out(file, model, path)
             spec = mujoco.MjSpec.from_string(xml)
-            take_out_joints(spec, left_out)
+            mjcf.take_out_joints(spec, left_out)
             model = spec.compile()
     except ValueError as error:
         under = "".join(f" with {name} = {value:g}" for name, value in conditions.items())
@@ -215,10 +204,10 @@ def _build_robot(
     numbers = {name: _find_joint(name, table, model, path) for name, table in file.joints.items()}
     _check_joints(numbers, model, path)
     drives = {
-        name: read_drive(table, model, numbers[name], f"{path}: joints.{name}")
+        name: mjcf.read_drive(table, model, numbers[name], f"{path}: joints.{name}")
         for name, table in file.joints.items()
     }
-    gravity_Nm = gravity_amplitudes(model)
+    gravity_Nm = mjcf.gravity_amplitudes(model)
     needs_gains = not all(has_torque(table, drives[name]) for name, table in file.joints.items())
     joints = tuple(
         _joint(name, table, model, path, numbers[name], drives[name], gravity_Nm, needs_gains)
@@ -227,12 +216,12 @@ def _build_robot(
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, file.tool_site)
     if file.tool_site and site < 0:
         names = [model.site(k).name for k in range(model.nsite)]
-        raise RobotError(f"{path}: tool_site: {describe_unknown('site', file.tool_site, names)}")
+        raise RobotError(f"{path}: tool_site: {mjcf.describe_unknown('site', file.tool_site, names)}")
     period_s = round(1.0 / (file.control_rate_Hz * file.time_step_s)) * file.time_step_s
     return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path, left_out)
 
 
-def has_torque(table: JointTable, drive: Drive) -> bool:
+def has_torque(table: JointTable, drive: mjcf.Drive) -> bool:
     """Return whether the torque of a joint is logged, or needs not be, because it has no command."""
     has_constant = table.torque_constant_Nm_A is not None or drive.torque_constant_Nm_A is not None
     return table.command is None or table.torque is not None or (table.current is not None and has_constant)
@@ -245,7 +234,7 @@ def _find_joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path)
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, in_model)
     if number < 0:
         names = [model.joint(k).name for k in range(model.njnt)]
-        raise RobotError(f"{where}.joint: {describe_unknown('joint', in_model, names)}")
+        raise RobotError(f"{where}.joint: {mjcf.describe_unknown('joint', in_model, names)}")
     kind = model.jnt_type[number]
     is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
     if not is_slide and kind != mujoco.mjtJoint.mjJNT_HINGE:
@@ -271,7 +260,7 @@ def _joint(
     model: mujoco.MjModel,
     path: Path,
     number: int,
-    drive: Drive,
+    drive: mjcf.Drive,
     gravity_Nm: Array,
     needs_gains: bool,
 ) -> RobotJoint:
@@ -290,7 +279,7 @@ def _joint(
         )
     limit_Nm = table.torque_limit_Nm
     if limit_Nm is None:
-        limit_Nm = read_torque_limit(model, number, drive.actuator, where)
+        limit_Nm = mjcf.read_torque_limit(model, number, drive.actuator, where)
     # forces and torques do not compare
     alike_Nm = gravity_Nm[model.jnt_type[model.dof_jntid] == model.jnt_type[number]]
     threshold_Nm = max(float(model.dof_frictionloss[dof]), ROUNDING * float(np.max(alike_Nm)))
@@ -312,7 +301,7 @@ def _joint(
     )
 
 
-def _gains(table: JointTable, drive: Drive, where: str, needs_gains: bool) -> tuple[float, float]:
+def _gains(table: JointTable, drive: mjcf.Drive, where: str, needs_gains: bool) -> tuple[float, float]:
     """Return kp and kd of a joint; NaN for one that is unknown and not needed."""
     kd = drive.kd_Nms_rad if table.kd_Nms_rad is None else table.kd_Nms_rad
     if table.mode == "voltage":
@@ -334,14 +323,14 @@ def _gains(table: JointTable, drive: Drive, where: str, needs_gains: bool) -> tu
 
 def _check_left_out(file: RobotFile, model: mujoco.MjModel, path: Path) -> None:
     """Refuse to leave out a joint that is not there, that has a table, or that is tied to one that stays."""
-    names = [joint_name(model, k) for k in range(model.njnt)]
+    names = [mjcf.joint_name(model, k) for k in range(model.njnt)]
     for name in file.left_out:
         if name not in names:
-            raise RobotError(f"{path}: left_out: {describe_unknown('joint', name, names)}")
+            raise RobotError(f"{path}: left_out: {mjcf.describe_unknown('joint', name, names)}")
         table = next((key for key, one in file.joints.items() if name == (one.joint or key)), None)
         if table is not None:
             raise RobotError(f"{path}: left_out: {name!r} has the table joints.{table}; remove one of them")
-        tied = tied_joints(model, names.index(name))
+        tied = mjcf.tied_joints(model, names.index(name))
         if not set(tied) <= set(file.left_out):
             raise RobotError(
                 f"{path}: left_out: an equality or a tendon ties {name!r} to others; "
@@ -353,7 +342,7 @@ def _check_base(model: mujoco.MjModel, path: Path) -> None:
     """Refuse a free joint: commands do not hold it."""
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if free.size:
-        name = joint_name(model, int(free[0]))
+        name = mjcf.joint_name(model, int(free[0]))
         holds = f'left_out = ["{name}"] holds it where the model has it' if name else "give it a name"
         raise RobotError(
             f"{path}: model: the joint of {name or 'a body'!r} is free, so that it falls; {holds}"
@@ -369,7 +358,7 @@ def _check_joints(numbers: dict[str, int], model: mujoco.MjModel, path: Path) ->
     for k in range(model.nactuator):
         joint = int(model.actuator_trnid[k, 0])
         if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and joint not in used:
-            tied = _listed(tied_joints(model, joint))
+            tied = _listed(mjcf.tied_joints(model, joint))
             raise RobotError(
                 f"{path}: joints: the model drives {model.joint(joint).name!r}, which has no table; "
                 f"add one, or write left_out = {tied}"

@@ -5,7 +5,6 @@ The tables hold wrong logs, robot files, splits, effects and options of an arm o
 
 import os
 import shlex
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -58,7 +57,7 @@ class Boom(JointEffect):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Return a folder with a good robot and log, and with files that are wrong in one thing each."""
     place = tmp_path_factory.mktemp("bad")
     write_arm(place)
@@ -79,7 +78,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def write_wrong_logs(place: Path) -> None:
+def write_wrong_logs(place):
     """Write tables with one wrong column each, and files that are no tables."""
     logs = slow_logs(planar_arm())
     columns = columns_of(logs)
@@ -87,7 +86,7 @@ def write_wrong_logs(place: Path) -> None:
     speed = np.gradient(position, 0.02)
     write_logs(place / "log.parquet", logs)
 
-    def write(name: str, **changes: np.ndarray | None) -> None:
+    def write(name, **changes):
         write_logs(place / f"{name}.parquet", logs, **changes)
 
     for factor, name in ((180 / np.pi, "57"), (1000.0, "1000")):
@@ -123,7 +122,7 @@ def write_wrong_logs(place: Path) -> None:
     (place / "one_array.npy").rename(place / "one_array.npz")
 
 
-def write_wrong_files(place: Path) -> None:
+def write_wrong_files(place):
     """Write bytes and pipes."""
     (place / "bytes.xml").write_bytes(bytes(range(128, 256)))
     (place / "cut.npz").write_text("PK\x03\x04xx")
@@ -148,9 +147,9 @@ BOTH = {
     "robot.toml one_array.npz": "is no NumPy .npz file",
     "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
     "pipe.toml log.parquet": "is not a regular file",
-    "pipe_model.toml log.parquet": "is no regular file",
-    "zero_byte.toml log.parquet": "is no name of a file",
-    "bytes_model.toml log.parquet": "is not UTF-8 text",
+    "pipe_model.toml log.parquet": "is not a regular file",
+    "zero_byte.toml log.parquet": "cannot be read (embedded null",
+    "bytes_model.toml log.parquet": "is not text in UTF-8",
     # robot
     "shared_position.toml log.parquet": "elbow.position.column: is that of joints.shoulder.position too",
     "own_command.toml log.parquet": "joints.elbow.command.column: is that of joints.elbow.position too",
@@ -211,10 +210,10 @@ DIAGNOSE = {
 
 
 @pytest.fixture
-def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_simulation(monkeypatch):
     """Let no verb simulate the motions: a refusal comes first."""
 
-    def refuse(*_: object, **__: object) -> None:
+    def refuse(*_, **__):
         raise AssertionError
 
     monkeypatch.setattr(simgap.diagnosis, "select_effects", refuse)
@@ -231,7 +230,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
         *(("diagnose", one) for one in DIAGNOSE if one not in UNITS),
     ],
 )
-def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: str, words: str) -> None:
+def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder, verb, words):
     before = snapshot(folder)
     done = run_simgap(folder, verb, *shlex.split(words))
     assert {**BOTH, **CHECK, **DIAGNOSE}[words] in done.stderr
@@ -241,10 +240,8 @@ def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: st
     assert snapshot(folder) == before
 
 
-def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def simulate(*_: object, effects: tuple, **__: object) -> None:
+def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(folder, monkeypatch):
+    def simulate(*_, effects, **__):
         effects[0].torque_Nm(1.0, SimpleNamespace())
 
     monkeypatch.setattr(simgap.command.diagnosis, "diagnose", simulate)
@@ -256,7 +253,7 @@ def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
     assert snapshot(folder) == before
 
 
-def test_a_simulation_that_becomes_unstable_leaves_no_file_of_mujoco(folder: Path) -> None:
+def test_a_simulation_that_becomes_unstable_leaves_no_file_of_mujoco(folder):
     before = snapshot(folder)
     assert "blew up" in run_simgap(folder, "check", "robot.toml", "angles_1000.parquet").stdout
     assert snapshot(folder) == before

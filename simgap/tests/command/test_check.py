@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,19 +21,19 @@ SCREEN_LINES = 24
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     write_arm(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
-def report(folder: Path):
+def report(folder):
     return check_robot(CheckRequest(folder / "robot.toml", (folder / "log.parquet",)))
 
 
 @pytest.fixture(scope="module")
-def written(folder: Path):
+def written(folder):
     """Return the document and the page that the command writes."""
     done = run_simgap(folder, "check", "robot.toml", "log.parquet", "--report", "check.html", "--json")
     assert done.returncode == 0

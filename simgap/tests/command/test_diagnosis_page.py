@@ -6,50 +6,30 @@ from dataclasses import replace
 
 import pytest
 
-import simgap.command.diagnosis as execution
+from helpers import verdicts
 from helpers.arm_folder import write_arm
-from helpers.verdicts import (
-    ARMATURE,
-    FRICTION,
-    GAIN,
-    LIFT,
-    PAN,
-    REFUSED,
-    REST,
-    Drawn,
-    diagnosis,
-    finding,
-    without_floor,
-)
-from simgap.command.diagnosis import (
-    RobotDiagnosis,
-    diagnose_robot,
-    diagnosis_json,
-    diagnosis_parts,
-    save_diagnosis_files,
-    save_page_of,
-)
+from simgap.command import diagnosis
 from simgap.command.request import DiagnoseRequest
 from simgap.common.report import print_parts
 from simgap.loading import load
 from simgap.report.traces import choose_traces, make_traces
 
-FOUND = diagnosis(
-    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
-    base=(GAIN, ARMATURE),
-    remaining=(REST,),
-    refused=REFUSED,
+FOUND = verdicts.diagnosis(
+    findings=(verdicts.FRICTION, verdicts.finding(effects=("lift: gain error", "lift: torque constant"))),
+    base=(verdicts.GAIN, verdicts.ARMATURE),
+    remaining=(verdicts.REST,),
+    refused=verdicts.REFUSED,
 )
 
 
 def made(tmp_path, result=FOUND, traces=True):
     request = DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
-    shown = make_traces(Drawn(), result) if traces else ()
-    return RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
+    shown = make_traces(verdicts.Drawn(), result) if traces else ()
+    return diagnosis.RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
 
 
 def text_of(tmp_path, **changes):
-    save_page_of(made(tmp_path, **changes), tmp_path / "page.html")
+    diagnosis.save_page_of(made(tmp_path, **changes), tmp_path / "page.html")
     return (tmp_path / "page.html").read_text()
 
 
@@ -67,7 +47,7 @@ def test_the_page_asks_for_nothing(tmp_path):
 
 
 def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(tmp_path):
-    chosen = choose_traces(make_traces(Drawn(), FOUND))
+    chosen = choose_traces(make_traces(verdicts.Drawn(), FOUND))
     assert {joint: [one.motion for one in own] for joint, own in chosen.items()} == {
         ("pan", "simulation"): ["g", "e", "d"],
         ("lift", "simulation"): ["g", "e", "d"],
@@ -82,8 +62,8 @@ def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(t
 
 
 def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
-    long = replace(made(tmp_path), traces=make_traces(Drawn(20000), FOUND))
-    save_page_of(long, tmp_path / "page.html")
+    long = replace(made(tmp_path), traces=make_traces(verdicts.Drawn(20000), FOUND))
+    diagnosis.save_page_of(long, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 1_000_000
 
 
@@ -94,13 +74,15 @@ def test_remarks_on_the_logs_stand_on_the_page(tmp_path):
 
 def test_a_name_from_a_log_cannot_break_out_of_the_page(tmp_path):
     evil = "</script><script>alert(1)</script>"
-    refused = (replace(REFUSED[0], motion=evil),)
-    text = text_of(tmp_path, result=replace(FOUND, errors=(replace(PAN, joint=evil),), refused=refused))
+    refused = (replace(verdicts.REFUSED[0], motion=evil),)
+    text = text_of(
+        tmp_path, result=replace(FOUND, errors=(replace(verdicts.PAN, joint=evil),), refused=refused)
+    )
     assert "<script>alert" not in text
 
 
 def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
-    fitted = replace(FOUND, judged_motions=(), errors=(without_floor(LIFT),))
+    fitted = replace(FOUND, judged_motions=(), errors=(verdicts.without_floor(verdicts.LIFT),))
     text = text_of(tmp_path, result=fitted)
     assert "the fitted motions: none was held out" in text
     assert "No repeated motion shows the noise floor" in text
@@ -108,10 +90,10 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
 
 
 def test_bars_and_traces_begin_with_the_error_that_is_largest_over_its_noise(tmp_path):
-    errors = tuple(replace(one, kind="simulation") for one in (PAN, LIFT))
+    errors = tuple(replace(one, kind="simulation") for one in (verdicts.PAN, verdicts.LIFT))
     text = text_of(tmp_path, result=replace(FOUND, errors=errors))
     assert re.findall("<h3>(.*?)</h3>", text) == ["lift", "pan", "lift", "pan"]
-    unknown = tuple(map(without_floor, errors))
+    unknown = tuple(map(verdicts.without_floor, errors))
     assert re.findall("<h3>(.*?)</h3>", text_of(tmp_path, result=replace(FOUND, errors=unknown))) == [
         *("pan", "lift"),
         *("pan", "lift"),
@@ -119,7 +101,7 @@ def test_bars_and_traces_begin_with_the_error_that_is_largest_over_its_noise(tmp
 
 
 def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
-    print_parts(diagnosis_parts(made(tmp_path)))
+    print_parts(diagnosis.diagnosis_parts(made(tmp_path)))
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.startswith("Where: lift. What: Coulomb friction at lift")
     assert "Without it, 80 % of the explainable error of its joint comes back." in shown
@@ -142,16 +124,16 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     def find(robot, motions, **options):
         options_seen.update(options, motions=motions)
         options["progress"](0.5, "half")
-        return diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
+        return verdicts.diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
 
     cut = replace(
         load(folder / "robot.toml", folder / "log.parquet", held_out=["motion 3"]), losses=("is cut",)
     )
-    monkeypatch.setattr(execution, "load", lambda *_, **__: cut)
-    monkeypatch.setattr(execution, "diagnose", find)
+    monkeypatch.setattr(diagnosis, "load", lambda *_, **__: cut)
+    monkeypatch.setattr(diagnosis, "diagnose", find)
     reports = []
     files = {"report": folder / "page.html", "patch": folder / "found"}
-    result = diagnose_robot(
+    result = diagnosis.diagnose_robot(
         request(folder, held_out=("motion 3",), seed=7, **files), lambda *said: reports.append(said)
     )
     assert [motion.name for motion in options_seen["motions"]] == ["motion 0", "motion 1", "motion 2"]
@@ -160,9 +142,9 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     assert any(one.reason == "contact with a plane" for one in options_seen["audit"].refused)
     assert reports[-1][2] == "half"
     assert result.diagnosis.remarks[0] == "is cut."
-    assert "is cut." in diagnosis_json(result)["remarks"]
+    assert "is cut." in diagnosis.diagnosis_json(result)["remarks"]
     assert not any(path.exists() for path in files.values())
     written = [f"report    {files['report']}", f"patch     {files['patch']}"]
-    assert save_diagnosis_files(result) == written
+    assert diagnosis.save_diagnosis_files(result) == written
     assert (folder / "found" / "patched.xml").is_file()
     assert files["report"].read_text().count('<figure class="traces"') == 2

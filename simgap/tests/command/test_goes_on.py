@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -31,7 +30,7 @@ WAIT_s = 300.0
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Return a folder with a pendulum and three short motions of it."""
     place = tmp_path_factory.mktemp("pendulum")
     robot, time_s = pendulum(), 0.02 * np.arange(100)
@@ -47,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def steps(cache: Path) -> list[Path]:
+def steps(cache):
     return sorted(cache.glob("simgap/steps/*/*.npz"))
 
 
@@ -68,16 +67,14 @@ start()
 """
 
 
-def run(folder: Path, cache: Path, *start: str) -> subprocess.CompletedProcess[str]:
+def run(folder, cache, *start):
     """Run a diagnosis to its end, or as a program says."""
     env = os.environ | {"XDG_CACHE_HOME": str(cache)}
     command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
     return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
 
 
-def test_base_parameters_alone_are_fitted_without_the_catalogue(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_base_parameters_alone_are_fitted_without_the_catalogue(folder, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     files = ("--report", str(tmp_path / "page.html"), "--patch", str(tmp_path / "found"))
     done = run_simgap(folder, *WORDS, "--terms", "none", *files)
@@ -92,7 +89,7 @@ def test_base_parameters_alone_are_fitted_without_the_catalogue(
 
 
 @pytest.mark.slow
-def test_an_interrupted_command_goes_on_and_prints_the_same_document(folder: Path, tmp_path: Path) -> None:
+def test_an_interrupted_command_goes_on_and_prints_the_same_document(folder, tmp_path):
     whole = run(folder, tmp_path / "other")
     assert whole.returncode == 0, whole.stderr
     ended = run(folder, tmp_path, "-c", ENDING)

@@ -3,7 +3,6 @@
 import json
 import os
 import tomllib
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from helpers.command import run_simgap, snapshot
 from helpers.message_logs import rows, write_mcap
 from helpers.real_robots import repository_file
+from helpers.robot_folder import changed
 from simgap.command.check import check_robot
 from simgap.command.request import CheckRequest
 from simgap.robot import Robot
@@ -38,9 +38,20 @@ TIME_s = np.arange(0.0, 20.0, 0.01)
 POSITION_rad = np.column_stack([0.5 * np.sin(2.0 * TIME_s), 0.4 * np.sin(3.0 * TIME_s + 1.0)])
 VELOCITY_rad_s = np.gradient(POSITION_rad, TIME_s, axis=0)
 COMMAND_rad = np.column_stack([0.5 * np.sin(2.0 * TIME_s + 0.1), 0.4 * np.sin(3.0 * TIME_s + 1.15)])
+JOINTS = ("shoulder", "elbow")
 
 
-def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ",") -> Path:
+def of_joints(signals, names=JOINTS):
+    """Return a column for each joint, (n, 2), under its name in the place of {}."""
+    return {key.format(name): one[:, k] for key, one in signals.items() for k, name in enumerate(names)}
+
+
+def columns_of(names=JOINTS):
+    """Return times, positions and commands of both joints."""
+    return {"t": TIME_s} | of_joints({"q_{}": POSITION_rad, "cmd_{}": COMMAND_rad}, names)
+
+
+def write_csv(folder, columns, separator=","):
     (folder / "model.xml").write_text(MODEL)
     table = [separator.join(columns)]
     table += [separator.join(f"{one:.8g}" for one in row) for row in zip(*columns.values(), strict=True)]
@@ -49,7 +60,7 @@ def write_csv(folder: Path, columns: dict[str, np.ndarray], separator: str = ","
     return path
 
 
-def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict]:
+def start(folder, log="log.csv", *options):
     """Run `init`; return the robot file and the JSON document. The check reads the file and its log."""
     done = run_simgap(folder, "init", "model.xml", log, "--json", *options)
     assert done.returncode == 0, done.stdout
@@ -61,6 +72,13 @@ def start(folder: Path, log: str = "log.csv", *options: str) -> tuple[dict, dict
     can_be_diagnosed = any(one.keys() & {"command", "torque"} for one in file["joints"].values())
     assert checked.returncode == (0 if can_be_diagnosed else 3), checked.stdout
     return file, document
+
+
+def refusal(folder, *words):
+    """Run `init`, which refuses; return what it says."""
+    done = run_simgap(folder, "init", *(words or ("model.xml", "log.csv")))
+    assert done.returncode == 2, words
+    return " ".join(done.stderr.split())
 
 
 @pytest.mark.parametrize(
@@ -94,25 +112,9 @@ def test_a_name_says_joint_signal_and_unit(name, joint, key, unit):
 
 
 def test_units_come_from_names_and_velocities_from_the_change_of_positions(tmp_path):
-    write_csv(
-        tmp_path,
-        {
-            "time_ms": 1e3 * TIME_s,
-            **{
-                f"{name}_deg_actual": np.degrees(POSITION_rad[:, k])
-                for k, name in enumerate(("shoulder", "elbow"))
-            },
-            **{
-                f"{name}_target": np.degrees(COMMAND_rad[:, k])
-                for k, name in enumerate(("shoulder", "elbow"))
-            },
-            **{
-                f"{name}_speed": VELOCITY_rad_s[:, k] * 30.0 / np.pi
-                for k, name in enumerate(("shoulder", "elbow"))
-            },
-        },
-        ";",
-    )
+    shown = {"{}_deg_actual": np.degrees(POSITION_rad), "{}_target": np.degrees(COMMAND_rad)}
+    shown["{}_speed"] = VELOCITY_rad_s * 30.0 / np.pi
+    write_csv(tmp_path, {"time_ms": 1e3 * TIME_s} | of_joints(shown), ";")
     file, document = start(tmp_path)
     assert file["time"] == {"column": "time_ms", "unit": "ms"}
     assert file["control_rate_Hz"] == pytest.approx(100.0)
@@ -126,13 +128,8 @@ def test_units_come_from_names_and_velocities_from_the_change_of_positions(tmp_p
 
 
 def test_degrees_and_percent_are_a_question(tmp_path):
-    columns = {"t": TIME_s}
-    for k, name in enumerate(("shoulder", "elbow")):
-        columns |= {
-            f"state_{name}": np.degrees(POSITION_rad[:, k]),
-            f"action_{name}": np.degrees(COMMAND_rad[:, k]),
-        }
-    write_csv(tmp_path, columns)
+    shown = {"state_{}": np.degrees(POSITION_rad), "action_{}": np.degrees(COMMAND_rad)}
+    write_csv(tmp_path, {"t": TIME_s} | of_joints(shown))
     file, document = start(tmp_path)
     assert file["joints"]["elbow"]["position"]["unit"] == "deg"
     assert any("with --unit percent" in one for one in document["questions"])
@@ -167,48 +164,34 @@ def test_a_gain_is_estimated_by_the_sag_under_gravity(tmp_path):
             data.qpos[:] = q
             mujoco.mj_forward(model, data)
             position[row] = command[row] - data.qfrc_bias / kp_Nm_rad
-    columns = {"t": time_s}
-    for k, name in enumerate(("shoulder", "elbow")):
-        columns |= {f"position_{name}": position[:, k], f"command_{name}": command[:, k]}
-    write_csv(tmp_path, columns)
+    write_csv(tmp_path, {"t": time_s} | of_joints({"position_{}": position, "command_{}": command}))
     file, _ = start(tmp_path)
-    for name, kp in zip(("shoulder", "elbow"), kp_Nm_rad, strict=True):
+    for name, kp in zip(JOINTS, kp_Nm_rad, strict=True):
         assert file["joints"][name]["kp_Nm_rad"] == pytest.approx(kp, rel=0.05)
 
 
 def test_a_velocity_that_fits_no_unit_is_left_away_and_asked(tmp_path):
-    columns = {"t": TIME_s}
-    for k, name in enumerate(("shoulder", "elbow")):
-        share = (POSITION_rad[:, k] + 0.5) if name == "elbow" else POSITION_rad[:, k]
-        columns |= {f"position_{name}": share, f"velocity_{name}": VELOCITY_rad_s[:, k] * (3.0 if k else 1.0)}
-        columns |= {f"command_{name}": COMMAND_rad[:, k] + (0.5 if name == "elbow" else 0.0)}
-    write_csv(tmp_path, columns)
+    shown = {"position_{}": np.add(POSITION_rad, (0.0, 0.5)), "command_{}": np.add(COMMAND_rad, (0.0, 0.5))}
+    shown["velocity_{}"] = VELOCITY_rad_s * (1.0, 3.0)
+    write_csv(tmp_path, {"t": TIME_s} | of_joints(shown))
     file, document = start(tmp_path)
     assert "velocity" in file["joints"]["shoulder"]
     assert "velocity" not in file["joints"]["elbow"]
-    assert any(
-        "velocity_elbow is " in one and "times the change of the position" in one
-        for one in document["questions"]
-    )
+    (asked,) = [one for one in document["questions"] if "velocity_elbow is " in one]
+    assert "times the change of the position" in asked
 
 
 def test_motions_begin_where_the_time_begins_anew(tmp_path):
-    columns = {
-        "trial": np.repeat([0, 1, 2], 600),
-        "repeat": np.repeat([1, 0, 1], 600),
-        "t": np.tile(TIME_s[:600], 3),
-    }
-    for k, name in enumerate(("shoulder", "elbow")):
-        columns |= {f"q_{name}": POSITION_rad[:1800, k], f"q_des_{name}": COMMAND_rad[:1800, k]}
+    columns = {"trial": np.repeat([0, 1, 2], 600), "repeat": np.repeat([1, 0, 1], 600)}
+    columns["t"] = np.tile(TIME_s[:600], 3)
+    columns |= of_joints({"q_{}": POSITION_rad[:1800], "q_des_{}": COMMAND_rad[:1800]})
     write_csv(tmp_path, columns)
     file, _ = start(tmp_path)
     assert file["motion"] == {"columns": ["trial"], "repeat_column": "repeat"}
     del columns["trial"], columns["repeat"]
     write_csv(tmp_path, columns)
     os.remove(tmp_path / "robot.toml")
-    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-    assert done.returncode == 2
-    assert "does not increase at row 601" in " ".join(done.stderr.split())
+    assert "does not increase at row 601" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -221,24 +204,19 @@ def test_motions_begin_where_the_time_begins_anew(tmp_path):
     ids=["twice", "repeated", "nanoseconds"],
 )
 def test_times_that_are_none_are_told(tmp_path, times, said):
-    positions = {f"q_{name}": POSITION_rad[:, k] for k, name in enumerate(("shoulder", "elbow"))}
-    write_csv(tmp_path, {**times, **positions})
-    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-    assert done.returncode == 2
-    assert said in " ".join(done.stderr.split())
+    write_csv(tmp_path, times | of_joints({"q_{}": POSITION_rad}))
+    assert said in refusal(tmp_path)
 
 
 def test_words_among_times_and_files_without_names_are_told(tmp_path):
     path = write_csv(tmp_path, {"t": TIME_s[:9], "q_elbow": TIME_s[:9]})
     text = path.read_text()
-    for changed, said in {
+    for other, said in {
         f"{text}end,0.0\n": "the time 't' holds texts",
         text.partition("\n")[2]: "its columns have no names",
     }.items():
-        path.write_text(changed)
-        done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-        assert done.returncode == 2
-        assert said in " ".join(done.stderr.split())
+        path.write_text(other)
+        assert said in refusal(tmp_path)
 
 
 def test_bad_input_writes_nothing(tmp_path):
@@ -252,32 +230,17 @@ def test_bad_input_writes_nothing(tmp_path):
         ("model.xml", "none.csv"): "there is no such log",
         ("model.xml", "log.csv", "--out", "robot.txt"): "must end in .toml",
     }.items():
-        done = run_simgap(tmp_path, "init", *words)
-        assert done.returncode == 2, words
-        assert said in " ".join(done.stderr.split())
+        assert said in refusal(tmp_path, *words)
     assert snapshot(tmp_path) == before
     (tmp_path / "robot.toml").write_text("mine")
-    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-    assert done.returncode == 2
-    assert "is there already" in " ".join(done.stderr.split())
+    assert "is there already" in refusal(tmp_path)
     assert (tmp_path / "robot.toml").read_text() == "mine"
 
 
-def columns_of(names=("shoulder", "elbow")) -> dict[str, np.ndarray]:
-    """Return times, positions and commands of both joints."""
-    columns = {"t": TIME_s}
-    for k, name in enumerate(names):
-        columns |= {f"q_{name}": POSITION_rad[:, k], f"cmd_{name}": COMMAND_rad[:, k]}
-    return columns
-
-
-def start_with(folder: Path, columns: dict[str, np.ndarray], *changes: tuple[str, str]) -> tuple[dict, list]:
+def start_with(folder, columns, *changes):
     """Run `init` with a changed model; return the robot file and the questions."""
-    path, text = write_csv(folder, columns), MODEL
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "model.xml").write_text(text)
+    path = write_csv(folder, columns)
+    (folder / "model.xml").write_text(changed(MODEL, *changes))
     file, document = start(folder, path.name)
     return file, document["questions"]
 
@@ -332,18 +295,17 @@ def test_a_voltage_below_0_is_asked_and_a_command_that_the_model_cannot_take_wri
     assert any("voltage_elbow goes below 0" in one for one in questions)
     os.remove(tmp_path / "robot.toml")
     write_csv(tmp_path, {key.replace("cmd_", "voltage_cmd_"): one for key, one in columns_of().items()})
-    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-    assert "has no <dcmotor> at this joint" in " ".join(done.stderr.split())
-    assert "So no robot file was written" in " ".join(done.stderr.split())
+    said = refusal(tmp_path)
+    assert "has no <dcmotor> at this joint" in said
+    assert "So no robot file was written" in said
 
 
 def test_a_log_with_one_row_or_too_many_columns_says_so(tmp_path):
     path = write_csv(tmp_path, columns_of())
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
-    assert "has 1 value; a log needs several" in run_simgap(tmp_path, "init", "model.xml", "log.csv").stderr
+    assert "has 1 value; a log needs several" in refusal(tmp_path)
     write_csv(tmp_path, {"t": TIME_s, **{f"q{k}": np.sin(TIME_s + k) for k in range(3)}})
-    done = run_simgap(tmp_path, "init", "model.xml", "log.csv")
-    assert "q has 3 numbers, the model has the joints shoulder, elbow" in " ".join(done.stderr.split())
+    assert "q has 3 numbers, the model has the joints shoulder, elbow" in refusal(tmp_path)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """A pendulum with a servo, as a robot made by hand."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -25,6 +26,18 @@ XML = """
   </worldbody>
 </mujoco>
 """
+FILE = """name = "pendulum"
+model = "model.xml"
+time_step_s = {step_s}
+control_rate_Hz = {rate_Hz}
+time = {{ column = "t", unit = "s" }}
+[joints.swing]
+mode = "{mode}"
+position = {{ column = "q", unit = "rad" }}
+command = {{ column = "c", unit = "{unit}" }}
+{more}
+"""
+UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m", "current": "A", "voltage": "V"}
 INERTIA_kgm2 = MASS_kg * LENGTH_m**2 + ARMATURE_kgm2
 
 
@@ -47,6 +60,14 @@ def pendulum(
     )  # fmt: skip
     joint = RobotJoint("swing", 0, 0, mode, kp, kd, limit_Nm, torque_constant_Nm_A=2.0)
     return Robot("pendulum", mujoco.MjModel.from_xml_string(xml), xml, (joint,), period_s, "")
+
+
+def read(folder: Path, xml: str, mode: str, step_s: float = 0.002, more: str = "") -> Robot:
+    """Read a pendulum of this model from the files of a user."""
+    text = FILE.format(mode=mode, unit=UNITS[mode], step_s=step_s, rate_Hz=round(1 / step_s), more=more)
+    (folder / "model.xml").write_text(xml)
+    (folder / "robot.toml").write_text(text)
+    return Robot.from_toml(folder / "robot.toml")
 
 
 def motion(

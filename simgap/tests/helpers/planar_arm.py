@@ -6,7 +6,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from simgap.checks.nominal import simulate_nominal
+from simgap.command.check import simulate_nominal
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models

@@ -65,14 +65,18 @@ COLUMNS = {
 }
 
 
-def write_robot(folder: Path, *changes: tuple[str, str], model: str = MODEL) -> Path:
-    """Write the robot with changes of the text of its file; return the path of the file."""
-    text = ROBOT
+def changed(text: str, *changes: tuple[str, str]) -> str:
+    """Return a text with changes of parts that are in it."""
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
+    return text
+
+
+def write_robot(folder: Path, *changes: tuple[str, str], model: str = MODEL) -> Path:
+    """Write the robot with changes of the text of its file; return the path of the file."""
     (folder / "model.xml").write_text(model)
-    (folder / "robot.toml").write_text(text)
+    (folder / "robot.toml").write_text(changed(ROBOT, *changes))
     return folder / "robot.toml"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from helpers.robot_folder import changed
 from simgap.arrays import Array
 
 MODEL = """<mujoco model="lift">
@@ -78,11 +79,7 @@ def model_text(has_gripper: bool = False) -> str:
 def write_folder(folder: Path, *changes: tuple[str, str], has_gripper: bool = False) -> Path:
     """Write model and robot file, with changes of the text of the latter; return the path of the file."""
     (folder / "model.xml").write_text(model_text(has_gripper))
-    text = FILE
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "robot.toml").write_text(text)
+    (folder / "robot.toml").write_text(changed(FILE, *changes))
     return folder / "robot.toml"
 
 

@@ -5,17 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from helpers.serial_synthetic import built_arm, drawn_arm
-from simgap.serial_arm.chain import (
-    IDENTITY,
-    Pose,
-    error_screw,
-    forward_kinematics,
-    linearise,
-    load_torque_Nm,
-    repeat_pose,
-    screw_log,
-    skew,
-)
+from simgap.serial_arm import chain
 
 
 def matrix(six, q):
@@ -41,7 +31,7 @@ def matrix(six, q):
 def test_the_chain_is_the_product_of_the_paper_s_link_transforms():
     arm = built_arm(drawn_arm(5), 3)
     q = np.random.default_rng(0).uniform(-3, 3, (5, 7))
-    ends, _ = forward_kinematics(repeat_pose(IDENTITY, 7), arm.link_geometry, q)
+    ends, _ = chain.forward_kinematics(chain.repeat_pose(chain.IDENTITY, 7), arm.link_geometry, q)
     for n in range(7):
         X = np.eye(4)
         for six, turn, end in zip(arm.link_geometry, q[:, n], ends, strict=True):
@@ -58,14 +48,15 @@ def test_the_load_is_the_slope_of_the_energy():
     q = np.random.default_rng(1).uniform(-3, 3, (5, 1))
 
     def energy(angles):
-        ends, _ = forward_kinematics(repeat_pose(IDENTITY, 1), arm.link_geometry, angles)
+        ends, _ = chain.forward_kinematics(chain.repeat_pose(chain.IDENTITY, 1), arm.link_geometry, angles)
         heavy = [
-            (X @ Pose(np.eye(3)[:, :, None], c[:, None])).p[:, 0] for X, c in zip(ends, centres, strict=True)
+            (X @ chain.Pose(np.eye(3)[:, :, None], c[:, None])).p[:, 0]
+            for X, c in zip(ends, centres, strict=True)
         ]
         return -sum(m * gravity @ p for m, p in zip(masses, heavy, strict=True))
 
-    ends, axes = forward_kinematics(repeat_pose(IDENTITY, 1), arm.link_geometry, q)
-    torque = load_torque_Nm(ends, axes, masses, centres, gravity)[:, 0]
+    ends, axes = chain.forward_kinematics(chain.repeat_pose(chain.IDENTITY, 1), arm.link_geometry, q)
+    torque = chain.load_torque_Nm(ends, axes, masses, centres, gravity)[:, 0]
     steps = 1e-6 * np.eye(5)[:, :, None]
     slope = [(energy(q + h) - energy(q - h)) / 2e-6 for h in steps]
     np.testing.assert_allclose(torque, -np.array(slope), atol=1e-7)
@@ -77,16 +68,16 @@ RNG = np.random.default_rng(0)
 def screw_exp(screw):
     """Return the poses of screws, (6, n), by the exponential of matrices."""
     twist = np.zeros((screw.shape[1], 4, 4))
-    twist[:, :3, :3], twist[:, :3, 3] = np.moveaxis(skew(screw[:3]), -1, 0), screw[3:].T
+    twist[:, :3, :3], twist[:, :3, 3] = np.moveaxis(chain.skew(screw[:3]), -1, 0), screw[3:].T
     X = expm(twist)
-    return Pose(np.moveaxis(X[:, :3, :3], 0, -1), X[:, :3, 3].T)
+    return chain.Pose(np.moveaxis(X[:, :3, :3], 0, -1), X[:, :3, 3].T)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 9e-3, 1.1e-2, 0.3, 2.5])
 def test_the_logarithm_undoes_the_exponential(size):
     screw = RNG.standard_normal((6, 40))
     screw *= size / np.linalg.norm(screw[:3], axis=0)
-    np.testing.assert_allclose(screw_log(screw_exp(screw)), screw, atol=1e-12 * max(1, size), rtol=1e-8)
+    np.testing.assert_allclose(chain.screw_log(screw_exp(screw)), screw, atol=1e-12 * max(1, size), rtol=1e-8)
 
 
 def poses(n):
@@ -95,7 +86,7 @@ def poses(n):
 
 def test_the_error_screw_leads_from_the_modelled_to_the_measured_pose():
     modelled, measured = poses(10), poses(10)
-    screw = error_screw(modelled, measured)
+    screw = chain.error_screw(modelled, measured)
     np.testing.assert_allclose((modelled @ screw_exp(screw)).R, measured.R, atol=1e-12)
     np.testing.assert_allclose((modelled @ screw_exp(screw)).p, measured.p, atol=1e-12)
 
@@ -106,11 +97,13 @@ def test_derivatives_of_the_whitened_screw_are_exact():
     whitener = RNG.standard_normal((n, 6, 6))
     measured = modelled @ screw_exp(0.05 * RNG.standard_normal((6, n)))
     moved = RNG.standard_normal((6, n, 3))
-    exact = linearise(modelled, moved, measured, whitener).jacobian
+    exact = chain.linearise(modelled, moved, measured, whitener).jacobian
     for k in range(3):
         step = 1e-5
         plus, minus = (
-            linearise(modelled @ screw_exp(sign * step * moved[:, :, k]), moved, measured, whitener).residual
+            chain.linearise(
+                modelled @ screw_exp(sign * step * moved[:, :, k]), moved, measured, whitener
+            ).residual
             for sign in (1, -1)
         )
         np.testing.assert_allclose(exact[:, :, k], (plus - minus) / (2 * step), rtol=1e-5, atol=1e-6)

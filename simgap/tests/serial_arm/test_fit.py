@@ -8,13 +8,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom, kstest
 
 from helpers.serial_planar import Planar, parameters
-from simgap.serial_arm.fit import (
-    Linearisation,
-    assess_identifiability,
-    fit,
-    leave_one_out_distance,
-    validate_hold_out,
-)
+from simgap.serial_arm import fit
 
 
 @pytest.mark.parametrize("joints", [1, 3, 6])
@@ -27,7 +21,7 @@ def test_the_optimum_is_that_of_least_squares(joints, prior):
     def residual(x):
         return np.concatenate([model(x).residual.ravel(), x / prior])
 
-    found = fit(unknowns, model)
+    found = fit.fit(unknowns, model)
     other = least_squares(residual, np.zeros(2 * joints), x_scale=1e-3, xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert found.converged
     np.testing.assert_allclose(found.values, other.x, atol=1e-3 * found.sigma.min())
@@ -36,7 +30,7 @@ def test_the_optimum_is_that_of_least_squares(joints, prior):
 def test_far_from_the_optimum_damping_finds_the_way():
     rng = np.random.default_rng(3)
     model = Planar(rng, 3, lengths=np.array([0.1, -0.1, 0.2, 1.2, -0.9, 0.7]))
-    found = fit(parameters(3), model)
+    found = fit.fit(parameters(3), model)
     assert found.converged
     assert 0.7 < found.sigma0 < 1.3
 
@@ -46,7 +40,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
     inside = []
     for _ in range(100):
         truth = 2e-3 * rng.standard_normal(6)
-        found = fit(parameters(3, 2e-3), Planar(rng, 3, 20, truth))
+        found = fit.fit(parameters(3, 2e-3), Planar(rng, 3, 20, truth))
         inside.append(np.abs(found.values - truth) < 1.645 * found.sigma)
     low, high = binom.interval(0.999, 100, 0.9)
     assert np.all((np.sum(inside, axis=0) >= low) & (np.sum(inside, axis=0) <= high))
@@ -54,13 +48,13 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
 
 def test_the_p_value_is_uniform_where_the_noise_is_what_was_said():
     rng = np.random.default_rng(5)
-    found = [fit(parameters(3), Planar(rng)).p_value for _ in range(200)]
+    found = [fit.fit(parameters(3), Planar(rng)).p_value for _ in range(200)]
     assert kstest(found, "uniform").pvalue > 0.01
 
 
 def test_noise_that_is_larger_than_said_is_told():
     model = Planar(np.random.default_rng(6))
-    quiet = fit(parameters(3), lambda x: Linearisation(2 * model(x).residual, 2 * model(x).jacobian))
+    quiet = fit.fit(parameters(3), lambda x: fit.Linearisation(2 * model(x).residual, 2 * model(x).jacobian))
     assert quiet.sigma0 == pytest.approx(2, rel=0.2)
     assert quiet.p_value < 1e-6
 
@@ -71,7 +65,7 @@ def test_joints_that_never_move_are_one_with_what_they_cannot_be_told_from():
     angles = rng.uniform(-2, 2, (3, 60))
     angles[1] = 0.3
     model = Planar(rng, 3, angles=angles)
-    found = assess_identifiability(parameters(3), model(np.zeros(6)))
+    found = fit.assess_identifiability(parameters(3), model(np.zeros(6)))
     assert found.rank == 4
     (confused,) = found.unidentifiable_groups()
     assert set(confused.names) == {"length0", "length1", "zero0", "zero1", "zero2"}
@@ -82,7 +76,7 @@ def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
     rng = np.random.default_rng(8)
     angles = rng.uniform(-2, 2, (2, 60))
     angles[1] = 0.0
-    found = fit(parameters(2), Planar(rng, 2, angles=angles, lengths=np.array([1e-3, 1e-3, 0, 0])))
+    found = fit.fit(parameters(2), Planar(rng, 2, angles=angles, lengths=np.array([1e-3, 1e-3, 0, 0])))
     assert found.converged
     assert np.isinf(found.sigma[[0, 1, 3]]).all()
     assert np.isfinite(found.sigma[2]) or found.unconstrained[2] > 0
@@ -92,10 +86,12 @@ def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
 def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():
     rng = np.random.default_rng(13)
     model = Planar(rng, poses=12)
-    found = fit(parameters(3), model)
+    found = fit.fit(parameters(3), model)
     used = np.arange(12) != 5
-    others = fit(parameters(3), model, used=used)
-    assert leave_one_out_distance(found)[5] == pytest.approx(leave_one_out_distance(others)[5], rel=1e-2)
+    others = fit.fit(parameters(3), model, used=used)
+    assert fit.leave_one_out_distance(found)[5] == pytest.approx(
+        fit.leave_one_out_distance(others)[5], rel=1e-2
+    )
 
 
 def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():
@@ -104,13 +100,13 @@ def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():
     for _ in range(30):
         truth = 2e-3 * rng.standard_normal(6)
         model, fresh = (Planar(rng, 3, poses, truth) for poses in (10, 200))
-        found = fit(parameters(3), model)
-        ratios.append(validate_hold_out(found, fresh(found.values)).ratio)
+        found = fit.fit(parameters(3), model)
+        ratios.append(fit.validate_hold_out(found, fresh(found.values)).ratio)
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_fit_is_the_same_to_the_last_bit_every_time():
     model = Planar(np.random.default_rng(15))
-    one, other = fit(parameters(3), model), fit(parameters(3), model)
+    one, other = fit.fit(parameters(3), model), fit.fit(parameters(3), model)
     assert np.array_equal(one.values, other.values)
     assert replace(one, values=other.values).sigma0 == other.sigma0

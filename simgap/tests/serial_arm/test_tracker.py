@@ -9,15 +9,8 @@ from helpers.marks import slow_but
 from helpers.real_robots import repository_file
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 from simgap.common.errors import RobotError
+from simgap.serial_arm import effects as kinds
 from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, pose_errors
-from simgap.serial_arm.effects import (
-    BLOCKS,
-    DirectionHysteresis,
-    Elimination,
-    PeriodicJointError,
-    TrackerCompliance,
-    patch_arm,
-)
 from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.model import TERMS
 from simgap.serial_arm.tracker import diagnose_tracker, fit_tracker
@@ -52,16 +45,16 @@ def three():
 
 def test_each_effect_is_named_at_its_joint_and_no_other(three):
     assert {(one.place, one.effect) for one in three.findings} == {
-        ("joint0", DirectionHysteresis.name),
-        ("joint1", TrackerCompliance.name),
-        ("joint2", PeriodicJointError.name),
+        ("joint0", kinds.DirectionHysteresis.name),
+        ("joint1", kinds.TrackerCompliance.name),
+        ("joint2", kinds.PeriodicJointError.name),
     }
 
 
 def test_the_intervals_hold_the_sizes(three):
     sizes = {one.effect: (one.size[0], one.interval[0]) for one in three.findings}
-    truth = {DirectionHysteresis.name: 2e-4, TrackerCompliance.name: 4e-5}
-    truth[PeriodicJointError.name] = 3e-4 / np.sqrt(2)
+    truth = {kinds.DirectionHysteresis.name: 2e-4, kinds.TrackerCompliance.name: 4e-5}
+    truth[kinds.PeriodicJointError.name] = 3e-4 / np.sqrt(2)
     for name, (size, (low, high)) in sizes.items():
         assert size == pytest.approx(truth[name], rel=0.15)
         assert low - 0.3 * (high - low) < truth[name] < high + 0.3 * (high - low)
@@ -84,7 +77,7 @@ def test_the_error_comes_back_without_a_finding(three):
 
 
 def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
-    arm = patch_arm(drawn_arm(3), three.effects, three.sizes)
+    arm = kinds.patch_arm(drawn_arm(3), three.effects, three.sizes)
     poses = series(built_with(**THREE), setup(2), COUNT, 5)
     part, fresh = poses.at(np.arange(COUNT) < COUNT // 2), poses.at(np.arange(COUNT) >= COUNT // 2)
     placed = calibrate_series(arm, estimate_setup(arm, part), part, ())
@@ -102,9 +95,11 @@ def test_an_arm_with_errors_of_its_links_only_has_no_finding(seed):
 
 def test_a_compliance_below_zero_is_not_named():
     found = diagnose(built_with(joint1={"compliance_rad_per_Nm": -4e-5}))
-    assert all(one.effect != TrackerCompliance.name for one in found.findings)
+    assert all(one.effect != kinds.TrackerCompliance.name for one in found.findings)
     (reason,) = (
-        one.reason for one in found.rejected if (one.place, one.effect) == ("joint1", TrackerCompliance.name)
+        one.reason
+        for one in found.rejected
+        if (one.place, one.effect) == ("joint1", kinds.TrackerCompliance.name)
     )
     assert "no joint is" in reason or "does not lower" in reason
 
@@ -145,8 +140,8 @@ def test_without_a_parameter_the_fit_is_that_of_a_model_without_it():
     terms = tuple(term for term in TERMS if term != "compliance")
     other = calibrate_series(drawn, stands, part, terms).fit
     is_out = np.array([one.name.endswith(".compliance") for one in fit.parameters])
-    found = Elimination(fit).without(is_out)
-    assert found.by_block.shape == (BLOCKS, fit.values.size)
+    found = kinds.Elimination(fit).without(is_out)
+    assert found.by_block.shape == (kinds.BLOCKS, fit.values.size)
     assert np.all(found.values[is_out] == 0.0)
     near = np.abs(found.values[~is_out] - other.values) / np.array([one.scale for one in other.parameters])
     assert near.max() < 0.01

@@ -10,7 +10,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import recover
-from simgap.files.decoding import BadMessage, make_decoder
+from simgap.files.mcap_log import BadMessage, make_decoder
 from tests.marsarm.command import SHORT_RUN, marsarm
 from tests.marsarm.runs.conftest import initialise_exactly
 

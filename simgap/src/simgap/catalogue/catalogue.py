@@ -15,51 +15,9 @@ from typing import Final
 import numpy as np
 
 from simgap.catalogue.links import depends_on_angle, link_effects
-from simgap.effects.actuation import (
-    BackEmf,
-    CurrentScale,
-    DampingGain,
-    DeadZone,
-    GainError,
-    LeakyIntegral,
-    SupplySag,
-    TorqueConstant,
-    TorqueLimit,
-)
-from simgap.effects.command import (
-    AccelerationLimit,
-    ClampHigh,
-    ClampLow,
-    CommandDelay,
-    CommonCommandDelay,
-    CommonMeasurementDelay,
-    EncoderScale,
-    JointZero,
-    MeasurementDelay,
-    VelocityLimit,
-)
+from simgap.effects import actuation, command, forces, transmission
 from simgap.effects.effect import Effect, JointEffect, JointScales, joint_scales
-from simgap.effects.forces import (
-    AsymmetricFriction,
-    ConstantTorque,
-    CoulombFriction,
-    LoadFriction,
-    PeriodicTorque,
-    PositionTorque,
-    Spring,
-    StribeckFriction,
-    TemperatureFriction,
-    ViscousFriction,
-)
 from simgap.effects.inertia import Armature
-from simgap.effects.transmission import (
-    Backlash,
-    JointCompliance,
-    JointCoupling,
-    PeriodicError,
-    SmoothPeriodicError,
-    gear_inertia_kgm2,
-)
 from simgap.logs import JointLog, Logs, Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -110,38 +68,38 @@ class _Facts:
 
 _Condition = Callable[[_Facts], bool]
 JOINT_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (StribeckFriction, _Facts.is_logged),
-    (LoadFriction, _Facts.is_logged),
-    (AsymmetricFriction, _Facts.is_logged),
-    (TemperatureFriction, _Facts.warms),
-    (DampingGain, _Facts.has_damping_loop),
-    (TorqueConstant, _Facts.has_limit),
-    (TorqueLimit, _Facts.has_command),
-    (BackEmf, _Facts.has_command),
-    (DeadZone, _Facts.has_position_loop),
-    (LeakyIntegral, _Facts.has_position_loop),
-    (VelocityLimit, _Facts.has_position_loop),
-    (AccelerationLimit, _Facts.has_position_loop),
-    (ClampLow, _Facts.has_command),
-    (ClampHigh, _Facts.has_command),
-    (ConstantTorque, _Facts.is_logged),
-    (Spring, _Facts.is_logged),
-    (PositionTorque, _Facts.is_hinge),
-    (CommandDelay, _Facts.has_command),
-    (MeasurementDelay, _Facts.is_logged),
-    (EncoderScale, _Facts.is_logged),
-    (JointZero, _Facts.sees_zero),
+    (forces.StribeckFriction, _Facts.is_logged),
+    (forces.LoadFriction, _Facts.is_logged),
+    (forces.AsymmetricFriction, _Facts.is_logged),
+    (forces.TemperatureFriction, _Facts.warms),
+    (actuation.DampingGain, _Facts.has_damping_loop),
+    (actuation.TorqueConstant, _Facts.has_limit),
+    (actuation.TorqueLimit, _Facts.has_command),
+    (actuation.BackEmf, _Facts.has_command),
+    (actuation.DeadZone, _Facts.has_position_loop),
+    (actuation.LeakyIntegral, _Facts.has_position_loop),
+    (command.VelocityLimit, _Facts.has_position_loop),
+    (command.AccelerationLimit, _Facts.has_position_loop),
+    (command.ClampLow, _Facts.has_command),
+    (command.ClampHigh, _Facts.has_command),
+    (forces.ConstantTorque, _Facts.is_logged),
+    (forces.Spring, _Facts.is_logged),
+    (forces.PositionTorque, _Facts.is_hinge),
+    (command.CommandDelay, _Facts.has_command),
+    (command.MeasurementDelay, _Facts.is_logged),
+    (command.EncoderScale, _Facts.is_logged),
+    (command.JointZero, _Facts.sees_zero),
 )
 """Effects at one joint, and where each makes sense."""
 BASE_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (ViscousFriction, _Facts.is_logged),
-    (CoulombFriction, _Facts.is_logged),
+    (forces.ViscousFriction, _Facts.is_logged),
+    (forces.CoulombFriction, _Facts.is_logged),
     (Armature, _Facts.is_logged),
-    (GainError, _Facts.has_command),
+    (actuation.GainError, _Facts.has_command),
 )
 """Nuisances of a joint that is not known, and candidates at one that is."""
 SWITCHED_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
-    (DampingGain, _Facts.is_switched),
+    (actuation.DampingGain, _Facts.is_switched),
 )
 """Further nuisances. Back-EMF acts under power alone; a log without power tells it from viscous friction."""
 
@@ -155,10 +113,12 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
         found += _at(robot, facts, [row for table in tables for row in table])
         if facts.joint.gear_ratio > 1:  # a turn of the motor: the only order that a robot file knows
             scale = {facts.joint.name: facts.scales}
-            found.append(PeriodicTorque.of_order(robot, facts.joint.name, scale, facts.joint.gear_ratio))
+            found.append(
+                forces.PeriodicTorque.of_order(robot, facts.joint.name, scale, facts.joint.gear_ratio)
+            )
     scales = {facts.joint.name: facts.scales for facts in all_facts}
     if len(all_facts) == len(robot.joints) and all(facts.has_command() for facts in all_facts):
-        sag = SupplySag.of(robot, scales, logs.fit)
+        sag = actuation.SupplySag.of(robot, scales, logs.fit)
         found += [sag] if sag.high > 0.0 else []
     found += _common_delays(robot, found)
     found += transmission_effects(robot, logs.fit, scales)
@@ -168,12 +128,15 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
 
 def _common_delays(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
     """List delays that all joints have in common, where several joints may have one each."""
-    commands = tuple(one for one in found if isinstance(one, CommandDelay))
-    positions = tuple(one for one in found if isinstance(one, MeasurementDelay))
+    commands = tuple(one for one in found if isinstance(one, command.CommandDelay))
+    positions = tuple(one for one in found if isinstance(one, command.MeasurementDelay))
     if len(commands) < 2:
         return []
     period_s = robot.control_period_s
-    return [CommonCommandDelay(commands, period_s), CommonMeasurementDelay(positions, period_s)]
+    return [
+        command.CommonCommandDelay(commands, period_s),
+        command.CommonMeasurementDelay(positions, period_s),
+    ]
 
 
 def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
@@ -186,7 +149,7 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     for facts in _facts(robot, logs.fit):
         found += [] if facts.joint.is_known else _at(robot, facts, (*BASE_EFFECTS, *SWITCHED_EFFECTS))
         if not facts.joint.torque_constant_is_known:
-            found += _at(robot, facts, ((CurrentScale, _Facts.is_logged),))
+            found += _at(robot, facts, ((actuation.CurrentScale, _Facts.is_logged),))
     return tuple(replace(effect, is_base=True) for effect in found)
 
 
@@ -266,15 +229,15 @@ def _gear(robot: Robot, j: int, scales: JointScales, spread_rad: float) -> list[
         backlash_rad, compliance = 2 * SEEN_SHARE * spread_rad, SEEN_SHARE * spread_rad / scales.torque_Nm
         high_rad, softest = 10 * backlash_rad, 10 * compliance
     else:
-        per_compliance = gear_inertia_kgm2(robot, j) * (2 * np.pi) ** 2
+        per_compliance = transmission.gear_inertia_kgm2(robot, j) * (2 * np.pi) ** 2
         static = DEFLECTION_RAD * joint.per_rad / scales.torque_Nm
         backlash_rad = SERVO_BACKLASH_RAD * joint.per_rad
         high_rad = 10 * backlash_rad
         compliance = min(1 / (per_compliance * VISIBLE_Hz**2), static)
         softest = min(1 / (per_compliance * SOFTEST_Hz**2), 10 * static)
     return [
-        Backlash(joint.name, j, is_at_output, backlash_rad, high_rad, joint.is_slide),
-        JointCompliance(joint.name, j, is_at_output, compliance, softest, joint.is_slide),
+        transmission.Backlash(joint.name, j, is_at_output, backlash_rad, high_rad, joint.is_slide),
+        transmission.JointCompliance(joint.name, j, is_at_output, compliance, softest, joint.is_slide),
     ]
 
 
@@ -288,7 +251,9 @@ def _couplings(robot: Robot, j: int, scales: Mapping[str, JointScales], spread_r
         neighbour = robot.joints[k].name
         range_rad = scales[neighbour].high_rad - scales[neighbour].low_rad
         typical = SEEN_SHARE * spread_rad / range_rad if spread_rad > 0 and range_rad > 0 else SERVO_COUPLING
-        found.append(JointCoupling(robot.joints[j].name, j, neighbour, k, min(typical, SERVO_COUPLING)))
+        found.append(
+            transmission.JointCoupling(robot.joints[j].name, j, neighbour, k, min(typical, SERVO_COUPLING))
+        )
     return found
 
 
@@ -301,5 +266,7 @@ def _periodic(joint: RobotJoint, scales: JointScales, spread_rad: float) -> list
     range_rad = scales.high_rad - scales.low_rad
     orders = dict.fromkeys((1, 2, max(1, round(joint.gear_ratio))))
     typical_rad = SEEN_SHARE * spread_rad
-    single = [PeriodicError(joint.name, k, typical_rad) for k in orders if k * range_rad >= np.pi]
-    return [*single, SmoothPeriodicError(joint.name, typical_rad)]
+    single = [
+        transmission.PeriodicError(joint.name, k, typical_rad) for k in orders if k * range_rad >= np.pi
+    ]
+    return [*single, transmission.SmoothPeriodicError(joint.name, typical_rad)]

@@ -8,21 +8,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, percentile_filter
 
 from simgap.arrays import Array, Flags
-from simgap.checks.records import (
-    COARSE_RAD,
-    STEPS,
-    Faulty,
-    Remark,
-    RemarkKind,
-    Samples,
-    encoder_step_rad,
-    joint_samples,
-    robust_sigma,
-    runs,
-    samples_of,
-    say_times,
-    span,
-)
+from simgap.checks import records
 from simgap.logs import Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -43,29 +29,30 @@ ROUND: Final = 0.1
 """Share of a turn, or of a range, by which whole turns may be missed: a joint moves by less in a row."""
 
 
-def find_wraps(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+def find_wraps(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find positions and commands that jump by whole turns between two rows, and counters that did."""
     for joint in robot.joints:
         wraps = {one.name: one.unwrapped[joint.name] for one in motions if joint.name in one.unwrapped}
         if wraps:
             count = sum(wraps.values())
             text = (
-                f"the counter wraps {say_times(count)}; it is unwrapped"
+                f"the counter wraps {records.say_times(count)}; it is unwrapped"
                 if count
                 else "the counter knows no whole turns; it is moved by turns to where the joint is"
             )
-            yield Remark(RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count))
+            yield records.Remark(records.RemarkKind.COUNTER, joint.name, tuple(wraps), text, float(count))
         for name in ("position", "command", "secondary") if not joint.is_slide else ():
             if name == "command" and joint.mode is not ControlMode.POSITION:
                 continue
             jumps = {one.name: n for one in motions if (n := _count_turns(one, joint.name, name))}
             if jumps:
                 count = sum(jumps.values())
+                often = records.say_times(count)
                 text = (
-                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {say_times(count)}: it "
-                    "wraps. Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
+                    f"the {name} jumps by whole turns (6.28 rad) between two rows, {often}: it wraps. "
+                    "Unwrap it, or give the unit count with the counts_per_turn where it begins anew"
                 )
-                yield Remark(RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count))
+                yield records.Remark(records.RemarkKind.WRAP, joint.name, tuple(jumps), text, float(count))
 
 
 def _count_turns(motion: Motion, joint: str, name: str) -> int:
@@ -82,7 +69,7 @@ def _count_turns(motion: Motion, joint: str, name: str) -> int:
     return int(np.sum(is_turn))
 
 
-def spike_flags(samples: Samples, step_rad: float) -> Flags:
+def spike_flags(samples: records.Samples, step_rad: float) -> Flags:
     """Flag one or two samples that jump away from those before and after, (n,).
 
     Their distance from the mean of these neighbours is compared with the steps that are usual near by, with
@@ -94,7 +81,7 @@ def spike_flags(samples: Samples, step_rad: float) -> Flags:
         return flags
     sent = np.nan_to_num(samples.command)
     commanded = maximum_filter1d(sent, WINDOW) - minimum_filter1d(sent, WINDOW)
-    least = SURE * _usual_steps(value) + SIGMAS * _noise_rad(value) + STEPS * step_rad
+    least = SURE * _usual_steps(value) + SIGMAS * _noise_rad(value) + records.STEPS * step_rad
     least = np.maximum(least, commanded[:-1])
     for width in (1, 2):
         before, after = value[: -width - 1], value[width + 1 :]
@@ -110,7 +97,7 @@ REPEATS: Final = 3
 """Same values in a row that count as stale; fewer are usual where a bus is read faster than its servo."""
 
 
-def stale_flags(samples: Samples, step_rad: float) -> Flags:
+def stale_flags(samples: records.Samples, step_rad: float) -> Flags:
     """Flag values that repeat while the joint moves on, (n,).
 
     A value is stale if it is repeated several times, the joint moved clearly before, and jumps afterwards by
@@ -120,25 +107,25 @@ def stale_flags(samples: Samples, step_rad: float) -> Flags:
     if position.size < REPEATS + 2:
         return flags
     step = np.diff(position)
-    for begin, end in runs(step == 0.0):
+    for begin, end in records.runs(step == 0.0):
         if end - begin < REPEATS or begin == 0 or end >= step.size:
             continue
         before, jump = step[begin - 1], step[end]
-        is_moving = abs(before) > STEPS * step_rad
+        is_moving = abs(before) > records.STEPS * step_rad
         missed = abs(before) * (end - begin)
         if is_moving and abs(jump) > max(0.5 * missed, 2.0 * abs(before)):
             flags[begin + 1 : end + 1] = True
     return flags
 
 
-def flag_samples(motions: Sequence[Motion]) -> Faulty:
+def flag_samples(motions: Sequence[Motion]) -> records.Faulty:
     """Flag position samples that are no number, stale, or spikes."""
     names = dict.fromkeys(name for motion in motions for name in motion.joints)
-    step_rad = {name: encoder_step_rad(motions, name) for name in names}
+    step_rad = {name: records.encoder_step_rad(motions, name) for name in names}
     found: dict[tuple[str, str], dict[str, Flags]] = {}
     for motion in motions:
         for name, log in motion.joints.items():
-            samples, n = joint_samples(log), log.position.value.size
+            samples, n = records.joint_samples(log), log.position.value.size
             flags = {"not finite": np.ones(n, np.bool_)}
             flags["not finite"][samples.index] = False
             for fault, find in (("stale", stale_flags), ("spike", spike_flags)):
@@ -148,10 +135,12 @@ def flag_samples(motions: Sequence[Motion]) -> Faulty:
     return found
 
 
-def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> Iterator[Remark]:
+def describe_spikes(
+    robot: Robot, motions: Sequence[Motion], faulty: records.Faulty
+) -> Iterator[records.Remark]:
     """Remark positions that jump away for a sample or two."""
     for joint in robot.joints:
-        own = samples_of(motions, joint.name)
+        own = records.samples_of(motions, joint.name)
         spikes = {name: faulty[name, joint.name]["spike"][one.index] for name, one in own.items()}
         away_rad = {
             name: np.abs(one.position - np.median(one.position))[spikes[name]]
@@ -165,19 +154,19 @@ def describe_spikes(robot: Robot, motions: Sequence[Motion], faulty: Faulty) -> 
                 "from the median: were they read wrongly?"
             )
             names, furthest = tuple(away_rad), float(every.max())
-            yield Remark(RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit)
+            yield records.Remark(records.RemarkKind.SPIKE, joint.name, names, text, furthest, unit=joint.unit)
 
 
 SPREAD: Final = 10.0
 """Range of a position in standard deviations of its noise from which the joint moves: noise alone has 4.7."""
 
 
-def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find joints that hardly move in any motion, and positions that never change while commands do."""
     for joint in robot.joints:
-        own = samples_of(motions, joint.name)
+        own = records.samples_of(motions, joint.name)
         positions = [one.position for one in own.values()]
-        step_rad = encoder_step_rad(motions, joint.name)
+        step_rad = records.encoder_step_rad(motions, joint.name)
         if any(_is_coarse(one, joint) for one in own.values()):
             continue
         noise_rad = max([_noise_rad(one) for one in positions] + [step_rad / 12**0.5])
@@ -185,16 +174,16 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
         spread_rad = max(ranges_rad, default=math.inf)
         if spread_rad > SPREAD * noise_rad:
             continue
-        place, is_constant = joint.show(positions[0][0]), span(np.concatenate(positions)) == 0.0
-        sent = {name: span(one.command) for name, one in own.items()}
-        moved = tuple(name for name, one in sent.items() if one > COARSE_RAD * joint.per_rad)
+        place, is_constant = joint.show(positions[0][0]), records.span(np.concatenate(positions)) == 0.0
+        sent = {name: records.span(one.command) for name, one in own.items()}
+        moved = tuple(name for name, one in sent.items() if one > records.COARSE_RAD * joint.per_rad)
         if is_constant and moved and joint.mode is ControlMode.POSITION:
             text = (
                 f"the position stays at {place}, while the command spans "
                 f"{joint.show(max(sent.values()), '.3g')}: is the encoder dead, or is it the wrong column?"
             )
             value = float(positions[0][0])
-            yield Remark(RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit)
+            yield records.Remark(records.RemarkKind.CONSTANT, joint.name, moved, text, value, unit=joint.unit)
             continue
         text = (
             f"the joint never moves: its position stays at {place}"
@@ -203,23 +192,25 @@ def find_still_joints(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
             f"their noise is {joint.show_small(noise_rad, '.2g')}"
         )
         text += ". Nothing about this joint can be identified"
-        yield Remark(RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit)
+        yield records.Remark(
+            records.RemarkKind.STILL, joint.name, tuple(own), text, spread_rad, unit=joint.unit
+        )
 
 
-def find_idle_signals(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+def find_idle_signals(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find velocities and torques that never change while position and command do: they are not measured."""
     for joint in robot.joints:
-        least_rad = COARSE_RAD * joint.per_rad
+        least_rad = records.COARSE_RAD * joint.per_rad
         moves = {
             name
-            for name, one in samples_of(motions, joint.name).items()
-            if min(span(one.position), span(one.command)) > least_rad
+            for name, one in records.samples_of(motions, joint.name).items()
+            if min(records.span(one.position), records.span(one.command)) > least_rad
         }
         names = tuple(one.name for one in motions if one.name in moves)
         logs = [one.joints[joint.name] for one in motions if one.name in moves]
         for key, what, kind in (
-            ("velocity", "velocity", RemarkKind.MISSING),
-            ("torque", "torque (or current)", RemarkKind.CONSTANT),
+            ("velocity", "velocity", records.RemarkKind.MISSING),
+            ("torque", "torque (or current)", records.RemarkKind.CONSTANT),
         ):
             signals = [signal for log in logs if (signal := getattr(log, key)) is not None]
             values = np.concatenate([np.zeros(0), *(one.value for one in signals)])
@@ -228,13 +219,13 @@ def find_idle_signals(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remar
                     f"the {what} stays at {values[0]:.3g} while the joint moves: it was not measured; "
                     "take it out of the robot file, or name another column"
                 )
-                yield Remark(kind, joint.name, names, text, float(values[0]))
+                yield records.Remark(kind, joint.name, names, text, float(values[0]))
 
 
-def find_low_rates(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+def find_low_rates(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find joints that move so fast that a log has few samples of each wave."""
     for joint in robot.joints:
-        own = samples_of(motions, joint.name)
+        own = records.samples_of(motions, joint.name)
         coarse = {name: one for name, one in own.items() if _is_coarse(one, joint)}
         if coarse:
             rate_Hz = min(1.0 / float(np.median(np.diff(one.time_s))) for one in coarse.values())
@@ -242,35 +233,35 @@ def find_low_rates(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
                 f"{rate_Hz:.3g} rows a second are fewer than nine in a wave of the command: what "
                 "the joint does between them is not known; record ten times as fast"
             )
-            yield Remark(RemarkKind.SLOW, joint.name, tuple(coarse), text, rate_Hz, unit="Hz")
+            yield records.Remark(records.RemarkKind.SLOW, joint.name, tuple(coarse), text, rate_Hz, unit="Hz")
 
 
-def _is_coarse(samples: Samples, joint: RobotJoint) -> bool:
+def _is_coarse(samples: records.Samples, joint: RobotJoint) -> bool:
     """Tell whether a joint moves with a command that has fewer than nine samples a wave.
 
     The second differences of a command, which has no noise, are then as large as noise of a tenth of its
     range: for a sine of n samples a wave the ratio of range to this noise is 1.17 / sin(pi / n)^2, and 10 at
     n = 9. What lies between the samples is then off the straight line by up to 6 % of the amplitude.
     """
-    sent, least_rad = samples.command[np.isfinite(samples.command)], COARSE_RAD * joint.per_rad
-    is_moving = min(span(sent), span(samples.position)) > least_rad
-    return is_moving and span(sent) < SPREAD * _noise_rad(sent)
+    sent, least_rad = samples.command[np.isfinite(samples.command)], records.COARSE_RAD * joint.per_rad
+    is_moving = min(records.span(sent), records.span(samples.position)) > least_rad
+    return is_moving and records.span(sent) < SPREAD * _noise_rad(sent)
 
 
 def _noise_rad(position: Array) -> float:
     """Return the standard deviation of white noise, whose second differences have six times its variance."""
-    return robust_sigma(np.diff(position, 2)) / math.sqrt(6.0)
+    return records.robust_sigma(np.diff(position, 2)) / math.sqrt(6.0)
 
 
 BEGINS: Final = 3.0
 """Ratio of the error before a joint starts to the largest later one from which it was not on yet."""
 
 
-def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find joints that stand still at the start of a motion while their commands move."""
     for joint in (one for one in robot.joints if one.mode is ControlMode.POSITION):
-        own = samples_of(motions, joint.name)
-        starts = {name: _late_start_s(one, COARSE_RAD * joint.per_rad) for name, one in own.items()}
+        own = records.samples_of(motions, joint.name)
+        starts = {name: _late_start_s(one, records.COARSE_RAD * joint.per_rad) for name, one in own.items()}
         late_s = {name: one for name, one in starts.items() if one}
         if late_s:
             longest = max(late_s.values())
@@ -278,17 +269,17 @@ def find_late_starts(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark
                 f"the joint stands still for the first {longest:.2g} s while its command moves, and follows "
                 "it later: was the motor off? Begin the motion later, or name the signal enabled"
             )
-            yield Remark(RemarkKind.START, joint.name, tuple(late_s), text, longest, unit="s")
+            yield records.Remark(records.RemarkKind.START, joint.name, tuple(late_s), text, longest, unit="s")
 
 
-def _late_start_s(samples: Samples, least_rad: float) -> float:
+def _late_start_s(samples: records.Samples, least_rad: float) -> float:
     """Return how long a joint does not move clearly at the start although its command does; 0 if it does."""
     use = np.isfinite(samples.command)
     time_s, position, command = samples.time_s[use], samples.position[use], samples.command[use]
     if time_s.size < WINDOW:
         return 0.0
     error = np.abs((command - command[0]) - (position - position[0]))
-    starts = np.flatnonzero(np.abs(position - position[0]) > least_rad / STEPS)
+    starts = np.flatnonzero(np.abs(position - position[0]) > least_rad / records.STEPS)
     if not starts.size or not 0 < starts[0] < time_s.size // 2:
         return 0.0
     before, later = error[: starts[0]], error[2 * starts[0] :]

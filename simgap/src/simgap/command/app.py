@@ -18,10 +18,10 @@ def init(request: InitRequest, progress: Progress) -> VerbResult:
 
     Example: simgap init model.xml log.csv --out robot.toml
     """
-    from simgap.command.first_file import first_file_json, first_file_parts, write_first_file
+    from simgap.command.first_file import first_file_parts, write_first_file
 
     made = write_first_file(request, progress)
-    return shown(first_file_json(made), first_file_parts(made))
+    return shown(made, first_file_parts(made, request.logs))
 
 
 @app.command()
@@ -99,7 +99,7 @@ def compare(request: CompareRequest, progress: Progress) -> VerbResult:
 
     Example: simgap compare robot.toml monday.parquet friday.parquet
     """
-    from simgap.command.comparison import compare_logs
+    from simgap.command.diagnosis import compare_logs
     from simgap.report.document import comparison_details, comparison_document, comparison_lines
 
     made = compare_logs(request, progress)

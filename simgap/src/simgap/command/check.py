@@ -1,7 +1,7 @@
 """A check: read robot and logs, audit them, simulate the nominal model; its table, document and page."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +10,6 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.checks.audit import audit
-from simgap.checks.nominal import NominalMotion, simulate_nominal
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
 from simgap.common.console import pluralize
@@ -22,19 +21,14 @@ from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
 from simgap.diagnosis import check_audit, check_motions, end_sentence
 from simgap.loading import load
-from simgap.logs import Logs
-from simgap.report.page import (
-    draw_figures,
-    error_panel,
-    figure_style,
-    motion_document,
-    position_panel,
-    series_figure,
-)
+from simgap.logs import Logs, Motion
+from simgap.report import page
 from simgap.report.traces import extreme_rows
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
+from simgap.simulation.simulation import Engine
+from simgap.simulation.windows import Window, cut_windows
 
 READ: Final = 0.05
 """Share of the time that reading takes; measured on an hour of logs of six joints."""
@@ -51,6 +45,18 @@ RATE_HEAD: Final = (
     *("motion", "duration", "rate", "jitter", "missing", "stale", "rows left out"),
     "largest nominal error",
 )
+
+
+@dataclass(frozen=True, slots=True)
+class NominalMotion:
+    """The nominal model in one motion."""
+
+    motion: str
+    position: Mapping[str, Array]
+    """Joint -> predicted position at the times of the logged ones, (n,) [rad]; NaN if it blew up, and where
+    not all joints have a position."""
+    mean_abs_rad: Mapping[str, float]
+    """Joint -> mean absolute difference from the logged position; NaN if it blew up, or is not simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,33 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
         nominal.append(simulate_nominal(models, motion))
     digests = digest_files({"robot": [request.robot], "log": request.logs})
     return CheckReport(request, robot, logs, found, tuple(nominal), digests, _refusal(robot, logs, found))
+
+
+def simulate_nominal(models: Models, motion: Motion) -> NominalMotion:
+    """Simulate a motion once, as a diagnosis does, and compare."""
+    names = [joint.name for joint in models.robot.joints]
+    logged = {name: motion.joints[name].position for name in names}
+    predicted = {name: np.full(one.value.size, math.nan) for name, one in logged.items()}
+    error = dict.fromkeys(names, math.nan)
+    for window in _whole_window(models, motion):
+        found = Engine(models, [], [window], 1).positions(np.zeros((1, 0)))[0]
+        parts = np.split(found, np.cumsum([one.size for one in window.sample_time_s])[:-1])
+        for name, part in zip(names, parts, strict=True):
+            first = int(np.searchsorted(logged[name].time_s, window.start_s))
+            at = slice(first, first + part.size)
+            predicted[name][at] = part
+            error[name] = float(np.mean(np.abs(part - logged[name].value[at]))) if part.size else math.nan
+    return NominalMotion(motion.name, predicted, error)
+
+
+def _whole_window(models: Models, motion: Motion) -> list[Window]:
+    """Return a motion as one window; none without a gain, without a command, or with too few positions."""
+    if not all(joint.knows_gains for joint in models.robot.joints):
+        return []
+    try:
+        return cut_windows(models.robot, motion, None, 0.0)
+    except RobotError:
+        return []
 
 
 def summarize_joints(report: CheckReport) -> list[JointSummary]:
@@ -273,8 +306,8 @@ def _page_parts(report: CheckReport) -> Iterator[str]:
         f"{len(chosen)} of {pluralize(len(report.logs.motions), 'motion')}: those of the remarks, then those "
         "with the largest error. A diagnosis leaves out what is marked."
     )
-    yield figure_style()
-    yield from draw_figures([joint_figure(report, joint.name, chosen) for joint in report.robot.joints])
+    yield page.figure_style()
+    yield from page.draw_figures([joint_figure(report, joint.name, chosen) for joint in report.robot.joints])
     yield heading("Rates")
     yield table(RATE_HEAD, list(_rate_rows(report)))
 
@@ -313,13 +346,13 @@ def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:
         error = {"nominal": series["measured"] - series["nominal"]}
         rows = extreme_rows([*series.values(), *error.values()])
         series, error = ({name: one[rows] for name, one in part.items()} for part in (series, error))
-        panels = [position_panel("distance" if of_joint.is_slide else "angle", of_joint.unit, series)]
+        panels = [page.position_panel("distance" if of_joint.is_slide else "angle", of_joint.unit, series)]
         if np.isfinite(error["nominal"]).any():
-            panels.append(error_panel("measured less simulated", of_joint.unit, error))
-        documents.append((motion.name, motion_document(log.position.time_s[rows], panels)))
+            panels.append(page.error_panel("measured less simulated", of_joint.unit, error))
+        documents.append((motion.name, page.motion_document(log.position.time_s[rows], panels)))
     has_command = all(report.logs.motions[k].joints[joint].command is not None for k in motions)
     names = ("measured", "nominal", *(("command",) if has_command else ()), "refused")
-    return series_figure(joint, names, documents)
+    return page.series_figure(joint, names, documents)
 
 
 def _rate_rows(report: CheckReport) -> Iterator[tuple[str, ...]]:

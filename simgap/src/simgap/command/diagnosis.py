@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from simgap.catalogue.own_effects import load_effects
 from simgap.checks.audit import audit
-from simgap.command.request import FIT_SHARE, DiagnoseRequest
+from simgap.command.request import FIT_SHARE, CompareRequest, DiagnoseRequest
 from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.files import (
     atomic_write,
@@ -22,7 +22,8 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
-from simgap.diagnosis import diagnose, end_sentence
+from simgap.compare import compare
+from simgap.diagnosis import check_audit, diagnose, end_sentence
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
@@ -32,7 +33,7 @@ from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
 from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, convert_trace, trace_motions
-from simgap.result import Diagnosis
+from simgap.result import Comparison, Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.calibrate import JointTerms, contributions_m, held_out_ratio, joint_errors
 from simgap.serial_arm.effects import patch_arm
@@ -317,3 +318,24 @@ def _check_folder(folder: Path | None) -> None:
     for name in (MODEL_FILE, RUNTIME_FILE, FOUND_FILE, ARM_FILE, CALIBRATED_FILE):
         if (folder / name).is_dir():
             raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")
+
+
+def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> Comparison:
+    """Read two logs of a robot and compare them; RobotError if a file is wrong, or the check refuses one."""
+    check_options(request)
+    robot = Robot.from_toml(request.robot)
+    whole = replace(robot, file=robot.file and robot.file.model_copy(update={"split": ""}))  # all motions
+    sets = [load(whole, [path]) for path in (request.before, request.after)]
+    progress(0.0, 0.0, "checking the logs")
+    audits = [audit(robot, logs) for logs in sets]
+    for found, logs in zip(audits, sets, strict=True):
+        check_audit(found, logs.motions)
+    before, after = (logs.motions for logs in sets)
+    return compare(
+        robot,
+        before,
+        after,
+        audits=audits,
+        seed=request.seed,
+        progress=lambda share, text: progress(share, GUESS, text),
+    )

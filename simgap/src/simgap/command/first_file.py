@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from simgap.command.request import CheckRequest, InitRequest
 from simgap.common.console import pluralize
@@ -27,13 +27,12 @@ from simgap.units import UNITS
 class FirstFile:
     """Robot file that was written."""
 
-    path: Path
+    robot_file: Path
     text: str
     columns: dict[str, dict[str, str]]
     """Columns by joint and key."""
     left_out: tuple[str, ...]
     questions: tuple[str, ...]
-    logs: tuple[Path, ...]
 
 
 def write_first_file(request: InitRequest, progress: Progress = no_progress) -> FirstFile:
@@ -57,21 +56,10 @@ def write_first_file(request: InitRequest, progress: Progress = no_progress) -> 
         for joint, table in draft.content["joints"].items()
     }
     left_out = tuple(draft.content.get("left_out", ()))
-    return FirstFile(request.out, text, columns, left_out, tuple(list_questions(draft)), request.logs)
+    return FirstFile(request.out, text, columns, left_out, tuple(list_questions(draft)))
 
 
-def first_file_json(made: FirstFile) -> dict[str, Any]:
-    """Convert the result to a JSON document."""
-    return {
-        "robot_file": str(made.path),
-        "text": made.text,
-        "columns": made.columns,
-        "left_out": list(made.left_out),
-        "questions": list(made.questions),
-    }
-
-
-def first_file_parts(made: FirstFile) -> list[str]:
+def first_file_parts(made: FirstFile, logs: Sequence[Path]) -> list[str]:
     """Show which column is which joint, what is to be answered, and the next command."""
     return [
         *(
@@ -80,8 +68,8 @@ def first_file_parts(made: FirstFile) -> list[str]:
         ),
         *([f"left out: {', '.join(made.left_out)}"] if made.left_out else []),
         *(f"{number}. {question}" for number, question in enumerate(made.questions, 1)),
-        f"{made.path} is written; answer the questions in it, then:",
-        shlex.join(["simgap", "check", *map(str, (made.path, *made.logs))]),
+        f"{made.robot_file} is written; answer the questions in it, then:",
+        shlex.join(["simgap", "check", *map(str, (made.robot_file, *logs))]),
     ]
 
 

@@ -12,8 +12,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_typestore
 
 from simgap.common.errors import RobotError
-from simgap.files.decoding import BadMessage, Decoder, make_decoder, ros_decoder
-from simgap.files.mcap_log import open_mcap
+from simgap.files.mcap_log import BadMessage, Decoder, make_decoder, open_mcap, ros_decoder
 from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
 
 METADATA: Final = "metadata.yaml"

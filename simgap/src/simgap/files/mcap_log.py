@@ -1,29 +1,36 @@
-"""Logs in MCAP, whose records the package mcap reads in the order of the file, with their checksums."""
+"""Logs in MCAP, whose records the package mcap reads in the order of the file, with their checksums.
 
-from collections.abc import Sequence
+Messages are JSON, or those of ROS 1 and ROS 2 by their definitions.
+"""
+
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema, Statistics
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from simgap.common.errors import RobotError
-from simgap.files.decoding import BadMessage, Decoder, make_decoder
 from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
 
+Decoder = Callable[[bytes], Any]
+DEFINITIONS: Final = {"ros1": ("ros1msg",), "cdr": ("ros2msg", "ros2idl")}
+"""Encodings of messages of ROS -> encodings of their definitions."""
+IDL_RULE: Final = "=" * 80 + "\nIDL: "
+"""Before each definition, in a text with several."""
 MAX_BYTES: Final = 1 << 30
 """Largest size of a record, and of an unpacked chunk: writers make chunks of some megabytes, a damaged file
 claims any size."""
-
-
-class _Damage(Exception):
-    """Damage of a file, in words."""
 
 
 class _WholeReads(BufferedReader):
@@ -102,11 +109,11 @@ def _open_chunk(chunk: Chunk) -> list[McapRecord]:
     """Return the records of a chunk, after its checksum was compared."""
     where = f"the chunk that begins at {chunk.message_start_time * 1e-9:.6f} s is damaged"
     if chunk.uncompressed_size > MAX_BYTES or chunk.compression not in ("", "lz4", "zstd"):
-        raise _Damage(f"{where} (its head)")
+        raise BadMessage(f"{where} (its head)")
     try:
         return breakup_chunk(chunk, validate_crc=True)
     except Exception as error:  # lz4 and zstd raise errors of their own
-        raise _Damage(f"{where} ({' '.join(str(error).split()) or type(error).__name__})") from error
+        raise BadMessage(f"{where} ({' '.join(str(error).split()) or type(error).__name__})") from error
 
 
 def _keep(scan: _Scan, record: McapRecord) -> None:
@@ -117,7 +124,7 @@ def _keep(scan: _Scan, record: McapRecord) -> None:
     elif isinstance(record, DataEnd):
         scan.has_all_data = True
     elif isinstance(record, Statistics) and record.message_count != scan.n_messages:
-        raise _Damage(f"it has {scan.n_messages} messages, its summary says {record.message_count}")
+        raise BadMessage(f"it has {scan.n_messages} messages, its summary says {record.message_count}")
     elif isinstance(record, Schema):
         scan.schemas[record.id] = record
     elif isinstance(record, Channel):
@@ -128,7 +135,7 @@ def _keep(scan: _Scan, record: McapRecord) -> None:
         scan.last_ns = max(scan.last_ns, record.log_time)
         found = scan.channels.get(record.channel_id)
         if found is None:
-            raise _Damage(f"a message is of channel {record.channel_id}, which is not declared before it")
+            raise BadMessage(f"a message is of channel {record.channel_id}, which is not declared before it")
         if is_wanted(found.topic, len(record.data), scan.names):
             decode = _decoder(scan, found)
             if decode is not None:
@@ -141,7 +148,7 @@ def _decoder(scan: _Scan, channel: Channel) -> Decoder | None:
         return scan.decoders[channel.id]
     schema = scan.schemas.get(channel.schema_id)
     if channel.schema_id and schema is None:
-        raise _Damage(f"the definition of topic {channel.topic!r} is missing")
+        raise BadMessage(f"the definition of topic {channel.topic!r} is missing")
     form = (schema.encoding, schema.name, schema.data) if schema else ("", "", b"")
     decode = make_decoder(channel.message_encoding, *form)
     if decode is None and scan.names is not None:
@@ -153,3 +160,61 @@ def _decoder(scan: _Scan, channel: Channel) -> Decoder | None:
     if decode is not None:
         scan.decoders[channel.id] = decode
     return decode
+
+
+class BadMessage(Exception):
+    """A definition, a message or a part of a file cannot be read."""
+
+
+@lru_cache(maxsize=64)  # Rosbags writes and compiles a program for each definition.
+def make_decoder(encoding: str, schema_encoding: str, name: str, definition: bytes) -> Decoder | None:
+    """Return the decoder of messages in json, ros1 or cdr, else None; BadMessage for a bad definition."""
+    if encoding == "json":
+        return _decode_json
+    if schema_encoding not in DEFINITIONS.get(encoding, ()):
+        return None
+    try:
+        text = definition.decode()
+        store = parse_definition(text, name, is_idl=schema_encoding == "ros2idl")
+    except (UnicodeDecodeError, TypesysError, SerdeError, ValueError, LookupError, AttributeError) as error:
+        raise BadMessage(f"the definition of {name} cannot be read") from error
+    return ros_decoder(store, name, is_ros1=encoding == "ros1")
+
+
+def parse_definition(text: str, name: str, is_idl: bool = False) -> Typestore:
+    """Parse the definition of a type and of those in it."""
+    store = get_typestore(Stores.EMPTY)
+    if is_idl:
+        rule, _, head = IDL_RULE.rpartition("\n")
+        parts = text.split(f"{rule}\n")[1:] if text.startswith(IDL_RULE) else [f"{head}\n{text}"]
+        for part in parts:
+            store.register(get_types_from_idl(part.partition("\n")[2]))
+    else:
+        store.register(get_types_from_msg(text, _long(name)))
+    return store
+
+
+def ros_decoder(store: Typestore, name: str, is_ros1: bool) -> Decoder:
+    """Return the decoder of messages of ROS."""
+    kind = _long(name)
+
+    def decode(data: bytes) -> Any:
+        try:
+            return store.deserialize_ros1(data, kind) if is_ros1 else store.deserialize_cdr(data, kind)
+        except (SerdeError, LookupError, ValueError, TypeError, AssertionError) as error:
+            raise BadMessage(f"a message of {name} does not fit its definition") from error
+
+    return decode
+
+
+def _decode_json(data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except ValueError as error:
+        raise BadMessage(f"a message is no JSON: {error}") from error
+
+
+def _long(name: str) -> str:
+    """Return a type with the folder in its middle: a/B is a/msg/B."""
+    package, _, kind = name.strip().partition("/")
+    return f"{package}/msg/{kind}" if kind and "/" not in kind else name.strip()

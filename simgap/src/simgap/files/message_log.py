@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.files.columns import (
-    MAX_LISTED,
-    Column,
-    ColumnInfo,
-    Kind,
-    describe_numbers,
-    missing_column,
-    place_in_list,
-    split_name,
-)
+from simgap.files import columns
 
 NAME_FIELDS: Final = ("name", "names", "joint_names", "interface_names")
 """Fields with the names of the items of the lists beside them, in JointState and messages of controllers."""
@@ -110,7 +101,7 @@ class MessageLog:
     time_column: str = ""
     motion_column: str = ""
 
-    def numbers(self, name: str) -> Column:
+    def numbers(self, name: str) -> columns.Column:
         """Return numbers of a field with their times; RobotError for none, or if the clock steps back."""
         one = self.fields.get(name) or _parse(self.path, name, self.topics)
         series = self._series(one)
@@ -124,7 +115,7 @@ class MessageLog:
                 f"{after_s:.6g} s at message {series.numbers[back]}; cut the file there, into one log a clock"
             )
         values = [_number(self.path, name, value) for value in series.values]
-        return Column(
+        return columns.Column(
             np.array(values, dtype=np.float64),
             None,
             self._times_s(series),
@@ -149,7 +140,7 @@ class MessageLog:
         is_name = isinstance(one.place, int) and str(one.place) in self.series.get(one.whole, {})
         return str(one.place) if is_name else one.place
 
-    def describe(self) -> tuple[ColumnInfo, ...]:
+    def describe(self) -> tuple[columns.ColumnInfo, ...]:
         """Describe all fields that were read; items of lists have their names where they have any."""
         found = []
         for whole, places in self.series.items():
@@ -158,13 +149,15 @@ class MessageLog:
                 found.append(self._describe(name, series))
         return tuple(found)
 
-    def _describe(self, name: str, series: Series) -> ColumnInfo:
+    def _describe(self, name: str, series: Series) -> columns.ColumnInfo:
         time_s = self._times_s(series)
         kind = _kind(series.values[0])
         if kind in ("text", "other"):
-            return ColumnInfo(name, kind, len(series.values))
+            return columns.ColumnInfo(name, kind, len(series.values))
         values = np.array([_number(self.path, name, one) for one in series.values], dtype=np.float64)
-        return describe_numbers(name, Column(values, None, time_s), kind, "s" if kind == "time" else "")
+        return columns.describe_numbers(
+            name, columns.Column(values, None, time_s), kind, "s" if kind == "time" else ""
+        )
 
     def _times_s(self, series: Series) -> Array:
         return np.array([time - self.start_ns for time in series.times_ns], dtype=np.float64) * 1e-9
@@ -180,7 +173,7 @@ class MessageLog:
         if not there and one.whole in self.series:
             return Series()  # a list that is empty in all messages
         names = [f"{one.whole}[{key}]" if key is not None else one.whole for key in there]
-        raise missing_column(self.path, one.name, names)
+        raise columns.missing_column(self.path, one.name, names)
 
 
 def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
@@ -252,7 +245,7 @@ class _Reader:
                     self.add_all(f"{name}.{key}", value, at, own)
         elif not _is_list(content):
             self._append(name, None, content, at)
-        elif 0 < len(content) <= MAX_LISTED:
+        elif 0 < len(content) <= columns.MAX_LISTED:
             if _fields_of(content[0]) is None and not _is_list(content[0]):
                 self._append_items(name, content, names, at)
             else:
@@ -294,9 +287,9 @@ _ABSENT: Final = object()
 
 def _parse(path: Path, name: str, topics: Sequence[str]) -> _Field:
     """Divide a name into its topic, the longest that fits, and the path of its field."""
-    place = split_name(name, topics)
+    place = columns.split_name(name, topics)
     if place is None and not any(name.startswith((f"{one}.", f"{one}[")) for one in topics):
-        raise missing_column(path, name.partition(".")[0], topics)
+        raise columns.missing_column(path, name.partition(".")[0], topics)
     if place is None or not place[1]:
         raise RobotError(
             f"{path}: {name!r} is no field; write a topic and a field, such as /joints.position[0]"
@@ -315,7 +308,7 @@ def _step(content: Any, step: str, names: Sequence[str]) -> Any:
         if isinstance(content, Mapping):
             return content.get(step[1:], _ABSENT)
         return getattr(content, step[1:], _ABSENT) if is_dataclass(content) else _ABSENT
-    place = place_in_list(step, names)
+    place = columns.place_in_list(step, names)
     return content[place] if _is_list(content) and place is not None and place < len(content) else _ABSENT
 
 
@@ -351,7 +344,7 @@ def _seconds(value: Any) -> tuple[Any, Any] | None:
     return (sec, next((there[key] for key in NANOSECONDS if key in there), 0)) if has_sec else None
 
 
-def _kind(value: Any) -> Kind:
+def _kind(value: Any) -> columns.Kind:
     if isinstance(value, bool | np.bool_):
         return "flag"
     if isinstance(value, int | float | np.number) or value is None:

@@ -11,17 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from simgap.arrays import Array
-from simgap.serial_arm.chain import (
-    IDENTITY,
-    LinkAxes,
-    Pose,
-    PoseSeries,
-    forward_kinematics,
-    linearise,
-    link_transform,
-    load_torque_Nm,
-    repeat_pose,
-)
+from simgap.serial_arm import chain
 from simgap.serial_arm.fit import FitParameter, Linearisation
 
 GEOMETRY_NAMES: Final = ("theta", "d", "beta", "b", "alpha", "a")
@@ -153,13 +143,15 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
     )
 
 
-def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
+def features(arm: SerialArm, series: chain.PoseSeries, orders: int) -> Array:
     """Compute the factors of all coefficients: torque, last direction, waves, (joints, n, 2 + 2 orders)."""
     q = series.joint_rad
-    ends, axes = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, q)
+    ends, axes = chain.forward_kinematics(
+        chain.repeat_pose(chain.IDENTITY, series.count), arm.link_geometry, q
+    )
     masses = np.array([one.mass_kg for one in arm.links])
     centres = np.array([one.mass_centre_m for one in arm.links])
-    torque = load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
+    torque = chain.load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
     phase = q[:, :, None] * np.arange(1, orders + 1)
     non_periodic = np.stack([torque, series.direction], axis=-1)
     return np.concatenate([non_periodic, np.cos(phase), np.sin(phase)], axis=-1)
@@ -175,9 +167,9 @@ def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
 class TrackerSetup:
     """Frames of base and target in one series."""
 
-    X_TB: Pose
+    X_TB: chain.Pose
     """Base of the arm in the tracker's frame."""
-    X_FM: Pose
+    X_FM: chain.Pose
     """Target of the tracker in the flange frame."""
 
 
@@ -188,7 +180,7 @@ class SerialModel:
     arm: SerialArm
     """Arm before the calibration."""
     setup: TrackerSetup
-    series: PoseSeries
+    series: chain.PoseSeries
     terms: tuple[str, ...]
     orders: int
     features: Array
@@ -237,19 +229,21 @@ class SerialModel:
         )
         return replace(self.arm, links=tuple(links)), setup
 
-    def poses(self, values: Array) -> Pose:
+    def poses(self, values: Array) -> chain.Pose:
         """Compute X_TM, the modelled poses of the target in the tracker's frame, batch (n,)."""
         return self._chain(values)[0]
 
-    def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:
+    def _chain(self, values: Array) -> tuple[chain.Pose, list[chain.LinkAxes]]:
         """Compute X_TM, and the axes of base, target and links."""
         n = self.series.count
         arm, _ = self.at(values)
         still = np.zeros(n)
-        X_B, base = link_transform(repeat_pose(self.setup.X_TB, n), still, values[:6])
+        X_B, base = chain.link_transform(chain.repeat_pose(self.setup.X_TB, n), still, values[:6])
         turn = self.series.joint_rad + joint_errors_rad(arm, self.features)
-        ends, axes = forward_kinematics(X_B, arm.link_geometry, turn)
-        X_M, target = link_transform(ends[-1] @ repeat_pose(self.setup.X_FM, n), still, values[6:12])
+        ends, axes = chain.forward_kinematics(X_B, arm.link_geometry, turn)
+        X_M, target = chain.link_transform(
+            ends[-1] @ chain.repeat_pose(self.setup.X_FM, n), still, values[6:12]
+        )
         return X_M, [base, target, *axes]
 
     def __call__(self, values: Array) -> Linearisation:
@@ -263,7 +257,7 @@ class SerialModel:
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
         jacobian = np.concatenate([*columns, *joint_columns], axis=2)
-        return linearise(X_M, jacobian, self.series.X_TM, self._whitener())
+        return chain.linearise(X_M, jacobian, self.series.X_TM, self._whitener())
 
     def _whitener(self) -> Array:
         """Compute the matrices that scale rotation and position by their noise, shape (n, 6, 6)."""
@@ -273,7 +267,7 @@ class SerialModel:
 
 
 def serial_model(
-    arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
+    arm: SerialArm, setup: TrackerSetup, series: chain.PoseSeries, terms: Sequence[str]
 ) -> SerialModel:
     """Build the residual model of a series; effects of the arm that are not fitted stay in the model."""
     orders = max(arm.orders, arm.uncertainty.orders if PERIODIC in terms else 0)
@@ -311,5 +305,5 @@ def _update_link(one: Link, geometry: Array, errors: Array) -> Link:
     )
 
 
-def _move_frame(X: Pose, geometry: Array) -> Pose:
-    return link_transform(repeat_pose(X, 1), np.zeros(1), geometry)[0][0]
+def _move_frame(X: chain.Pose, geometry: Array) -> chain.Pose:
+    return chain.link_transform(chain.repeat_pose(X, 1), np.zeros(1), geometry)[0][0]

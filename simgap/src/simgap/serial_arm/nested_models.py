@@ -9,13 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.progress import Progress
-from simgap.serial_arm.calibrate import (
-    PoseErrors,
-    SerialCalibration,
-    calibrate_series,
-    fit_poses,
-    pose_errors,
-)
+from simgap.serial_arm import calibrate
 from simgap.serial_arm.chain import PoseSeries
 from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
 from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, SerialArm, TrackerSetup, serial_model
@@ -113,15 +107,15 @@ class NestedModel:
     """Fitted model with the terms up to this step."""
 
     terms: tuple[str, ...]
-    found: SerialCalibration
+    found: calibrate.SerialCalibration
     validation: CrossValidation
     held_out: HeldOutErrors
     """Cross-validated errors within the fitted poses."""
     gain_m: float
     """Reduction of the cross-validated error from the step before, mean over the blocks of time."""
     gain_sigma_m: float
-    fitted: PoseErrors
-    fresh: PoseErrors
+    fitted: calibrate.PoseErrors
+    fresh: calibrate.PoseErrors
     """Errors of poses that were not fitted."""
 
     @property
@@ -143,12 +137,12 @@ def fit_nested_models(
     Outliers of the largest model are left out of all fits; RobotError if they are too many.
     """
     progress(0, len(steps), "fitting")
-    whole = calibrate_series(arm, setup, part, steps[-1])
+    whole = calibrate.calibrate_series(arm, setup, part, steps[-1])
     done: list[NestedModel] = []
     for terms in steps:
         progress(len(done) + 1, len(steps) + 1, "judging")
         is_whole = terms == steps[-1]
-        found = whole if is_whole else fit_poses(arm, setup, part, terms, whole.fit.used)
+        found = whole if is_whole else calibrate.fit_poses(arm, setup, part, terms, whole.fit.used)
         validation = CrossValidation(found.fit, arm.repeatability.position_m)
         held_out = validation.held_out()
         gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
@@ -160,8 +154,8 @@ def fit_nested_models(
                 validation,
                 held_out,
                 *gain,
-                pose_errors(calibrated, calibrated_setup, part),
-                pose_errors(calibrated, calibrated_setup, fresh),
+                calibrate.pose_errors(calibrated, calibrated_setup, part),
+                calibrate.pose_errors(calibrated, calibrated_setup, fresh),
             )
         )
     return tuple(done)
@@ -200,7 +194,9 @@ class TemperatureTest:
         return self.gain_m > self.gain_sigma_m and self.gain_m > self.placebo_gain_m
 
 
-def temperature_test(found: SerialCalibration, validation: CrossValidation) -> TemperatureTest | None:
+def temperature_test(
+    found: calibrate.SerialCalibration, validation: CrossValidation
+) -> TemperatureTest | None:
     """Cross-validate a model in which base and link lengths follow the air temperature or placebo curves.
 
     The base shifts and rotates in proportion to the temperature, and all lengths grow together. Any drift in
@@ -227,7 +223,7 @@ def temperature_test(found: SerialCalibration, validation: CrossValidation) -> T
 
 
 def drift_gain(
-    found: SerialCalibration, validation: CrossValidation, curve_K: Array
+    found: calibrate.SerialCalibration, validation: CrossValidation, curve_K: Array
 ) -> tuple[float, float, float]:
     """Cross-validate a model in which base and link lengths follow a curve in time.
 
@@ -241,7 +237,7 @@ def drift_gain(
     return *gain_m(before, after), 1.0 - (after.rms_m / before.rms_m) ** 2
 
 
-def _columns(found: SerialCalibration) -> Array:
+def _columns(found: calibrate.SerialCalibration) -> Array:
     """Compute Jacobian columns of base (six) and arm growth per kelvin, (n, 6, 7), in expected sizes."""
     arm = found.arm
     model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))

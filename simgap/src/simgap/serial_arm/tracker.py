@@ -18,6 +18,8 @@ from simgap.common.errors import RobotError
 from simgap.common.progress import Progress, no_progress
 from simgap.effects.effect import Family
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
+from simgap.serial_arm import effects as kinds
+from simgap.serial_arm import nested_models
 from simgap.serial_arm.calibrate import (
     LEAST_POSES,
     PoseErrors,
@@ -26,48 +28,21 @@ from simgap.serial_arm.calibrate import (
     pose_errors,
 )
 from simgap.serial_arm.chain import PoseSeries
-from simgap.serial_arm.effects import (
-    BLOCKS,
-    COVERAGE,
-    DirectionHysteresis,
-    EffectTest,
-    Eliminated,
-    Elimination,
-    LinkGeometry,
-    PeriodicJointError,
-    TrackerCompliance,
-    TrackerEffect,
-    effect_size,
-    flag_parameters,
-    jackknife_sigma,
-    judge_effects,
-    list_effects,
-    wave_features,
-    widened_covariance,
-    with_unit,
-)
 from simgap.serial_arm.fit import assess_identifiability
 from simgap.serial_arm.model import GEOMETRY, TERMS, SerialArm
-from simgap.serial_arm.nested_models import (
-    NestedModel,
-    TemperatureTest,
-    drift_gain,
-    fit_nested_models,
-    temperature_test,
-)
 
 TARGET: Final = "target"
 """Place of an error of the whole arm."""
 FAMILIES: Final = {
-    PeriodicJointError: (Family.GEOMETRY, Family.TRANSMISSION),
-    TrackerCompliance: (Family.TRANSMISSION,),
-    DirectionHysteresis: (Family.TRANSMISSION, Family.FRICTION),
+    kinds.PeriodicJointError: (Family.GEOMETRY, Family.TRANSMISSION),
+    kinds.TrackerCompliance: (Family.TRANSMISSION,),
+    kinds.DirectionHysteresis: (Family.TRANSMISSION, Family.FRICTION),
 }
 """Families that poses at rest cannot tell apart, the likelier first."""
 NEXT_MOTION: Final = {
-    PeriodicJointError: "the same poses with another payload, which changes an error of the gear only",
-    TrackerCompliance: "",
-    DirectionHysteresis: "the same poses from both sides, with a payload, which changes friction only",
+    kinds.PeriodicJointError: "the same poses with another payload, which changes an error of the gear only",
+    kinds.TrackerCompliance: "",
+    kinds.DirectionHysteresis: "the same poses from both sides, with a payload, which changes friction only",
 }
 """Motion that would separate these families."""
 
@@ -76,11 +51,11 @@ NEXT_MOTION: Final = {
 class TrackerFit:
     """Models of an arm, fitted to the earlier poses of a series and judged by the later ones."""
 
-    models: tuple[NestedModel, ...]
+    models: tuple[nested_models.NestedModel, ...]
     """The first one has base and target alone, each other one a term more."""
     fresh: PoseSeries
     """Poses that only judge."""
-    temperature: TemperatureTest | None
+    temperature: nested_models.TemperatureTest | None
     """None if the air temperature is unknown."""
 
     @property
@@ -116,9 +91,9 @@ def fit_tracker(
     is_part = np.arange(series.count) < count
     part, fresh = series.at(is_part), series.at(~is_part)
     steps = [tuple(terms[:k]) for k in range(len(terms) + 1)]
-    models = fit_nested_models(arm, estimate_setup(arm, part), part, fresh, steps, progress)
+    models = nested_models.fit_nested_models(arm, estimate_setup(arm, part), part, fresh, steps, progress)
     progress(len(steps), len(steps) + 1, "testing each effect of each joint")
-    return TrackerFit(models, fresh, temperature_test(models[-1].found, models[-1].validation))
+    return TrackerFit(models, fresh, nested_models.temperature_test(models[-1].found, models[-1].validation))
 
 
 def diagnose_tracker(arm: SerialArm, series: PoseSeries) -> Diagnosis:
@@ -130,19 +105,19 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
     """Test the effects of all joints whose terms were fitted; `patch_arm` adds those that are named."""
     models, fresh, found = fitted.models, fitted.fresh, fitted.found
     arm, part = found.model.arm, found.model.series
-    elimination = Elimination(found.fit)
-    tests = judge_effects(models, elimination, list_effects(found))
+    elimination = kinds.Elimination(found.fit)
+    tests = kinds.judge_effects(models, elimination, kinds.list_effects(found))
     named = [test for test in tests if not test.problem]
     unnamed = [test.effect for test in tests if test.problem]
-    chosen = elimination.without(flag_parameters(found.fit, unnamed))
+    chosen = elimination.without(kinds.flag_parameters(found.fit, unnamed))
     explained = _fresh_errors(found, chosen.values, fresh)
     findings = []
     for test in named:
-        without = elimination.without(flag_parameters(found.fit, [*unnamed, test.effect]))
+        without = elimination.without(kinds.flag_parameters(found.fit, [*unnamed, test.effect]))
         before = _in_noise(arm, _fresh_errors(found, without.values, fresh))
         findings.append(_finding(found, test, chosen, 1.0 - _in_noise(arm, explained) / before))
     links = arm.links if GEOMETRY in found.model.terms else ()
-    effects: list[TrackerEffect] = [LinkGeometry(one.name) for one in links]
+    effects: list[kinds.TrackerEffect] = [kinds.LinkGeometry(one.name) for one in links]
     effects += [test.effect for test in named]
     return Diagnosis(
         robot=arm.name,
@@ -156,7 +131,9 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
         fitted_motions=(f"{part.name}: the first {part.count} poses",),
         judged_motions=(f"{part.name}: the last {fresh.count} poses",),
         effects=tuple(effects),
-        sizes=tuple(tuple(chosen.values[flag_parameters(found.fit, [one])].tolist()) for one in effects),
+        sizes=tuple(
+            tuple(chosen.values[kinds.flag_parameters(found.fit, [one])].tolist()) for one in effects
+        ),
         rejected=(
             *(Rejected(one.effect.place, one.effect.name, one.problem) for one in tests if one.problem),
             *_rejected_temperature(fitted.temperature),
@@ -174,17 +151,19 @@ def _in_noise(arm: SerialArm, errors: PoseErrors) -> float:
     return float(np.hypot(errors.rms_m / noise.position_m, errors.rms_rad / noise.rotation_rad))
 
 
-def _finding(found: SerialCalibration, test: EffectTest, chosen: Eliminated, share: float) -> Finding:
+def _finding(
+    found: SerialCalibration, test: kinds.EffectTest, chosen: kinds.Eliminated, share: float
+) -> Finding:
     effect = test.effect
-    size, _, _ = effect_size(found, effect, chosen)
-    is_periodic = isinstance(effect, PeriodicJointError)
+    size, _, _ = kinds.effect_size(found, effect, chosen)
+    is_periodic = isinstance(effect, kinds.PeriodicJointError)
     families = FAMILIES[type(effect)]
     return Finding(
         place=effect.place,
         family=effect.family,
         effect=effect.name,
         size=(size,),
-        size_names=("rms_rad" if is_periodic else with_unit(effect.numbers[0]),),
+        size_names=("rms_rad" if is_periodic else kinds.with_unit(effect.numbers[0]),),
         interval=((size - test.half_width, size + test.half_width),),
         text=_text(found, effect, chosen, size, test.half_width),
         share=share,
@@ -196,43 +175,47 @@ def _finding(found: SerialCalibration, test: EffectTest, chosen: Eliminated, sha
 
 
 def _text(
-    found: SerialCalibration, effect: TrackerEffect, chosen: Eliminated, size: float, half_width: float
+    found: SerialCalibration,
+    effect: kinds.TrackerEffect,
+    chosen: kinds.Eliminated,
+    size: float,
+    half_width: float,
 ) -> str:
-    if isinstance(effect, TrackerCompliance):
+    if isinstance(effect, kinds.TrackerCompliance):
         return f"{1e6 * size:.1f} +- {1e6 * half_width:.1f} urad/Nm"
-    if isinstance(effect, DirectionHysteresis):
+    if isinstance(effect, kinds.DirectionHysteresis):
         text = f"{1e6 * size:.0f} +- {1e6 * half_width:.0f} urad"
         return f"{text} after a positive move, the opposite after a negative one"
-    assert isinstance(effect, PeriodicJointError)
-    values = chosen.values[flag_parameters(found.fit, [effect])]
-    peak = float(np.max(np.abs(wave_features(found, effect) @ values)))
+    assert isinstance(effect, kinds.PeriodicJointError)
+    values = chosen.values[kinds.flag_parameters(found.fit, [effect])]
+    peak = float(np.max(np.abs(kinds.wave_features(found, effect) @ values)))
     text = f"{1e3 * size:.2f} +- {1e3 * half_width:.2f} mrad root mean square"
     return f"{text}, {1e3 * peak:.2f} mrad at most"
 
 
-def _base(found: SerialCalibration, chosen: Eliminated) -> tuple[Base, ...]:
+def _base(found: SerialCalibration, chosen: kinds.Eliminated) -> tuple[Base, ...]:
     """List the parameters of the links, and whether the poses determine them apart from base and target."""
     fit = found.fit
     groups = assess_identifiability(fit.parameters, fit.at, fit.used).unidentifiable_groups()
     confounded = {name for group in groups for name in group.names}
-    sigma = np.sqrt(np.diag(widened_covariance(fit)))
+    sigma = np.sqrt(np.diag(kinds.widened_covariance(fit)))
     half_width = np.maximum(
-        norm.isf((1 - COVERAGE) / 2) * sigma,
-        student.isf((1 - COVERAGE) / 2, BLOCKS - 1) * jackknife_sigma(chosen.by_block),
+        norm.isf((1 - kinds.COVERAGE) / 2) * sigma,
+        student.isf((1 - kinds.COVERAGE) / 2, kinds.BLOCKS - 1) * kinds.jackknife_sigma(chosen.by_block),
     )
     base = []
     for link in found.model.arm.links:
-        geometry = LinkGeometry(link.name)
+        geometry = kinds.LinkGeometry(link.name)
         for number, nominal in zip(geometry.numbers, link.geometry, strict=True):
             k = fit.index(f"{link.name}.{number}")
             value = nominal + float(chosen.values[k])
             interval = (value - float(half_width[k]), value + float(half_width[k]))
             is_identifiable = f"{link.name}.{number}" not in confounded
-            base.append(Base(link.name, with_unit(number), nominal, value, interval, is_identifiable))
+            base.append(Base(link.name, kinds.with_unit(number), nominal, value, interval, is_identifiable))
     return tuple(base)
 
 
-def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[JointError, ...]:
+def _errors(models: tuple[nested_models.NestedModel, ...], explained: PoseErrors) -> tuple[JointError, ...]:
     """Return the held-out errors of position and rotation: frames only, with links, and with the findings."""
     frames = models[0].fresh
     links = next((model.fresh for model in models if model.terms == (GEOMETRY,)), frames)
@@ -245,12 +228,12 @@ def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[Joi
 
 
 def _remainders(
-    last: NestedModel, temperature: TemperatureTest | None, explained: PoseErrors
+    last: nested_models.NestedModel, temperature: nested_models.TemperatureTest | None, explained: PoseErrors
 ) -> tuple[Remainder, ...]:
     """Describe the error that is left if it exceeds the repeatability, or follows temperature or time."""
     found = last.found
     curve = np.linspace(-1.0, 1.0, int(np.count_nonzero(found.fit.used)))
-    gain_m, sigma_m, share = drift_gain(found, last.validation, curve)
+    gain_m, sigma_m, share = nested_models.drift_gain(found, last.validation, curve)
     depends_on = "time" if gain_m > 2.0 * sigma_m else ""
     if temperature is not None and temperature.explains:
         depends_on, share = "temperature", 1.0 - (temperature.with_m / temperature.without_m) ** 2
@@ -269,7 +252,7 @@ def _refused(found: SerialCalibration) -> tuple[Refusal, ...]:
     return (Refusal(found.model.series.name, reason, len(rows)),)
 
 
-def _rejected_temperature(test: TemperatureTest | None) -> tuple[Rejected, ...]:
+def _rejected_temperature(test: nested_models.TemperatureTest | None) -> tuple[Rejected, ...]:
     if test is None or test.explains:
         return ()
     reason = (

@@ -24,16 +24,9 @@ from simgap.loading import load
 from simgap.logs import Logs
 from simgap.mjcf import joint_name, joints_of_tendon, read_model_text, tied_joints
 from simgap.robot import Robot
+from simgap.setup import gains
 from simgap.setup.column_names import Match, match_columns, split_words
 from simgap.setup.draft import Draft
-from simgap.setup.gains import (
-    ask_about_gains,
-    ask_about_torques,
-    estimate_gain,
-    loop_gains,
-    sag_gains,
-    set_unknown_gains,
-)
 from simgap.setup.times import Times, find_times
 from simgap.setup.units import settle_speeds, write_columns
 
@@ -92,16 +85,16 @@ def draft_robot_file(
     grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
     write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
-    unknown = set_unknown_gains(draft, model, path)
+    unknown = gains.set_unknown_gains(draft, model, path)
     progress(0.5, GUESS, "comparing signals")
     robot, logs = _cut_at_pauses(draft, path, log_paths)
     settle_speeds(draft, robot, logs, by_joint)
     if unknown is not None:
-        sags = sag_gains(robot, logs)
-        ask_about_gains(draft, robot, loop_gains(robot, logs.motions) | sags)
+        sags = gains.sag_gains(robot, logs)
+        gains.ask_about_gains(draft, robot, gains.loop_gains(robot, logs.motions) | sags)
         for joint in unknown:
-            estimate_gain(draft, robot, logs, joint, sags.get(joint))
-    ask_about_torques(draft, robot, logs)
+            gains.estimate_gain(draft, robot, logs, joint, sags.get(joint))
+    gains.ask_about_torques(draft, robot, logs)
     progress(0.75, GUESS, "checking the logs")
     robot, logs = _read(draft, path, log_paths)
     for one in audit(robot, logs).remarks:
