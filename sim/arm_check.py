@@ -27,7 +27,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel
-from sim.clearance import Clearance, ClearanceModel, Gap
+from sim.clearance import ClearanceModel, Gap
 from sim.effects.structure import StandInTurret
 from sim.frames import approach_from, p_R_from_N, random_targets
 from sim.setting import World
@@ -107,11 +107,6 @@ def sample_leg(start_rad: Array, end_rad: Array, spacing_rad: float = SWEEP_SPAC
     """Sample the way from one pose to another, shape (5, n)."""
     samples = int(np.abs(end_rad - start_rad).max() / spacing_rad) + 2
     return np.linspace(start_rad, end_rad, samples, axis=1)
-
-
-def sweep_clearance(params: Params, space: ClearanceModel) -> Clearance:
-    """Compute the least clearances during the hardstop initialisation."""
-    return space.clearance(sweep_poses(params))
 
 
 def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:

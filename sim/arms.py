@@ -48,9 +48,6 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     `MODEL/NAME`, or `MODEL` alone for `MODEL/nominal`, is an arm of another drawing: the name of one that
     comes with the project, or a folder with an `arm.toml`.
 
-    Args:
-        params: Flight parameters in place of those of the drawing.
-
     Raises:
         UnknownArm: the name has none of these forms, or the drawing is wrong.
     """

@@ -38,7 +38,7 @@ LEFT_OUT: Final = {
 }
 """Command, or its first word with a space -> why it is not run."""
 QUICK: Final = (
-    *("marsarm dictionary", "marsarm run --list", "marsarm ik", "marsarm hardstop --plan", "simgap init"),
+    *("marsarm dictionary", "marsarm run --list", "marsarm ik", "simgap init"),
     *("simgap check", "simgap diagnose tracker", "python examples/samples", "import numpy as np"),
 )
 """Beginnings of commands that take seconds and need nothing of longer ones: the short tests run them."""

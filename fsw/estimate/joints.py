@@ -93,11 +93,7 @@ class JointEstimate:
 
 
 def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimate:
-    """Build the estimate before the first reading, with gear angles that are unknown until a load is known.
-
-    Args:
-        reference: Encoder zeros and resolver biases.
-    """
+    """Build the estimate before the first reading; gear angles are unknown until a load is known."""
     zeros = np.zeros_like(config.half_backlash_rad)
     anywhere = np.outer(np.ones_like(zeros), [-ANYWHERE_RAD, 0.0, ANYWHERE_RAD])
     return JointEstimate(

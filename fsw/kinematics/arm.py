@@ -255,9 +255,6 @@ def pose_to_transform6(X: Pose) -> Transform6:
 
     Args:
         X: Pose whose x axis is not parallel to the z axis of the start frame.
-
-    Returns:
-        The six parameters.
     """
     R = X.R
     theta, beta, alpha = (

@@ -152,9 +152,6 @@ def place_links(
 
     Args:
         strain: Spring displacements in rad and m, rotation first: a value of each link, then the next, 36.
-
-    Returns:
-        The poses of the links.
     """
     R: Rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     p: Vector = (0.0, 0.0, 0.0)
@@ -181,7 +178,6 @@ def load_links(
     """Compute spring strains and joint torques under the load: equations 4 and 5 of the paper.
 
     Args:
-        placed: Their poses.
         push: Contact force on the arm in N and the point at which it acts in m, in the rover frame.
 
     Returns:

@@ -146,9 +146,6 @@ def inverse_kinematics(
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); None for the rigid arm.
         near_rad: Output angles to stay near if the limits allow two turns of a joint, shape (5,); None for
             the middle of the limits.
-
-    Returns:
-        The branches of each target.
     """
     targets = p_RoTo_R_m.shape[1:]
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)

@@ -65,9 +65,6 @@ def refine_roots(
 
     Args:
         start_rad: Output angles to start from, shape (5, ...); starts that are not finite do not converge.
-
-    Returns:
-        The roots, batch (...).
     """
     batch = start_rad.shape[1:]
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
@@ -251,10 +248,6 @@ def solve_fixed_point(
     Args:
         start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
-        selected: Boolean flags of the roots to solve, shape (n,).
-
-    Returns:
-        The roots of the real arm.
     """
     n = selected.size
     tolerance = root_tolerance(gravity_R_m_s2) * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2

@@ -1,8 +1,7 @@
-"""Report of the error budget: what it shows on the console, on its page and in its picture."""
+"""Report of the error budget: what it shows on the console and on its page."""
 
 from functools import partial
 from math import degrees
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -72,14 +71,12 @@ def short_name(component: str) -> str:
     return component.rsplit("_", 1)[0]
 
 
-def budget_parts(report: BudgetReport, picture_problem: str | None) -> list[str | ReportTable]:
+def budget_parts(report: BudgetReport) -> list[str | ReportTable]:
     """Show the paper's rows beside ours, the shares of the sources, and the other combination rules."""
-    request = report.request
     parts: list[str | ReportTable] = [_paper_table(report)]
     for budget in report.budgets.values():
         parts += [_share_table(report, budget), _rule_table(budget)]
-    picture = None if request.picture is None else picture_problem or request.picture
-    return [*parts, *file_lines({"report": request.report, "picture": picture})]
+    return [*parts, *file_lines({"report": report.request.report})]
 
 
 def _paper_table(report: BudgetReport) -> ReportTable:
@@ -161,36 +158,6 @@ def _poses(report: BudgetReport) -> str:
     place = request.gravity.title()
     tools = "all tools" if request.tool == ALL else f"tool {request.tool}"
     return f"{request.poses} poses over the workspace, {tools}, gravity of {place}."
-
-
-def save_budget_picture(report: BudgetReport, path: Path) -> str | None:
-    """Save rows beside the paper's and shares of the sources as PNG; return why there is none."""
-    accuracies = [name for name in report.budgets if "repeatability" not in name] or [*report.budgets]
-
-    def draw(figure: Any) -> None:
-        figure.suptitle(f"Error budget by the paper's rule. {_poses(report)}")
-        rows, *shares = figure.subplots(1, 1 + len(accuracies))
-        _draw_rows(rows, report)
-        for axes, name in zip(shares, accuracies, strict=True):
-            _draw_bars(axes, report.budgets[name])
-            axes.set_title(f"Shares of the total, {WHEN[name]}")
-
-    return svg.save_png(path, (4.6 * (1 + len(accuracies)), 4.4), draw)
-
-
-def _draw_rows(axes: Any, report: BudgetReport) -> None:
-    """Draw the rows of positions: required, the paper's, ours."""
-    rows = [(row, value) for row, value in report.rows if not row.component.endswith("_rad")]
-    at = np.arange(len(rows))
-    names = [f"{row.name.replace(' position', '')},\n{WHEN[row.case]}" for row, _ in rows]
-    axes.barh(at + 0.2, [1e3 * row.estimated for row, _ in rows], 0.38, color=svg.LIGHT, label="paper")
-    axes.barh(at - 0.2, [1e3 * value for _, value in rows], 0.38, color=svg.BLUE, label="ours")
-    required = [1e3 * row.required for row, _ in rows]
-    axes.plot(required, at, "|", color=svg.RED, markersize=22, markeredgewidth=2.0, label="required")
-    axes.set_yticks(at, names)
-    axes.invert_yaxis()
-    axes.set(title="Tables 3 and 4", xlabel="plus or minus [mm]", xlim=(0, None))
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, markerscale=0.5)
 
 
 def _draw_shares(figure: Any, budget: Budget) -> None:

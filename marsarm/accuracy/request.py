@@ -32,10 +32,6 @@ class BudgetRequest:
     mismatch: MismatchOption = False
     gravity: Annotated[str, Option("mars or earth.", "mars|earth")] = "mars"
     report: ReportOption = None
-    picture: Annotated[
-        Path | None,
-        Option("Draw the rows beside the paper's, and each source.", "FILE.png", suffixes=(".png",)),
-    ] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -277,7 +277,6 @@ def run_trial(
     Args:
         built: Name of a built arm, which was initialised at its hardstops. It has errors of its own, and
             those that the case adds. None for an arm with all sources, initialised without errors.
-        places: Number of placements.
 
     Raises:
         RuntimeError: The arm was not initialised, or a move in the closed loop failed.

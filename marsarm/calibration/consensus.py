@@ -153,7 +153,6 @@ def reject_outliers(
     Args:
         start: Initial values of the parameters, (p,); zeros by default.
         used: Poses to fit, (n,); all by default.
-        false_alarm: Probability of reporting an outlier if there is none.
 
     Raises:
         TooManyOutliers: Too many poses would be left out.

@@ -2,7 +2,6 @@
 
 from functools import partial
 from math import degrees
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -91,15 +90,14 @@ def _verification_document(found: Verification) -> dict[str, Any]:
     }
 
 
-def calibration_parts(report: CalibrateReport, picture_problem: str | None) -> list[str | ReportTable]:
+def calibration_parts(report: CalibrateReport) -> list[str | ReportTable]:
     """Show errors, encoder zeros, unidentifiable parameters and verification."""
     request, found = report.request, report.found
     parts: list[str | ReportTable] = [_summary_table(found), _zero_table(found), *_unidentifiable(found)]
     if report.verification is not None:
         parts.append(_verification_table(report.verification))
     files = {"out": request.out, "save-data": request.save_data, "report": request.report}
-    picture = None if request.picture is None else picture_problem or request.picture
-    return [*parts, *file_lines({**files, "picture": picture})]
+    return [*parts, *file_lines(files)]
 
 
 def _unidentifiable(found: Calibration) -> list[str]:
@@ -235,19 +233,6 @@ def calibration_page(report: CalibrateReport) -> ReportPage:
     origin = Origin(command_text("marsarm calibrate", report.request), digests)
     title = f"Calibration of {found.campaign.arm_name}"
     return ReportPage(title, calibration_requirements(report), origin, parts)
-
-
-def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
-    """Save the errors of each pose as PNG, or return why there is no picture; BadOutput if it cannot."""
-    found = report.found
-
-    def draw(figure: Any) -> None:
-        name, poses = found.campaign.arm_name, found.before.shape[1]
-        figure.suptitle(f"Calibration of {name}: {poses} poses; shaded: shoulder-in")
-        for part, half in zip((POSITION, ROTATION), figure.subfigures(1, 2), strict=True):
-            _draw_errors(half, found, part)
-
-    return svg.save_png(path, (11.0, 4.2), draw)
 
 
 def _draw_errors(figure: Any, found: Calibration, part: slice) -> None:

@@ -56,14 +56,13 @@ def budget(request: "marsarm.accuracy.request.BudgetRequest", progress: Progress
     Example: marsarm budget --case accuracy --tool apxs --report budget.html
     """
     from marsarm.accuracy.budget import run_budget
-    from marsarm.accuracy.budget_report import budget_document, budget_page, budget_parts, save_budget_picture
+    from marsarm.accuracy.budget_report import budget_document, budget_page, budget_parts
     from simgap.common.report import save_report_page
 
     result = run_budget(request, progress)
-    problem = None if request.picture is None else save_budget_picture(result, request.picture)
     if request.report is not None:
         save_report_page(budget_page(result), request.report)
-    return shown({**budget_document(result), "picture_problem": problem}, budget_parts(result, problem))
+    return shown(budget_document(result), budget_parts(result))
 
 
 @verb
@@ -95,20 +94,13 @@ def calibrate(request: "marsarm.common.options.CalibrateRequest", progress: Prog
     Example: marsarm calibrate --arm as-built:7 --out arm7.toml --verify 10 --report calibration.html
     """
     from marsarm.calibration.execution import run_calibration
-    from marsarm.calibration.report import (
-        calibration_document,
-        calibration_page,
-        calibration_parts,
-        save_calibration_picture,
-    )
+    from marsarm.calibration.report import calibration_document, calibration_page, calibration_parts
     from simgap.common.report import save_report_page
 
     result = run_calibration(request, progress)
-    problem = None if request.picture is None else save_calibration_picture(result, request.picture)
     if request.report is not None:
         save_report_page(calibration_page(result), request.report)
-    document = {**calibration_document(result), "picture_problem": problem}
-    return shown(document, calibration_parts(result, problem))
+    return shown(calibration_document(result), calibration_parts(result))
 
 
 @verb

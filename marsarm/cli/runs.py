@@ -11,9 +11,6 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
     import marsarm.common.options
     import marsarm.runs.request
 
-PlanOption = Annotated[
-    bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
-]
 ListOption = Annotated[bool, typer.Option("--list", help="Run nothing; list the built-in scenarios.")]
 
 
@@ -54,21 +51,16 @@ def place(request: "marsarm.runs.request.PlaceRequest", progress: Progress) -> V
 
 
 @verb
-def hardstop(
-    request: "marsarm.runs.request.HardstopRequest", progress: Progress, plan: PlanOption = False
-) -> VerbResult:
+def hardstop(request: "marsarm.runs.request.HardstopRequest", progress: Progress) -> VerbResult:
     """Run joints against their negative hardstops and set the encoder zeros there.
 
     Flight software begins without any zero. Errors are relative to the true hardstop of the arm.
 
     Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """
-    from marsarm.runs.hardstop import hardstop, plan_stops, save_hardstop_figure
-    from marsarm.runs.report import hardstop_document, hardstop_parts, plan_document, plan_parts
+    from marsarm.runs.hardstop import hardstop, save_hardstop_figure
+    from marsarm.runs.report import hardstop_document, hardstop_parts
 
-    if plan:
-        plans = plan_stops(request)
-        return shown(plan_document(plans), plan_parts(plans))
     report = hardstop(request, progress)
     problem = None if request.picture is None else save_hardstop_figure(report.result, request.picture)
     is_done = report.result.outcome == "done"

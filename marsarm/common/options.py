@@ -111,6 +111,3 @@ class CalibrateRequest:
     ] = None
     out: Annotated[Path | None, Option("Write flight parameters.", "FILE.toml", suffixes=(".toml",))] = None
     report: ReportOption = None
-    picture: Annotated[
-        Path | None, Option("Draw the errors of each pose before and after.", "FILE.png", suffixes=(".png",))
-    ] = None

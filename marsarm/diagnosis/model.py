@@ -249,12 +249,7 @@ class DiagnosisModel:
 def build_model(
     sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
 ) -> DiagnosisModel:
-    """Build the diagnosis model from the sensitivities of a campaign.
-
-    Args:
-        families: Family of each of its hypotheses.
-        locations: Location of each.
-    """
+    """Build the diagnosis model from the sensitivities of a campaign."""
     equations = form_normal_equations(sensitivities)
     label = equivalence_classes(equations)
     return DiagnosisModel(
@@ -274,9 +269,6 @@ def alias_cosines(equations: NormalEquations) -> Array:
     The metric is R, with nuisances eliminated. The cosine is 0 between hypotheses with different numbers of
     columns: one is at most a special case of the other, and parsimony decides. It is 0 for a hypothesis that
     is not identifiable.
-
-    Args:
-        equations: Normal equations of the campaign, with h hypotheses.
     """
     of = [np.flatnonzero(equations.owner == h) for h in range(equations.owner[-1] + 1)]
     roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
@@ -329,7 +321,6 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Ar
     what remains has the other half.
 
     Args:
-        equations: Normal equations of the campaign, with h hypotheses.
         label: Equivalence class of every hypothesis, without a unit, shape (h,).
     """
     n_classes = np.unique(label[equations.identifiable]).size

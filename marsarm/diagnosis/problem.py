@@ -214,7 +214,6 @@ class Sensitivities:
         parameter, whose column is parallel, gets the slope of the parabola there.
 
         Args:
-            hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures in typical sizes, without a unit, shape (n,), not all 0.
             change: Simulated change there in the units of the channels, shape (m,).
         """
@@ -239,7 +238,6 @@ class Sensitivities:
         The column of its largest amplitude makes the whole change there, beside the slopes of the others.
 
         Args:
-            hypothesis: Index of the hypothesis, with n amplitudes.
             a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
         """
         columns = np.flatnonzero(self.owner == hypothesis)

@@ -113,7 +113,6 @@ def select(
     """Select the effects that a case needs.
 
     Args:
-        sensitivities: Its sensitivities, also with parabolas through simulated changes.
         whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
         excluded: Hypotheses that do not compete.
@@ -235,7 +234,6 @@ class FeatureResiduals:
         """Whiten features and sensitivities.
 
         Args:
-            sensitivities: Sensitivities of the features.
             whiten: Their `build_full_whitener`.
             value: Measured minus nominal features in the units of the channels, (m,).
         """
@@ -259,7 +257,6 @@ class FeatureResiduals:
         """Return the residuals of candidates in noise floors, (n_candidates, m).
 
         Args:
-            effects: Feature effects of all candidates.
             sizes: Departures from neutral in typical sizes, without a unit, one effect after the other,
                 (n_candidates, n_sizes).
         """

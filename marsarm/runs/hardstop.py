@@ -1,6 +1,6 @@
-"""Hardstop initialisation of one joint or of all, and the plan of its poses."""
+"""Hardstop initialisation of one joint or of all."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from math import degrees
 from pathlib import Path
@@ -11,7 +11,6 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
@@ -19,9 +18,8 @@ from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import make_world, select_arm
 from marsarm.render.svg import save_figure
 from marsarm.runs.request import HardstopRequest
-from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
+from sim.arm_check import NoPlan, without_turret
 from sim.arms import BuiltArm, effects_of_run
-from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
 from sim.initialisation import HomingSample, InitialisationResult, InitialisationRun, prepare_homing
@@ -158,46 +156,6 @@ def _prepare_run(request: HardstopRequest, job: HardstopJob) -> InitialisationRu
     return InitialisationRun(
         ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects)), command
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StopPlan:
-    """Planned poses on Mars or Earth, with their joint torques and clearance."""
-
-    place: str
-    """Planet and turret, for the report."""
-    params: Params
-    loads: HardstopLoads
-    clearance: Clearance
-
-
-def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
-    """Plan poses for Mars with the turret, and for Earth without it at equal torques; BadRequest if none."""
-    of_motion = {
-        "--joint": request.joint is not None,
-        "--start": request.start_deg is not None,
-        "--picture": request.picture is not None,
-        "--no-turret": not request.turret,
-    }
-    given = [name for name, is_given in of_motion.items() if is_given]
-    if given:
-        raise BadRequest(
-            f"plan: moves nothing and is of both Mars and Earth; leave out {' and '.join(given)}, or --plan"
-        )
-    on_mars = _plan("mars, with turret", prepare_hardstop(request).arm, World())
-    try:
-        bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
-    except BadRequest as error:
-        torques = " ".join(f"{torque:.1f}" for torque in on_mars.loads.torque_Nm)
-        least_mm = 1e3 * min(on_mars.clearance.outside_m, on_mars.clearance.self_m)
-        raise BadRequest(f"{error}; on Mars they are {torques} N m, clearance {least_mm:.0f} mm") from error
-    return on_mars, _plan("earth, without turret", bare, World("earth"))
-
-
-def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
-    loads = compute_hardstop_loads(arm.params, world.gravity_N_m_s2)
-    space = ClearanceModel(arm.params, world, arm.model)
-    return StopPlan(place, arm.params, loads, sweep_clearance(arm.params, space))
 
 
 def save_hardstop_figure(run: InitialisationResult, path: Path) -> str | None:

@@ -5,7 +5,7 @@ from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated, Severity
 from marsarm.telemetry.events import json_fields
 from sim.scenario.effects import effect_text
@@ -14,7 +14,7 @@ from simgap.common.report import Emphasis, ReportTable, file_lines
 
 if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joints
     from marsarm.runs.execution import Artifacts, Execution
-    from marsarm.runs.hardstop import HardstopReport, StopPlan
+    from marsarm.runs.hardstop import HardstopReport
     from marsarm.runs.place import PlaceReport
     from marsarm.runs.request import RunFiles
     from marsarm.runs.scenario import RunReport
@@ -254,47 +254,6 @@ def _joint_cells(joint: Joint, row: dict[str, Any]) -> tuple[str, ...]:
         f"{row['load_Nm']:.1f}",
         f"{row['max_torque_Nm']:.0f}",
     )
-
-
-def plan_document(plans: "Sequence[StopPlan]") -> dict[str, Any]:
-    """Collect the plans."""
-    return {
-        plan.place: {
-            "joints": {
-                joint.name.lower(): {
-                    "pose_deg": [degrees(angle) for angle in plan.loads.pose_rad[:, joint]],
-                    "torque_Nm": float(plan.loads.torque_Nm[joint]),
-                }
-                for joint in Joint
-            },
-            "order": [joint.name.lower() for joint in HARDSTOP_ORDER],
-            "start_deg": [degrees(angle) for angle in plan.params.hardstop.start_rad],
-            "park_deg": [degrees(angle) for angle in plan.params.hardstop.park_rad],
-            "second_start_deg": [degrees(angle) for angle in plan.params.hardstop.second_start_rad],
-            "clearance_mm": {
-                "rover_and_ground": 1e3 * plan.clearance.outside_m,
-                "itself": 1e3 * plan.clearance.self_m,
-            },
-        }
-        for plan in plans
-    }
-
-
-def plan_parts(plans: "Sequence[StopPlan]") -> list[str | ReportTable]:
-    """Show the pose and the load of each joint at its hardstop."""
-    parts: list[str | ReportTable] = []
-    head = ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg")
-    for plan in plans:
-        rows = []
-        for joint in HARDSTOP_ORDER:
-            pose = [f"{degrees(angle):.1f}" for angle in plan.loads.pose_rad[:, joint]]
-            rows.append((joint.name.lower(), f"{plan.loads.torque_Nm[joint]:.1f}", *pose))
-        parts += [
-            ReportTable(head, rows, f"At the hardstops, {plan.place}"),
-            f"on the way at least {1e3 * plan.clearance.outside_m:.0f} mm from rover and ground, "
-            f"{1e3 * plan.clearance.self_m:.0f} mm from itself",
-        ]
-    return parts
 
 
 def _joints(report: "HardstopReport") -> list[Joint]:

@@ -128,7 +128,6 @@ def read_log(
 
     Args:
         topics: Topics to read, with /evr and /command; None for all.
-        start_ns: First log time; None for the beginning.
         end_ns: Log time before which reading ends; None for the end.
 
     Raises:

@@ -20,7 +20,6 @@ from sim.arm_check import (
     NoPlan,
     compute_hardstop_loads,
     equalise_loads,
-    sweep_clearance,
     sweep_poses,
     without_turret,
 )
@@ -167,7 +166,7 @@ def test_the_order_has_every_joint_once() -> None:
 
 @EACH_PLACE
 def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and_itself(arm, world):
-    found = sweep_clearance(arm.params, ClearanceModel(arm.params, world, arm.model))
+    found = ClearanceModel(arm.params, world, arm.model).clearance(sweep_poses(arm.params))
     assert min(found.outside_m, found.self_m) > 2 * HARDSTOP_CLEARANCE_M
     stops = [joint.hardstop_rad for joint in arm.params.joints.in_order()]
     np.testing.assert_allclose(sweep_poses(arm.params).min(axis=1), stops)

@@ -66,12 +66,6 @@ def load_campaign_model(
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
-    Args:
-        logs: Logs of the fitted motions.
-        held_out: Logs of the held-out motions.
-        kinds: Names of the effects of the catalogue; None for all.
-        arm: Name of an arm of the drawing.
-
     Raises:
         BadRequest: A cached file cannot be read.
         BadOutput: A file cannot be written.
@@ -142,11 +136,6 @@ def diagnose_case(
     patch: tuple[Effect, ...] = (),
 ) -> CaseDiagnosis:
     """Diagnose a case: fit its nuisances, find its effects, and judge them on held-out motion.
-
-    Args:
-        recordings: Recordings that are fitted.
-        held_out: Recordings that the findings are tested on.
-        patch: Effects that are switched on in the simulator from the start.
 
     Raises:
         NotForDiagnosis: Most motions of the campaign are missing.

@@ -98,9 +98,6 @@ def resimulate(
     """Simulate a case again with another patch: its rests, and some of its motions.
 
     Args:
-        case: Simulator of the case, with m features.
-        patch: Effects that are switched on.
-        only: Predicate of the motions to simulate.
         otherwise: Change of the other motions in the units of the channels, shape (m,).
     """
     arm, extrapolated = case.arm.with_patch(patch), case.nominal.copy()

@@ -303,7 +303,6 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     """Return the change of rests by one joint alone, where all joints turn.
 
     Args:
-        feature_set: Features of all recordings, m of them.
         change: Change of the features in the units of the channels, shape (m,).
         turns: False if only the reading of its resolver changes.
 

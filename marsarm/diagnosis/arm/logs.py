@@ -225,7 +225,6 @@ def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
 
     Args:
         gravity_R_m_s2: Mean reading of the IMU in the rover frame, shape (3,).
-        path: Log, for the error.
 
     Raises:
         NotForDiagnosis: The IMU reads no gravity.

@@ -154,7 +154,6 @@ CASES = {
     "place --params link.mcap --log good.toml": "the file of params",
     "place --picture a.png --movie folder.mcap/../a.png": "the file of picture",
     "monte-carlo --results a.jsonl --report a.jsonl": "this is the file of",
-    "hardstop --plan --picture elbow.png": "leave out --picture, or --plan",
     "calibrate": "give --arm ARM",
     "calibrate --data few.csv --verify 3": "give no --data",
     "place --log a.mcap --movie a.mcap": "this is the file of log too",
