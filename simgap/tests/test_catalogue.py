@@ -100,14 +100,8 @@ def test_priors_of_base_effects_allow_ten_typical_sizes_and_the_nominal_value(ar
 
 def test_command_effects_need_commands(arm_logs):
     silent = logs_of(ARM, None, lively())
-    commanded = {
-        "command delay",
-        "velocity limit",
-        "command clamp, low",
-        "dead zone",
-        "torque limit",
-        "backlash",
-    }
+    commanded = {"command delay", "velocity limit", "command clamp, low"}
+    commanded |= {"dead zone", "torque limit", "backlash"}
     assert commanded <= names(catalogue(ARM, arm_logs))
     assert not commanded & names(catalogue(ARM, silent))
     assert "gain error" not in names(base_effects(ARM, silent))
@@ -151,9 +145,8 @@ def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height()
     robot = robot_of(PENDULUM_XML)
     command = np.linspace(1.2, 0.0, N_TICKS)[:, None]
     stopped = np.maximum(command, np.arccos(0.25 / 0.3))
-    plane = [
-        one for one in catalogue(robot, logs_of(robot, command, stopped)) if one.family is Family.CONTACT
-    ]
+    known = catalogue(robot, logs_of(robot, command, stopped))
+    plane = [one for one in known if one.family is Family.CONTACT]
     assert len(plane) == 1
     assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
     assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)

@@ -34,10 +34,8 @@ def robot(tmp_path):
 def motion_of(command):
     """Return a motion at rest, whose commands are these, (n, 2)."""
     rest = Signal(TIME_S, 0.0 * TIME_S)
-    logs = {
-        name: JointLog(rest, command=Signal(TIME_S, command[:, k]))
-        for k, name in enumerate(("lift", "swing"))
-    }
+    sent = {name: Signal(TIME_S, command[:, k]) for k, name in enumerate(("lift", "swing"))}
+    logs = {name: JointLog(rest, command=one) for name, one in sent.items()}
     return Motion("m", logs, {})
 
 
@@ -110,9 +108,8 @@ def test_effects_of_a_slide_are_told_in_its_units(tmp_path):
     assert {"coulomb_N", "damping_Ns_m", "armature_kg", "kd_Ns_m", "stribeck_m_s"} <= names
     assert {"backlash_m", "compliance_m_N", "stiffness_N_m", "inverse_limit_1_N"} <= names
     assert not any("rad" in name or "Nm" in name or "kgm2" in name for name in names)
-    assert {"position-dependent torque", "link inertia", "joint coupling"}.isdisjoint(
-        one.name for one in of_slide
-    )
+    hinged = {"position-dependent torque", "link inertia", "joint coupling"}
+    assert hinged.isdisjoint(one.name for one in of_slide)
     texts = [one.describe(np.array([size.typical for size in one.sizes])) for one in of_slide]
     assert not any("rad" in text or "N m" in text for text in texts)
     of_hinge = {size.name for one in effects if one.place == "swing" for size in one.sizes}
@@ -234,16 +231,12 @@ def test_what_is_left_out_is_told_in_one_sentence(tmp_path, changes, said):
 def test_a_free_base_is_refused_or_held(tmp_path, joint):
     path = write_folder(tmp_path)
     base = f'<body name="base" pos="0 0 1">{joint}<inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>'
-    text = (
-        model_text()
-        .replace("<worldbody>", f"<worldbody>{base}")
-        .replace("</worldbody>", "</body></worldbody>")
-    )
+    text = model_text().replace("<worldbody>", f"<worldbody>{base}")
+    text = text.replace("</worldbody>", "</body></worldbody>")
     (tmp_path / "model.xml").write_text(text)
     name = "root" if "root" in joint else "base"
-    with pytest.raises(
-        RobotError, match=rf"model: the joint of '{name}' is free, .* left_out = \[\"{name}\"\] holds"
-    ):
+    said = rf"model: the joint of '{name}' is free, .* left_out = \[\"{name}\"\] holds"
+    with pytest.raises(RobotError, match=said):
         Robot.from_toml(path)
     path.write_text(path.read_text().replace(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["{name}"]'))
     robot = Robot.from_toml(path)

@@ -124,9 +124,8 @@ def test_the_nominal_model_differs_from_the_logs_only_at_the_table(report):
     first = int(np.flatnonzero(~usable)[0])
     assert error[:first].max() < 0.02 < error[~usable].max()
     shoulder, _ = summarize_joints(report)
-    assert shoulder.nominal_mean_abs_rad == pytest.approx(
-        np.mean([one.mean_abs_rad["shoulder"] for one in report.nominal])
-    )
+    errors = [one.mean_abs_rad["shoulder"] for one in report.nominal]
+    assert shoulder.nominal_mean_abs_rad == pytest.approx(np.mean(errors))
 
 
 def test_motions_of_remarks_are_drawn_first(report):

@@ -187,9 +187,8 @@ def series_in_form(folder, form, columns):
     mapping = MAPPING.replace(old, toml_text({"rotation": table}))
     numbers = rows(5)
     poses = text(np.column_stack([numbers[:, :6], columns, numbers[:, -1]]), heads)
-    return series_from_table(
-        written(folder, "poses.csv", poses), read_mapping(written(folder, "m.toml", mapping))
-    )
+    named = read_mapping(written(folder, "m.toml", mapping))
+    return series_from_table(written(folder, "poses.csv", poses), named)
 
 
 @pytest.mark.parametrize("form", FORMS)
