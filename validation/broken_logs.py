@@ -246,12 +246,8 @@ def change_record(random: Random, made: Original) -> bytes:
     chunks = read_records(made.data).chunks
     at, chunk = chunks[int(random.integers(len(chunks)))]
     plain = change_bytes(random, unpack_chunk(chunk))
-    changed = replace(
-        chunk,
-        data=zstandard.compress(plain),
-        uncompressed_size=len(plain),
-        uncompressed_crc=zlib.crc32(plain),
-    )
+    packed, crc = zstandard.compress(plain), zlib.crc32(plain)
+    changed = replace(chunk, data=packed, uncompressed_size=len(plain), uncompressed_crc=crc)
     end = made.data.index(chunk.data, at) + len(chunk.data)
     return made.data[:at] + encode_records(changed) + made.data[end:]
 

@@ -132,13 +132,8 @@ class Browser:
         self, address: str, width: int = 1400, height: int = 900, dark: bool = False, ready: str = PLAYS
     ) -> None:
         """Open a page in a window of this size, and wait until an expression in it is true."""
-        self._ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self._ask("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._ask("Emulation.setEmulatedMedia", features=[scheme])
         self._ask("Page.navigate", url=address)

@@ -199,9 +199,8 @@ def mutants(context: Context) -> Document:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     words = [str(program), "run", "--max-children", str(context.workers)]
     subprocess.run(words, cwd=ROOT, env=environment, stdout=sys.stderr, check=False)
-    listed = subprocess.run(
-        [str(program), "results", "--all", "true"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    words = [str(program), "results", "--all", "true"]
+    listed = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
     # fsw.protect.monitors.x_check__mutmut_3: killed
     rows = [line.strip().rpartition(": ") for line in listed.stdout.splitlines() if ": " in line]
     every = Counter(name.split(".")[2] for name, _, _ in rows)

@@ -165,14 +165,8 @@ BAD_OTHERS: Final[tuple[Any, ...]] = (
 )  # fmt: skip
 BAD_VALUES: Final = (*BAD_NUMBERS, *BAD_TEXTS, *BAD_OTHERS)
 NO_COMMANDS: Final[tuple[Any, ...]] = (
-    None,
-    3,
-    "Stop",
-    Stop,
-    {},
-    (Stop(),),
-    Hold(1.0, vibrate=True),
-    np.zeros(5),
+    *(None, 3, "Stop", Stop, {}, (Stop(),)),
+    *(Hold(1.0, vibrate=True), np.zeros(5)),
 )
 
 
@@ -187,9 +181,10 @@ def draw_command(random: Random, params: Params) -> Any:
     if kind in RARE and random.random() > RARE_SHARE:
         kind = MoveJoints
     hints = get_type_hints(kind, include_extras=True)
-    return kind(
-        **{field.name: _draw_value(random, params, field.name, hints[field.name]) for field in fields(kind)}
-    )
+    values = {
+        name: _draw_value(random, params, name, hints[name]) for name in (one.name for one in fields(kind))
+    }
+    return kind(**values)
 
 
 def _draw_value(random: Random, params: Params, name: str, hint: Any) -> Any:

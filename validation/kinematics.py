@@ -189,10 +189,8 @@ def task_jacobian(trial: Trial, q: Array) -> Array:
     n = q.shape[1]
     steps = STEP_RAD * np.stack([np.eye(5), -np.eye(5)], axis=-1)
     X = trial.tool_pose((q[:, None, None] + steps[..., None]).reshape(5, -1))
-    p, x = (
-        (v[:, :, 0] - v[:, :, 1]) / (2 * STEP_RAD)
-        for v in (one.reshape(3, 5, 2, n) for one in (X.p, X.R[:, 0]))
-    )
+    parts = (one.reshape(3, 5, 2, n) for one in (X.p, X.R[:, 0]))
+    p, x = ((v[:, :, 0] - v[:, :, 1]) / (2 * STEP_RAD) for v in parts)
     R_RT = trial.tool_pose(q).R
     tilts = [dot(R_RT[:, k, None], x) for k in (1, 2)]
     return np.concatenate([p, np.stack(tilts)])

@@ -214,11 +214,8 @@ def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
         lines.append(f"| {campaign.name} | {campaign.about} | `{campaign.command}` | `{commit}` |")
     met = sum(row.margin(values[row.name]) >= 0 for row in table.rows)
     as_paper = sum(row.paper is not None and row.margin(row.paper) < 0 for row in table.rows)
-    lines += [
-        "",
-        f"{met} of {len(table.rows)} requirements are met. The paper's own budget misses {as_paper} of them.",
-        "",
-    ]
+    told = f"{met} of {len(table.rows)} requirements are met."
+    lines += ["", f"{told} The paper's own budget misses {as_paper} of them.", ""]
     return "\n".join(lines).replace("  |", " |")
 
 

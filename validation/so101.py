@@ -72,11 +72,8 @@ def fit(robot: Robot, logs: Logs, found: Audit) -> tuple[list[Trace], dict[str, 
     rows = simulate_models(context, judged, [0.0 * present.sizes, present.sizes])
     traces = []
     for k, name in enumerate(judged.motions):
-        at = np.flatnonzero(
-            (judged.joint_of == judged.joints.index(JOINT))
-            & (judged.motion_of == k)
-            & (judged.time_s < SHOWN_S)
-        )
+        of_joint = judged.joint_of == judged.joints.index(JOINT)
+        at = np.flatnonzero(of_joint & (judged.motion_of == k) & (judged.time_s < SHOWN_S))
         traces.append(Trace(name, judged.time_s[at], judged.measured_rad[at], *rows[:, at]))
     return traces, base
 
@@ -106,9 +103,8 @@ def draw_contact(robot: Robot, motion: Motion, found: Audit, figure: Any) -> Non
     names = [one.name for one in robot.joints]
     time_s = motion.joints[JOINT].position.time_s
     measured = np.column_stack([motion.joints[name].position.value for name in names])
-    sent = np.column_stack(
-        [np.interp(time_s, log.time_s, log.value) for log in (motion.joints[n].command for n in names) if log]
-    )
+    logs = [motion.joints[name].command for name in names]
+    sent = np.column_stack([np.interp(time_s, log.time_s, log.value) for log in logs if log])
     (plane,) = (one for one in found.remarks if one.kind is RemarkKind.CONTACT)
     axes = figure.subplots()
     top, bottom = axes.get_xaxis_transform(), ~found.is_usable(motion.name, JOINT)

@@ -106,9 +106,8 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if isinstance(absolute, str):
         return NotChanged("absolute not placed", absolute)
-    return ToolChangeErrors(
-        from_spot_mm=_lateral_mm(relative - first, axis), absolute_mm=_lateral_mm(absolute - target, axis)
-    )
+    from_spot_mm, absolute_mm = (_lateral_mm(one, axis) for one in (relative - first, absolute - target))
+    return ToolChangeErrors(from_spot_mm=from_spot_mm, absolute_mm=absolute_mm)
 
 
 def _is_reachable(loop: ClosedLoop) -> bool:

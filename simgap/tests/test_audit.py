@@ -236,9 +236,8 @@ COMMANDS = [0.5 * np.sin((1.0 + 0.4 * k) * TIME_s) for k in range(6)]
 @pytest.mark.parametrize(("gain", "offset_rad"), [(1.0, 0.0), (0.3, -0.8), (1.2, 0.4)])
 def test_a_shift_of_all_commands_is_counted_and_their_own_are_not(gain, offset_rad):
     random = np.random.default_rng(1)
-    positions = [
-        Signal(TIME_s, offset_rad + gain * one + random.normal(0.0, 0.01, one.size)) for one in COMMANDS
-    ]
+    noisy = [offset_rad + gain * one + random.normal(0.0, 0.01, one.size) for one in COMMANDS]
+    positions = [Signal(TIME_s, one) for one in noisy]
     own = [Signal(TIME_s, one) for one in COMMANDS]
     assert count_foreign_commands([*zip(positions, own, strict=True)]) == 0
     assert count_foreign_commands([*zip(positions, own[1:] + own[:1], strict=True)]) == 6

@@ -100,14 +100,8 @@ def test_priors_of_base_effects_allow_ten_typical_sizes_and_the_nominal_value(ar
 
 def test_command_effects_need_commands(arm_logs):
     silent = logs_of(ARM, None, lively())
-    commanded = {
-        "command delay",
-        "velocity limit",
-        "command clamp, low",
-        "dead zone",
-        "torque limit",
-        "backlash",
-    }
+    commanded = {"command delay", "velocity limit", "command clamp, low"}
+    commanded |= {"dead zone", "torque limit", "backlash"}
     assert commanded <= names(catalogue(ARM, arm_logs))
     assert not commanded & names(catalogue(ARM, silent))
     assert "gain error" not in names(base_effects(ARM, silent))
@@ -126,6 +120,9 @@ def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(
 
     effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted))
     assert "periodic joint error" in names(effects)
+    zeros = Signal(TIME_S, np.zeros(N_TICKS))
+    without = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=lambda _: zeros))
+    assert "periodic joint error" not in names(without)
     assert not any(one.encoder_is_at_output for one in effects if isinstance(one, Backlash))
     assert all(one.encoder_is_at_output for one in catalogue(ARM, arm_logs) if isinstance(one, Backlash))
 
@@ -141,19 +138,12 @@ def test_a_wave_is_offered_where_the_joint_turns_through_half_a_period(share, or
     assert {one.order for one in effects if isinstance(one, PeriodicError)} == orders
 
 
-def test_a_second_encoder_of_zeros_is_none():
-    zeros = Signal(TIME_S, np.zeros(N_TICKS))
-    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=lambda _: zeros))
-    assert "periodic joint error" not in names(effects)
-
-
 def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height():
     robot = robot_of(PENDULUM_XML)
     command = np.linspace(1.2, 0.0, N_TICKS)[:, None]
     stopped = np.maximum(command, np.arccos(0.25 / 0.3))
-    plane = [
-        one for one in catalogue(robot, logs_of(robot, command, stopped)) if one.family is Family.CONTACT
-    ]
+    known = catalogue(robot, logs_of(robot, command, stopped))
+    plane = [one for one in known if one.family is Family.CONTACT]
     assert len(plane) == 1
     assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
     assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)
@@ -171,12 +161,9 @@ def test_links_that_change_no_torque_are_left_out(arm_logs):
 
 
 def test_held_out_motions_give_no_bounds(arm_logs):
-    fast = lively(30.0)
-    joints = {
-        joint.name: JointLog(Signal(TIME_S, 3 * fast[:, j]), command=Signal(TIME_S, 3 * fast[:, j]))
-        for j, joint in enumerate(ARM.joints)
-    }
-    wider = Logs((*arm_logs.motions, Motion("held", joints, {})), frozenset({"held"}))
+    fast = 3 * lively(30.0)
+    held = dataclasses.replace(logs_of(ARM, fast, fast).motions[0], name="held")
+    wider = Logs((*arm_logs.motions, held), frozenset({"held"}))
     assert [one.sizes for one in catalogue(ARM, wider)] == [one.sizes for one in catalogue(ARM, arm_logs)]
 
 
@@ -202,14 +189,9 @@ def _below(kind):
 
 def test_the_page_lists_every_effect_with_its_family_and_its_sizes(arm_logs):
     page = repository_file("docs/robot-effects.md").read_text(encoding="utf-8")
-    rows = {
-        cells[0]: cells[1:]
-        for cells in (
-            [cell.strip() for cell in line.strip("|").split("|")]
-            for line in page.splitlines()
-            if line.startswith("| ") and line.count("|") == 5
-        )
-    }
+    lines = [line for line in page.splitlines() if line.startswith("| ") and line.count("|") == 5]
+    cells = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    rows = {name: rest for name, *rest in cells}
     offered = {one.name: one for one in (*catalogue(ARM, arm_logs), *base_effects(ARM, arm_logs))}
     all_names = {kind.name: kind for kind in kinds()}
     assert set(all_names) == set(rows) - {"effect", "---"}

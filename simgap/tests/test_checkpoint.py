@@ -173,11 +173,8 @@ def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path):
 
 
 def test_only_records_of_the_diagnosis_are_made_from_a_file():
-    for module, name in (
-        ("os", "system"),
-        ("simgap.selection.checkpoint", "Checkpoint"),
-        ("dataclasses", "field"),
-    ):
+    names = {"os": "system", "simgap.selection.checkpoint": "Checkpoint", "dataclasses": "field"}
+    for module, name in names.items():
         with pytest.raises(KeyError):
             unpack({"record": [module, name], "fields": []}, [], {})
 

@@ -25,9 +25,8 @@ def draw_sets(seed, common, change):
     """Draw two sets of motions; the effects of the second differ by a change."""
     after = {key: common.get(key, 0.0) + change.get(key, 0.0) for key in {*common, *change}}
     sets = [draw_toy(seed, common, N_MOTIONS), draw_toy(seed + 100, after, N_MOTIONS)]
-    commands, measured = (
-        np.concatenate([getattr(one, of) for one in sets], axis=1) for of in ("commands", "measured")
-    )
+    arrays = ([getattr(one, of) for one in sets] for of in ("commands", "measured"))
+    commands, measured = (np.concatenate(one, axis=1) for one in arrays)
     model = ToyResiduals(commands, measured, NAMES)
     repeats = (*("",) * (N_MOTIONS - 2), "r", "r")
     model.motions = tuple(f"{part}:{k}" for part in ("before", "after") for k in range(N_MOTIONS))

@@ -127,9 +127,8 @@ def test_an_effect_may_follow_a_condition(tmp_path):
     found = diagnose(robot, load(robot, log).motions)
     (finding,) = found.findings
     assert (finding.place, finding.effect) == ("hinge", "constant torque by mass_kg")
-    (size,) = (
-        one for one, effect in zip(found.sizes, found.effects, strict=True) if isinstance(effect, Variation)
-    )
+    sized = zip(found.sizes, found.effects, strict=True)
+    (size,) = (one for one, effect in sized if isinstance(effect, Variation))
     assert 1e3 * size[0] == pytest.approx(ADDED_Nm_kg, rel=0.03)
     assert not any(isinstance(effect, Variation) for effect in found.of_model()[0])
 

@@ -62,9 +62,8 @@ def test_no_gain_is_asked_where_torques_are_compared(tmp_path):
     gains = ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "")
     shoulder = ("[joints.elbow]", 'torque = { column = "m2", unit = "N m" }\n\n[joints.elbow]')
     path = write_robot(tmp_path, gains, shoulder, (ELBOW, ""))
-    model = (
-        (tmp_path / "model.xml").read_text().replace('kp="30" kv="2" ', "").replace("<position ", "<motor ")
-    )
+    text = (tmp_path / "model.xml").read_text()
+    model = text.replace('kp="30" kv="2" ', "").replace("<position ", "<motor ")
     (tmp_path / "model.xml").write_text(model)
     robot = Robot.from_toml(path)
     assert math.isnan(robot.joint("shoulder").kp_Nm_rad)

@@ -41,9 +41,8 @@ def test_a_motor_of_a_default_class_is_read_and_patched(tmp_path):
     robot = read(tmp_path, 'class="servo" gear="20"', "voltage", defaults=motor)
     assert (robot.joints[0].kp_Nm_rad, robot.joints[0].kd_Nms_rad) == pytest.approx((0.5, 0.5))
     command = waves(STEP_S * np.arange(4000), 3)
-    patched, native = (
-        by_mujoco(one, command) for one in (make_patch(robot, [], []).model_xml, robot.model_xml)
-    )
+    texts = (make_patch(robot, [], []).model_xml, robot.model_xml)
+    patched, native = (by_mujoco(one, command) for one in texts)
     assert np.ptp(native) > 0.2
     assert patched == pytest.approx(native, abs=2e-3)
 

@@ -41,9 +41,8 @@ Torque = Callable[[float, float, float], float]
 
 def level(mode=ControlMode.TORQUE, dry_Nm=0.0, limit_Nm=np.inf):
     """Make a pendulum without gravity and damping, with a fine step."""
-    return pendulum.pendulum(
-        mode, damping=0.0, dry_Nm=dry_Nm, limit_Nm=limit_Nm, step_s=0.0005, period_s=0.0005, is_level=True
-    )
+    steps = {"step_s": 0.0005, "period_s": 0.0005, "is_level": True}
+    return pendulum.pendulum(mode, damping=0.0, dry_Nm=dry_Nm, limit_Nm=limit_Nm, **steps)
 
 
 def held(command, **others):
@@ -211,19 +210,16 @@ def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder():
             lambda t, q, v: joint.kp_Nm_rad * (0.1 - scale * q) - joint.kd_Nms_rad * scale * v
         )
 
-    shown, plain = (
-        pendulum.simulated(robot, held(0.1), (pendulum.at_swing(EncoderScale, robot), [size]))
-        for size in (0.08, 0.0)
-    )
+    scale = pendulum.at_swing(EncoderScale, robot)
+    shown, plain = (pendulum.simulated(robot, held(0.1), (scale, [size])) for size in (0.08, 0.0))
     expected = law(1.08) - law(1.0)
     assert np.abs(shown - plain - expected).max() < 0.02 * np.abs(expected).max()
 
 
 def shaped(kind, size, command, period_s=0.01):
     """Shape a command of one simulation."""
-    return pendulum.at_swing(kind, pendulum.pendulum()).shape_command(
-        np.array([[size]]), command[None], period_s
-    )[0]
+    effect = pendulum.at_swing(kind, pendulum.pendulum())
+    return effect.shape_command(np.array([[size]]), command[None], period_s)[0]
 
 
 @pytest.mark.parametrize("speed_rad_s", [0.5, 30.0, 300.0])

@@ -54,12 +54,8 @@ def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):
         shown = wheel if encoder_is_at_output else rotor
         motor = KP * (command_rad - shown) - KD * rotor_speed
         spring = stiffness * (rotor - wheel) + spring_damping * (rotor_speed - wheel_speed)
-        return (
-            rotor_speed,
-            wheel_speed,
-            (motor - DAMPING * rotor_speed - spring) / ROTOR_KGM2,
-            spring / LINK_KGM2,
-        )
+        rotor_acceleration = (motor - DAMPING * rotor_speed - spring) / ROTOR_KGM2
+        return rotor_speed, wheel_speed, rotor_acceleration, spring / LINK_KGM2
 
     found = solve_ivp(slope, (0, time_s[-1]), np.zeros(4), t_eval=time_s, rtol=1e-9, atol=1e-11)
     return found.y[1] if encoder_is_at_output else found.y[0]
@@ -102,9 +98,8 @@ def test_at_rest_the_output_under_a_motor_encoder_is_lower_by_what_the_load_does
     data.qpos[:] = motor_rad
     data.qpos[1] -= lower(size, load_Nm)
     mujoco.mj_forward(robot.model, data)
-    assert data.qfrc_bias[1] == pytest.approx(
-        load_Nm, abs=1e-4 if isinstance(effect, JointCompliance) else 1e-3
-    )
+    near = 1e-4 if isinstance(effect, JointCompliance) else 1e-3
+    assert data.qfrc_bias[1] == pytest.approx(load_Nm, abs=near)
 
 
 def test_a_reversal_loses_the_time_in_which_the_rotor_crosses_the_backlash():
@@ -180,10 +175,8 @@ def test_decode_inverts_encode_of_many_orders(seed):
 
 def test_many_orders_are_the_sum_of_single_ones():
     effect, size = smooth_size(4)
-    single = sum(
-        PeriodicError("a", k + 1, 1e-3).encode(size[:, 2 * k : 2 * k + 2], ANGLES_RAD) - ANGLES_RAD
-        for k in range(48)
-    )
+    orders = ((PeriodicError("a", k + 1, 1e-3), size[:, 2 * k : 2 * k + 2]) for k in range(48))
+    single = sum(one.encode(own, ANGLES_RAD) - ANGLES_RAD for one, own in orders)
     np.testing.assert_allclose(effect.encode(size, ANGLES_RAD) - ANGLES_RAD, single, atol=1e-14)
 
 

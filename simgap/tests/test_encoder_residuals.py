@@ -75,10 +75,8 @@ def test_skew_and_compliance_come_back_behind_a_counterbalance_that_the_model_la
 
 
 def test_the_offset_between_the_encoders_does_not_count():
-    here, there = (
-        EncoderResiduals(arm(), [second_log(offset_rad=one)]).residuals([], np.zeros((1, 0)))
-        for one in (0.0, 0.5)
-    )
+    models = (EncoderResiduals(arm(), [second_log(offset_rad=one)]) for one in (0.0, 0.5))
+    here, there = (one.residuals([], np.zeros((1, 0))) for one in models)
     assert here == pytest.approx(there, abs=1e-12)
 
 

@@ -151,9 +151,8 @@ def candidates():
 
 def test_the_bits_depend_neither_on_threads_nor_on_other_candidates():
     effects, sizes = candidates()
-    one, two = (
-        SimulationResiduals(pendulum(), MOTIONS, n_threads=n).residuals(effects, sizes) for n in (1, 2)
-    )
+    models = (SimulationResiduals(pendulum(), MOTIONS, n_threads=n) for n in (1, 2))
+    one, two = (model.residuals(effects, sizes) for model in models)
     assert np.array_equal(one, two)
     for k in (0, 3, 6):
         alone = SimulationResiduals(pendulum(), MOTIONS, n_threads=1).residuals(effects, sizes[[k]])
@@ -165,9 +164,8 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion():
     model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
     together = model.residuals(effects, sizes)
     for m, name in enumerate(model.motions):
-        assert np.array_equal(
-            together[:, model.motion_of == m], model.select([name]).residuals(effects, sizes)
-        )
+        alone = model.select([name]).residuals(effects, sizes)
+        assert np.array_equal(together[:, model.motion_of == m], alone)
 
 
 def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all():

@@ -103,10 +103,8 @@ def unwrap(signals, range_rad=NO_LIMITS, gear=1.0, side="joint", **command):
     if command:
         columns["command"].pop("counts_per_turn")
     table = JointTable.model_validate({"mode": "position", "gear_ratio": gear, **columns})
-    given = {
-        key: [Signal(np.arange(one.size), TURN_RAD / gear * one) for one in motions]
-        for key, motions in signals.items()
-    }
+    rad = {key: [TURN_RAD / gear * one for one in motions] for key, motions in signals.items()}
+    given = {key: [Signal(np.arange(one.size), one) for one in motions] for key, motions in rad.items()}
     found, count = unwrap_counters(table, given, range_rad)
     return {key: [one.value * gear / TURN_RAD for one in motions] for key, motions in found.items()}, count
 
@@ -212,9 +210,8 @@ def test_a_fast_wave_that_lags_is_not_ahead(clean, frequency_Hz):
     def swing(log):
         wave = 0.3 * np.sin(2 * np.pi * frequency_Hz * (log.position.time_s - 0.15))
         sent = 0.3 * np.sin(2 * np.pi * frequency_Hz * log.command.time_s)
-        return replace(
-            log, position=Signal(log.position.time_s, wave), command=Signal(log.command.time_s, sent)
-        )
+        shown = replace(log, position=Signal(log.position.time_s, wave))
+        return replace(shown, command=Signal(log.command.time_s, sent))
 
     assert not remarks(with_joint(clean, "shoulder", swing), RemarkKind.AHEAD)
 

@@ -172,9 +172,8 @@ def test_a_joint_that_texts_name_is_asked(tmp_path):
 
 
 def test_a_turn_has_the_fewest_counts_with_which_positions_lie_within_the_model(tmp_path):
-    counts = {
-        name: np.round(one * 2**16 / np.pi) for name, one in by_name().items() if name[:3] in ("com", "pos")
-    }
+    columns = {name: one for name, one in by_name().items() if name[:3] in ("com", "pos")}
+    counts = {name: np.round(one * 2**16 / np.pi) for name, one in columns.items()}
     log = write_columns(tmp_path / "log.csv", **by_name(**counts, velocity_lift=None, velocity_elbow=None))
     joints, asked, _ = make(tmp_path, log)
     ends = {"lift": 2.0, "elbow": 2.5}

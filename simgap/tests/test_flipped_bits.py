@@ -18,17 +18,14 @@ from simgap.files.log_file import list_columns, open_log
 from simgap.files.robot_file import CsvTable
 
 N_ROWS = 120
-TABLE = {
-    "t": np.arange(N_ROWS) * 0.01,
-    **{f"j{k}": np.random.default_rng(k).normal(size=N_ROWS).cumsum() for k in (1, 2)},
-}
+TABLE = {f"j{k}": np.random.default_rng(k).normal(size=N_ROWS).cumsum() for k in (1, 2)}
+TABLE = {"t": np.arange(N_ROWS) * 0.01} | TABLE
 JOINTS = ("/joint_states.position[shoulder]", "/joint_states.position[elbow]")
 
 
 def write_json_lines(path):
-    row = (
-        json.dumps(dict(zip(TABLE, one, strict=True))) for one in np.transpose(list(TABLE.values())).tolist()
-    )
+    table = np.transpose(list(TABLE.values())).tolist()
+    row = (json.dumps(dict(zip(TABLE, one, strict=True))) for one in table)
     path.write_text("\n".join(row) + "\n")
 
 

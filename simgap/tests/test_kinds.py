@@ -78,8 +78,7 @@ def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded):
 def test_a_joint_with_a_command_alone_makes_the_commands_simulated(unloaded):
     robot, motions = unloaded
     first = robot.joints[0].name
-    mixed = [
-        replace(one, joints=one.joints | {first: replace(one.joints[first], torque=None)}) for one in motions
-    ]
+    cut = [(one, replace(one.joints[first], torque=None)) for one in motions]
+    mixed = [replace(one, joints=one.joints | {first: log}) for one, log in cut]
     assert [kind.name for kind in list_kinds(robot, mixed, None)] == ["simulation"]
     assert [kind.name for kind in list_kinds(robot, motions, None)] == ["inverse dynamics"]

@@ -38,12 +38,8 @@ FIELDS = (
 
 def joint_state(position, current, stamp_s=1.5):
     """Encode a message in CDR, little endian."""
-    body = (
-        struct.pack("<iI", int(stamp_s), int(stamp_s % 1 * 1e9))
-        + struct.pack("<I", 5)
-        + b"base\0"
-        + b"\0" * 3
-    )
+    stamp = struct.pack("<iI", int(stamp_s), int(stamp_s % 1 * 1e9))
+    body = stamp + struct.pack("<I", 5) + b"base\0" + b"\0" * 3
     body += struct.pack("<I", 2) + struct.pack("<I", 2) + b"a\0" + b"\0" * 2 + struct.pack("<I", 2) + b"b\0"
     body += b"\0" * (-len(body) % 4) + struct.pack("<I", len(position))
     body += b"\0" * (-len(body) % 8) + struct.pack(f"<{len(position)}d", *position)
@@ -57,9 +53,8 @@ def write_mcap(path, encoding="ros2msg", n=5, command=None):
         writer.start()
         schema = writer.register_schema("sensor_msgs/msg/JointState", encoding, JOINT_STATE.encode())
         joints = writer.register_channel("/joints", "cdr", schema)
-        channel = writer.register_channel(
-            "/command", "json", writer.register_schema("c", "jsonschema", b"{}")
-        )
+        schema = writer.register_schema("c", "jsonschema", b"{}")
+        channel = writer.register_channel("/command", "json", schema)
         for k in range(n):
             now = 1_700_000_000_000_000_000 + k * 10_000_000
             writer.add_message(joints, now, joint_state([k, 4096.0 * k], [0.0, k]), now)

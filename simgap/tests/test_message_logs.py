@@ -80,9 +80,8 @@ def test_joints_that_have_numbers_as_names_are_read_by_name(tmp_path):
 def test_a_place_of_another_joint_is_refused_with_the_right_column(tmp_path):
     (tmp_path / "model.xml").write_text(MODEL)
     (tmp_path / "robot.toml").write_text(BY_PLACE.replace("position[0]", "position[2]").replace("[1]", "[0]"))
-    messages = [
-        (topic, time_ns, joint_state(0, ("shoulder", "elbow", "finger"))) for topic, time_ns, _ in rows()
-    ]
+    three = ("shoulder", "elbow", "finger")
+    messages = [(topic, time_ns, joint_state(0, three)) for topic, time_ns, _ in rows()]
     with pytest.raises(
         RobotError, match=r"'/joint_states.position\[0\]' is that of 'shoulder' in the messages"
     ):

@@ -67,9 +67,8 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
 
     def confused(k):
         pairs = [(0, 1), (0, 2), (1, 2)]
-        return float(
-            np.mean([norm.cdf(1.6449 - find_sigma(predictions[k], slopes[k], *one)) for one in pairs])
-        )
+        sigmas = (find_sigma(predictions[k], slopes[k], *one) for one in pairs)
+        return float(np.mean([norm.cdf(1.6449 - sigma) for sigma in sigmas]))
 
     choice = choose_motion(predictions, differentiate)
     assert choice.motions[0] == min(range(60), key=confused)

@@ -50,9 +50,8 @@ def test_the_example_is_put_at_each_joint_and_moves_it():
 
 
 def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
-    text = KIND.format(sizes=SIZE, hook=HOOK) + (
-        "def effects(robot, logs): return [Mine('base', 0, robot.joints[0], None)]\n"
-    )
+    effects = "def effects(robot, logs): return [Mine('base', 0, robot.joints[0], None)]\n"
+    text = KIND.format(sizes=SIZE, hook=HOOK) + effects
     with pytest.raises(RobotError, match="Mine at 'base': torque_Nm acts at a joint; give it one of"):
         load_effects(write(tmp_path, text), ARM, LOGS)
 

@@ -48,9 +48,8 @@ def test_an_included_file_brings_its_meshes_and_the_text_of_the_model_compiles_f
     tmp_path, monkeypatch
 ):
     (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "link.obj").write_text(
-        "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
-    )
+    points = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+    (tmp_path / "parts" / "link.obj").write_text(points)
     (tmp_path / "arm.xml").write_text(
         '<mujoco><compiler meshdir="parts"/><asset><mesh file="link.obj"/></asset>'
         '<include file="deep.xml"/></mujoco>'
@@ -81,9 +80,8 @@ def test_an_include_that_cannot_be_read_is_one_sentence(tmp_path, text, said):
 
 
 def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
-    (tmp_path / "robot.toml").write_text(
-        'name = "arm"\nserial_arm = "arm.toml"\n[poses]\n"poses.csv" = "map.toml"'
-    )
+    text = 'name = "arm"\nserial_arm = "arm.toml"\n[poses]\n"poses.csv" = "map.toml"'
+    (tmp_path / "robot.toml").write_text(text)
     found = robot_file.read_robot_file(tmp_path / "robot.toml")
     assert isinstance(found, robot_file.SerialFile)
     assert found.poses == {"poses.csv": "map.toml"}

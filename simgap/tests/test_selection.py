@@ -113,9 +113,8 @@ def test_findings_of_one_size_are_one_finding_of_all_joints(far, is_one):
     selection = select_effects(model, BASE, (*CATALOGUE, *shared), seed=1)
     keys = [effect.key for effect in selection.chosen.effects]
     assert sorted(keys) == (["both: square"] if is_one else ["far: square", "near: square"])
-    assert [one.effect.key for one in selection.competitors.get("both: square", ())] == [
-        "both: cube"
-    ] * is_one
+    rivals = [one.effect.key for one in selection.competitors.get("both: square", ())]
+    assert rivals == ["both: cube"] * is_one
 
 
 def test_two_effects_that_the_data_cannot_separate_stay_in_the_set():
@@ -166,9 +165,8 @@ def test_problems_that_share_simulations_end_where_they_end_alone():
     joints = np.array([NAMES.index(effect.place) for effect in union.effects])
     both = Sharing(((0, 1),), np.empty(0, np.int64), np.empty(0, np.int64), joints)
     together = Fitting(model, union, problems, scales, sharing=both).finish()
-    alone = [
-        Fitting(model, union, [one], scales, sharing=share_nothing(2, joints)).finish()[0] for one in problems
-    ]
+    apart = share_nothing(2, joints)
+    alone = [Fitting(model, union, [one], scales, sharing=apart).finish()[0] for one in problems]
     for shared, single in zip(together, alone, strict=True):
         np.testing.assert_array_equal(shared.sizes, single.sizes)
 
@@ -201,8 +199,7 @@ def test_of_noise_any_number_of_sizes_explains_nothing_on_average(n_sizes):
         changes, noise = rng.standard_normal((40, n_sizes)), rng.standard_normal(40)
         basis, _ = np.linalg.qr(np.column_stack([np.ones(40), changes]))
         total = np.sum((noise - noise.mean()) ** 2)
-        shares.append(
-            adjust(1.0 - float(np.sum((noise - basis @ (basis.T @ noise)) ** 2) / total), n_sizes, 40)
-        )
+        left = float(np.sum((noise - basis @ (basis.T @ noise)) ** 2) / total)
+        shares.append(adjust(1.0 - left, n_sizes, 40))
     assert np.mean(shares) == pytest.approx(0.0, abs=0.02)
     assert adjust(0.9, 40, 40) == -np.inf

@@ -94,9 +94,8 @@ def test_models_that_do_not_differ_are_equal():
 def test_motions_repeat_one_another_also_where_samples_are_missing(of_one, of_other):
     model = draw_toy(1, {})
     kept = np.ones(model.time_s.size, dtype=bool)
-    first, last = (
-        np.flatnonzero((model.joint_of == 0) & (model.motion_of == len(model.motions) - k)) for k in (2, 1)
-    )
+    motions = (model.motion_of == len(model.motions) - k for k in (2, 1))
+    first, last = (np.flatnonzero((model.joint_of == 0) & one) for one in motions)
     kept[first[of_one]] = kept[last[of_other]] = False
     for name in ("joint_of", "motion_of", "time_s"):
         setattr(model, name, getattr(model, name)[kept])

@@ -34,10 +34,8 @@ def robot(tmp_path):
 def motion_of(command):
     """Return a motion at rest, whose commands are these, (n, 2)."""
     rest = Signal(TIME_S, 0.0 * TIME_S)
-    logs = {
-        name: JointLog(rest, command=Signal(TIME_S, command[:, k]))
-        for k, name in enumerate(("lift", "swing"))
-    }
+    sent = {name: Signal(TIME_S, command[:, k]) for k, name in enumerate(("lift", "swing"))}
+    logs = {name: JointLog(rest, command=one) for name, one in sent.items()}
     return Motion("m", logs, {})
 
 
@@ -68,13 +66,8 @@ def test_the_engine_and_the_patch_move_a_slide_as_mujoco_does(robot):
 
 
 def test_a_slide_is_read_in_mm_and_from_the_side_of_its_motor(tmp_path):
-    path = write_folder(
-        tmp_path,
-        (
-            'position = { column = "p_lift", unit = "mm" }',
-            'position = { column = "p_lift", unit = "deg", side = "motor" }\ngear_ratio = 200.0',
-        ),
-    )
+    of_motor = '{ column = "p_lift", unit = "deg", side = "motor" }\ngear_ratio = 200.0'
+    path = write_folder(tmp_path, ('{ column = "p_lift", unit = "mm" }', of_motor))
     log = write_logs(tmp_path, count=4)
     by_motor = load(path, log).motions[0].joints["lift"]
     assert np.abs(by_motor.command.value).max() < 0.3
@@ -83,16 +76,15 @@ def test_a_slide_is_read_in_mm_and_from_the_side_of_its_motor(tmp_path):
     assert by_motor.position.value == pytest.approx(plain.position.value * 1e3 * np.pi / 180 / 200)
 
 
+MOTOR_TURNS = "joints.lift.position.unit: 'mm' is no unit of angle; .*, as 'lift' is a slide; its motor turns"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ('"p_lift", unit = "mm"', '"p_lift", unit = "rad"', "joints.lift.position.unit: 'rad' is no unit"),
         ('"c_swing", unit = "rad"', '"c_swing", unit = "mm"', "joints.swing.command.unit: 'mm' is no unit"),
-        (
-            '"p_lift", unit = "mm"',
-            '"p_lift", unit = "mm", side = "motor"',
-            "joints.lift.position.unit: 'mm' is no unit of angle; .*, as 'lift' is a slide; its motor turns",
-        ),
+        ('"p_lift", unit = "mm"', '"p_lift", unit = "mm", side = "motor"', MOTOR_TURNS),
         ('"p_lift", unit = "mm"', '"p_lift", unit = "mmm"', "position.unit: 'mmm' is no unit of angle or"),
     ],
 )
@@ -101,8 +93,7 @@ def test_a_unit_of_the_other_kind_of_joint_is_refused(tmp_path, old, new, said):
         Robot.from_toml(write_folder(tmp_path, (old, new)))
 
 
-def test_effects_of_a_slide_are_told_in_its_units(tmp_path):
-    robot = Robot.from_toml(write_folder(tmp_path))
+def test_effects_of_a_slide_are_told_in_its_units(robot, tmp_path):
     logs = load(robot, write_logs(tmp_path, count=4))
     effects = [*catalogue(robot, logs), *base_effects(robot, logs)]
     of_slide = [one for one in effects if one.place == "lift"]
@@ -110,31 +101,25 @@ def test_effects_of_a_slide_are_told_in_its_units(tmp_path):
     assert {"coulomb_N", "damping_Ns_m", "armature_kg", "kd_Ns_m", "stribeck_m_s"} <= names
     assert {"backlash_m", "compliance_m_N", "stiffness_N_m", "inverse_limit_1_N"} <= names
     assert not any("rad" in name or "Nm" in name or "kgm2" in name for name in names)
-    assert {"position-dependent torque", "link inertia", "joint coupling"}.isdisjoint(
-        one.name for one in of_slide
-    )
+    hinged = {"position-dependent torque", "link inertia", "joint coupling"}
+    assert hinged.isdisjoint(one.name for one in of_slide)
     texts = [one.describe(np.array([size.typical for size in one.sizes])) for one in of_slide]
     assert not any("rad" in text or "N m" in text for text in texts)
     of_hinge = {size.name for one in effects if one.place == "swing" for size in one.sizes}
     assert {"coulomb_Nm", "damping_Nms_rad", "armature_kgm2", "zero_rad"} <= of_hinge
 
 
-def test_the_check_of_a_sound_slide_has_no_remark(tmp_path):
-    robot = Robot.from_toml(write_folder(tmp_path))
+def test_the_check_of_a_sound_slide_has_no_remark(robot, tmp_path):
     assert audit(robot, load(robot, write_logs(tmp_path, delay_s=0.0, friction_N=0.0, count=4))).remarks == ()
 
 
 @pytest.mark.parametrize(
-    ("unit", "said"), [("mm", "times its command: is the position in mm, "), ("cm", "is the position in cm")]
+    ("more", "said"),
+    [("", "times its command: is the position in mm, "), (", factor = 0.01", "is the position in cm")],
 )
-def test_a_slide_in_another_unit_is_told(tmp_path, unit, said):
-    """The position is declared in m."""
-    write_folder(tmp_path)
-    text = (tmp_path / "robot.toml").read_text().replace('"p_lift", unit = "mm"', '"p_lift", unit = "m"')
-    if unit == "cm":
-        text = text.replace('"p_lift", unit = "m"', '"p_lift", unit = "m", factor = 0.01')
-    (tmp_path / "robot.toml").write_text(text)
-    robot = Robot.from_toml(tmp_path / "robot.toml")
+def test_a_slide_in_another_unit_than_m_is_told(tmp_path, more, said):
+    path = write_folder(tmp_path, ('"p_lift", unit = "mm"', f'"p_lift", unit = "m"{more}'))
+    robot = Robot.from_toml(path)
     (remark,) = audit(robot, load(robot, write_logs(tmp_path, count=4))).remarks
     assert said in remark.text
     assert "degrees" not in remark.text
@@ -181,9 +166,7 @@ def test_a_gripper_with_its_own_log_starts_where_its_tie_puts_both_fingers(tmp_p
 
 
 def test_a_joint_that_depends_on_another_is_placed_by_the_law_of_the_tie():
-    text = model_text(has_gripper=True).replace(
-        'joint1="left" joint2="right"', 'joint1="left" joint2="right" polycoef="0.001 2 0 0 0"'
-    )
+    text = model_text(has_gripper=True).replace('joint2="right"', 'joint2="right" polycoef="0.001 2 0 0 0"')
     model = mujoco.MjModel.from_xml_string(text)
     left, right = (int(model.joint(name).dofadr[0]) for name in ("left", "right"))
     for known, other, q, v in ((right, left, 0.021, 0.6), (left, right, 0.0045, 0.15)):
@@ -207,23 +190,20 @@ def test_the_wrapper_moves_a_slide_as_the_engine_does(robot, tmp_path):
     assert np.transpose(shown) == pytest.approx(by_engine(robot, [delay], [0.0123]), abs=1e-12)
 
 
+NO_TABLE = "joints: the model drives 'left', which has no table; add one, or write "
+
+
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("names", "said"),
     [
-        (
-            [],
-            r"joints: the model drives 'left', which has no table; add one, or write "
-            r'left_out = \["left", "right"\]',
-        ),
-        ([(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["left"]')], r"ties 'left' to others; leave out"),
-        ([(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["lef"]')], "left_out: the model has no joint 'lef'"),
-        (
-            [(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["lift", "left", "right"]')],
-            "left_out: 'lift' has the table joints.lift; remove one of them",
-        ),
+        ("", rf'{NO_TABLE}left_out = \["left", "right"\]'),
+        ('"left"', r"ties 'left' to others; leave out"),
+        ('"lef"', "left_out: the model has no joint 'lef'"),
+        ('"lift", "left", "right"', "left_out: 'lift' has the table joints.lift; remove one of them"),
     ],
 )
-def test_what_is_left_out_is_told_in_one_sentence(tmp_path, changes, said):
+def test_what_is_left_out_is_told_in_one_sentence(tmp_path, names, said):
+    changes = [(LEFT_OUT[0], f"{LEFT_OUT[0]}\nleft_out = [{names}]")] * bool(names)
     with pytest.raises(RobotError, match=said):
         Robot.from_toml(write_folder(tmp_path, *changes, has_gripper=True))
 
@@ -234,16 +214,12 @@ def test_what_is_left_out_is_told_in_one_sentence(tmp_path, changes, said):
 def test_a_free_base_is_refused_or_held(tmp_path, joint):
     path = write_folder(tmp_path)
     base = f'<body name="base" pos="0 0 1">{joint}<inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>'
-    text = (
-        model_text()
-        .replace("<worldbody>", f"<worldbody>{base}")
-        .replace("</worldbody>", "</body></worldbody>")
-    )
+    text = model_text().replace("<worldbody>", f"<worldbody>{base}")
+    text = text.replace("</worldbody>", "</body></worldbody>")
     (tmp_path / "model.xml").write_text(text)
     name = "root" if "root" in joint else "base"
-    with pytest.raises(
-        RobotError, match=rf"model: the joint of '{name}' is free, .* left_out = \[\"{name}\"\] holds"
-    ):
+    said = rf"model: the joint of '{name}' is free, .* left_out = \[\"{name}\"\] holds"
+    with pytest.raises(RobotError, match=said):
         Robot.from_toml(path)
     path.write_text(path.read_text().replace(LEFT_OUT[0], f'{LEFT_OUT[0]}\nleft_out = ["{name}"]'))
     robot = Robot.from_toml(path)
@@ -253,8 +229,7 @@ def test_a_free_base_is_refused_or_held(tmp_path, joint):
 
 
 @pytest.mark.slow
-def test_the_delay_and_the_friction_of_a_slide_are_found(tmp_path):
-    robot = Robot.from_toml(write_folder(tmp_path))
+def test_the_delay_and_the_friction_of_a_slide_are_found(robot, tmp_path):
     logs = load(robot, write_logs(tmp_path), held_out=["m2", "m4"])
     result = diagnose(robot, logs.fit, held_out=logs.judged)
     found = next(one for one in result.findings if "lift: command delay" in one.effects)

@@ -25,9 +25,8 @@ def test_base_parameters_of_the_twin_are_found():
     motions = [
         record(robot, truth, f"smooth {k}", smooth_command(robot, k, 3.0, REACH_rad), k) for k in range(4)
     ]
-    unknown = replace(
-        robot, joints=tuple(replace(one, is_known=one.name not in truth.gain_ratio) for one in robot.joints)
-    )
+    joints = tuple(replace(one, is_known=one.name not in truth.gain_ratio) for one in robot.joints)
+    unknown = replace(robot, joints=joints)
     raw = SimulationResiduals(unknown, motions, n_threads=1)
     base = base_effects(unknown, Logs(tuple(motions)))
     context, present = fit_base(start_context(raw, base, (), 1, Meter()))

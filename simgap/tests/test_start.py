@@ -50,9 +50,8 @@ def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path,
     sizes: list[tuple[float, ...]] = [(0.3,) if one.name == "gain error" else (0.0,) for one in base]
     earlier = diagnosis(effects=(*base, late), sizes=(*sizes, (DELAY_s,)))
     save_patch(MODEL, earlier, tmp_path)
-    found = diagnose(
-        MODEL, motions[:3], held_out=motions[3:], start=read_found(MODEL, tmp_path), base_only=True
-    )
+    start = read_found(MODEL, tmp_path)
+    found = diagnose(MODEL, motions[:3], held_out=motions[3:], start=start, base_only=True)
     (error,) = found.errors
     assert error.explained < 2e-4 < error.nominal < 0.05
     (gain,) = (one for one in found.base if one.name == "gain_ratio")

@@ -82,9 +82,9 @@ def test_what_the_campaign_does_not_see_is_not_drawn():
 
 def test_the_same_seed_plans_the_same():
     def planned(seed):
+        drawn_effects = [(case.kind, case.effects) for case in drawn(seed=seed)]
         return [
-            (case.kind, [(one.source, one.values.tolist()) for one in case.effects])
-            for case in drawn(seed=seed)
+            (kind, [(one.source, one.values.tolist()) for one in effects]) for kind, effects in drawn_effects
         ]
 
     assert planned(3) == planned(3)

@@ -44,14 +44,8 @@ def case(kind, *effects):
 
 def finding(effect, family, *others):
     keys = [f"swing: {name}" for name in (effect, *others)]
-    return {
-        "place": "swing",
-        "family": family,
-        "effect": effect,
-        "places": ["swing"],
-        "families": [family],
-        "effects": keys,
-    }
+    finding = {"place": "swing", "family": family, "effect": effect}
+    return finding | {"places": ["swing"], "families": [family], "effects": keys}
 
 
 def result(*findings):
@@ -89,18 +83,13 @@ def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(tmp
     diagnosed = lambda *paths: seen.extend(paths[:2]) or Nothing()  # noqa: E731
     monkeypatch.setattr(robot_cases, "diagnose_files", diagnosed)
     assert solve_cases(tmp_path, MAKER, run_here, no_progress) == (1, 2)
-    assert [path.relative_to(tmp_path).as_posix() for path in seen] == [
-        "robots/pendulum/robot.toml",
-        "cases/case-001.parquet",
-    ]
+    names = [path.relative_to(tmp_path).as_posix() for path in seen]
+    assert names == ["robots/pendulum/robot.toml", "cases/case-001.parquet"]
 
 
 def test_a_right_answer_meets_all_bars():
-    solved = [
-        (case("none"), result()),
-        (case("single", DELAY), result(TRUE_DELAY)),
-        (case("outside", CREEP), result()),
-    ]
+    solved = [(case("none"), result()), (case("single", DELAY), result(TRUE_DELAY))]
+    solved.append((case("outside", CREEP), result()))
     found = score_cases(solved).document
     assert all(bar["met"] for bar in found["bars"].values())
     assert found["bars"]["right effect"]["hits"] == 1
@@ -117,9 +106,8 @@ def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives():
 
 def test_effects_below_the_limit_are_not_counted_as_missed():
     small = replace(DELAY, times_limit=0.9)
-    sealed = SealedCase(
-        "case-000", Truth("pendulum", "single", 1000, (small,), {}), ((("command delay", "swing"),),)
-    )
+    truth = Truth("pendulum", "single", 1000, (small,), {})
+    sealed = SealedCase("case-000", truth, ((("command delay", "swing"),),))
     assert score_cases([(sealed, result())]).document["bars"]["reported"]["of"] == 0
 
 

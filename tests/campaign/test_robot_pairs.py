@@ -21,10 +21,8 @@ def pair(*changes, is_gone=False):
 
 
 def result(*effects):
-    findings = [
-        {"place": "swing", "effect": one, "places": ["swing"], "families": [], "effects": [f"swing: {one}"]}
-        for one in effects
-    ]
+    alike = {"place": "swing", "places": ["swing"], "families": []}
+    findings = [alike | {"effect": one, "effects": [f"swing: {one}"]} for one in effects]
     return {"findings": findings, "seconds": 1.0, "refused": ""}
 
 
@@ -48,9 +46,8 @@ def test_the_numbers_of_every_joint_may_change():
 @pytest.mark.parametrize("is_gone", [False, True])
 def test_both_logs_have_the_same_commands_and_one_of_them_the_change(tmp_path, is_gone):
     RobotPairs(("pendulum",)).record(tmp_path / "case-000", pair(CLAMP, is_gone=is_gone))
-    before, after = (
-        pq.read_table(tmp_path / "case-000" / f"{name}.parquet").to_pydict() for name in ("before", "after")
-    )
+    paths = (tmp_path / "case-000" / f"{name}.parquet" for name in ("before", "after"))
+    before, after = (pq.read_table(path).to_pydict() for path in paths)
     assert set(before["motion"]) == {name for name, _ in PLAN} - HELD_OUT
     assert all(before[name] == after[name] for name in ("motion", "repeat", "t_s", "command_swing"))
     highest = [np.max(one["position_swing"]) for one in (before, after)]

@@ -43,9 +43,8 @@ def test_a_free_pendulum_keeps_its_energy():
 @pytest.mark.parametrize(("share", "moves"), [(1.02, False), (0.98, True)])
 def test_dry_friction_holds_up_to_its_torque(share, moves):
     angle_rad = 0.6
-    shown = free_pendulum(share * WEIGHT_NM * np.sin(angle_rad)).simulate(
-        held(angle_rad), robot_setup.PERIOD_S, 1
-    )[0]
+    pendulum = free_pendulum(share * WEIGHT_NM * np.sin(angle_rad))
+    shown = pendulum.simulate(held(angle_rad), robot_setup.PERIOD_S, 1)[0]
     assert (np.abs(shown - angle_rad).max() > 1e-3) == moves
 
 
@@ -65,9 +64,8 @@ def test_a_position_is_not_shown_past_a_clamped_command():
     stiff = Nuisances(np.ones(1), np.zeros(1), np.ones(1), 20.0 * np.ones(1))
     clamp = inside.ClampHigh(PLAN.scene, "swing", 0.3)
     end_rad = PLAN.scene.high_rad[0] - 0.3
-    shown = Plant(PENDULUM, stiff, [clamp]).simulate(
-        held(PLAN.scene.high_rad[0], 50), robot_setup.PERIOD_S, 1
-    )[0]
+    plant = Plant(PENDULUM, stiff, [clamp])
+    shown = plant.simulate(held(PLAN.scene.high_rad[0], 50), robot_setup.PERIOD_S, 1)[0]
     assert shown[-1] == pytest.approx(end_rad, abs=0.01)
 
 
@@ -111,9 +109,8 @@ def test_the_noise_has_the_stated_size_correlation_and_quantum():
     noise = (shown - truth)[0]
     assert noise.std() == pytest.approx(robot_setup.LOG_SD_RAD, rel=0.03)
     assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(robot_setup.LOG_CORRELATION, abs=0.02)
-    assert shown / robot_setup.QUANTUM_RAD == pytest.approx(
-        np.round(shown / robot_setup.QUANTUM_RAD), abs=1e-6
-    )
+    counts = shown / robot_setup.QUANTUM_RAD
+    assert counts == pytest.approx(np.round(counts), abs=1e-6)
     assert robot_setup.whiten(noise).std() == pytest.approx(1.0, rel=0.03)
 
 

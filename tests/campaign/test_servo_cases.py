@@ -64,9 +64,8 @@ def test_sixty_cases_have_their_kinds():
 
 
 def test_only_a_single_wrong_effect_is_sure_and_wrong():
-    sealed = SealedCase(
-        "case-000", Truth(MODEL, "single", 1000, (FRICTION,), {}), ((("Stribeck friction", "servo"),),)
-    )
+    truth = Truth(MODEL, "single", 1000, (FRICTION,), {})
+    sealed = SealedCase("case-000", truth, ((("Stribeck friction", "servo"),),))
 
     def bars(*effects):
         found = {

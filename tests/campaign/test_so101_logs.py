@@ -11,9 +11,8 @@ from simgap.robot import Robot
 from validation.so101 import convert
 
 JOINTS = tuple(one.name for one in Robot.from_toml(robot_path("so101")).joints)
-MOTIONS = [
-    one for part in read_split(robot_path("so101").parent / "split.toml").parts.values() for one in part
-]
+PARTS = read_split(robot_path("so101").parent / "split.toml").parts
+MOTIONS = [one for part in PARTS.values() for one in part]
 ROWS = 4
 
 

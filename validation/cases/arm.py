@@ -95,17 +95,14 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
         known = blind_case.list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
-        outside = [
-            blind_case.DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()
-        ]
+        every = list_uncatalogued().values()
+        outside = [blind_case.DetectableEffect(one.hypothesis, 1.0, None) for one in every]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [], self.arm)
 
     def record(self, path: Path, case: TrueCase) -> None:
         """Record the sessions of a case; a session whose motion does not complete gets no log."""
-        specs, tools = (
-            (*case.background, *(one.spec for one in case.effects)),
-            arm_named(self.arm).params.tool_names,
-        )
+        specs = (*case.background, *(one.spec for one in case.effects))
+        tools = arm_named(self.arm).params.tool_names
         effects = tuple(resolve_effect(spec, tools) for spec in specs)
         sessions = choose_sessions(self.sessions, self.arm)
         blind_case.record_blind(path, effects, sessions, case.seed, no_progress, self.arm)

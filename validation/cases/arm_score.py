@@ -258,11 +258,8 @@ def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
 def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
     """Check that a finding has families, and none that counts as right."""
     right = load_outside_effects()[true.name].families
-    families = [
-        set(one["not_excluded"]["families"])
-        for one in result["findings"]
-        if one["level"] in ("effect", "family")
-    ]
+    located = [one for one in result["findings"] if one["level"] in ("effect", "family")]
+    families = [set(one["not_excluded"]["families"]) for one in located]
     return any(not right & one for one in families)
 
 

@@ -126,9 +126,8 @@ def _sample_effects(
 ) -> tuple[blind_case.SampledEffect, ...]:
     if kind == "none":
         return ()
-    first = blind_case.sample_amplitude(
-        next(unknown) if kind == "out-of-catalogue" else blind_case.sample_effect(known, rng), rng
-    )
+    source = next(unknown) if kind == "out-of-catalogue" else blind_case.sample_effect(known, rng)
+    first = blind_case.sample_amplitude(source, rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]

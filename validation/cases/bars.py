@@ -48,11 +48,8 @@ def score_bars(
     bars: Mapping[str, RateBar], count: int, more: Mapping[str, Any], in_bounds: bool = True
 ) -> CaseScore:
     """Return a score of `count` solved cases by bars, which have to be met, as all other bounds have to."""
-    document = {
-        "cases": count,
-        "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
-        **more,
-    }
+    verdicts = {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()}
+    document = {"cases": count, "bars": verdicts, **more}
     rows = [
         (name, f"at {'most' if bar.is_most else 'least'} {bar.rate:g}", f"{bar.hits} of {bar.of}",
          "met" if bar.is_met else "missed")

@@ -74,19 +74,16 @@ class RobotPairs(robot.RobotCases):
         for run, name in enumerate(SETS):
             has_change = (name == "before") == case.is_gone
             effects = (*case.common, *(case.truth.effects if has_change else ()))
-            robot.write_logs(
-                path / f"{name}.parquet",
-                robot_draw.record_logs(replace(case.truth, effects=effects), 1 + run),
-            )
+            truth = replace(case.truth, effects=effects)
+            robot.write_logs(path / f"{name}.parquet", robot_draw.record_logs(truth, 1 + run))
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Compare two logs as a user does."""
         robot_file = robot.find_robot_file(folder, case.name)
         before, after = (case / f"{name}.parquet" for name in SETS)
         try:
-            return describe(
-                compare_logs(CompareRequest(robot_file, before, after, seed=robot.DIAGNOSIS_SEED))
-            )
+            request = CompareRequest(robot_file, before, after, seed=robot.DIAGNOSIS_SEED)
+            return describe(compare_logs(request))
         except RobotError as why:
             return {"findings": [], "remaining": [], "refused": str(why)}
 
@@ -139,10 +136,8 @@ def score_pairs(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
     changed = [(case, list(result["findings"])) for case, result in solved if case.truth.effects]
     paired = [pair_up(add_equivalents(case, found), found) for case, found in changed]
     pairs = [pair for found, _ in paired for pair in found]
-    is_placed = [
-        one.finding is not None and plain_place(one.finding["place"]) in {place for _, place in one.accepted}
-        for one in pairs
-    ]
+    found = [(one.finding, {place for _, place in one.accepted}) for one in pairs]
+    is_placed = [one is not None and plain_place(one["place"]) in right for one, right in found]
     is_named = [one.finding is not None and first_choice(one.finding) in one.accepted for one in pairs]
     bars = {
         "false alarms": check_rate((bool(one["findings"]) for one in quiet), 0.05, True),

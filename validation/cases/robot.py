@@ -132,10 +132,8 @@ def plan_robot_cases(
     counts["single"] += count - sum(counts.values())
     pairs = [(kind, models[k % len(models)]) for kind, many in counts.items() for k in range(many)]
     order = np.random.default_rng([seed, 4]).permutation(count)
-    return tuple(
-        PlannedRobotCase(sealed.case_name(number), TUNING_SEEDS * seed + number, *pairs[k])
-        for number, k in enumerate(order)
-    )
+    named = [(sealed.case_name(k), TUNING_SEEDS * seed + k) for k in range(count)]
+    return tuple(PlannedRobotCase(*own, *pairs[k]) for own, k in zip(named, order, strict=True))
 
 
 def _draw(job: tuple[Path, RobotCases, PlannedRobotCase]) -> str:
@@ -194,11 +192,8 @@ def write_robot(
         "parts": {"fit": [name for name in motions if name not in held_out], "held_out": sorted(held_out)},
         "splits": {"fit": {"fit": ["fit"], "held_out": ["held_out"]}},
     }
-    texts = {
-        ROBOT_FILE: toml_text(robot_table),
-        "split.toml": toml_text(split),
-        "model.xml": robot.model_xml.strip() + "\n",
-    }
+    texts = {ROBOT_FILE: toml_text(robot_table), "split.toml": toml_text(split)}
+    texts["model.xml"] = robot.model_xml.strip() + "\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
 

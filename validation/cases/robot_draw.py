@@ -327,11 +327,7 @@ def measure(shown_rad: Array, rng: np.random.Generator) -> Array:
     noise = np.empty_like(shown_rad)
     noise[:, 0] = white[:, 0]
     for k in range(1, shown_rad.shape[1]):
-        noise[:, k] = (
-            robot_setup.CORRELATION * noise[:, k - 1]
-            + np.sqrt(1.0 - robot_setup.CORRELATION**2) * white[:, k]
-        )
-    return np.asarray(
-        robot_setup.QUANTUM_RAD
-        * np.round((shown_rad + robot_setup.NOISE_RAD * noise) / robot_setup.QUANTUM_RAD)
-    )
+        share = robot_setup.CORRELATION
+        noise[:, k] = share * noise[:, k - 1] + np.sqrt(1.0 - share**2) * white[:, k]
+    quantum = robot_setup.QUANTUM_RAD
+    return np.asarray(quantum * np.round((shown_rad + robot_setup.NOISE_RAD * noise) / quantum))

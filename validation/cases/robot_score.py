@@ -102,10 +102,8 @@ def pair_up(case: SealedCase, findings: list[Document]) -> tuple[list[Pairing], 
         permutations(range(len(slots)), len(classes)),
         key=lambda order: sum(fit(one, slots[k]) for one, k in zip(classes, order, strict=True)),
     )
-    pairs = [
-        Pairing(effect, accepted, slots[k])
-        for effect, accepted, k in zip(case.truth.effects, classes, best, strict=True)
-    ]
+    trios = zip(case.truth.effects, classes, best, strict=True)
+    pairs = [Pairing(effect, accepted, slots[k]) for effect, accepted, k in trios]
     return pairs, [finding for k, finding in enumerate(findings) if k not in best]
 
 
@@ -170,12 +168,8 @@ def judge(pair: Pairing) -> JudgedEffect:
 
 LEAST_COSINE: Final = 0.99
 SHAPED: Final = (
-    inside.Integral,
-    inside.Stribeck,
-    inside.Spring,
-    inside.PositionTorque,
-    inside.PeriodicError,
-    inside.GravityDirection,
+    *(inside.Integral, inside.Stribeck, inside.Spring),
+    *(inside.PositionTorque, inside.PeriodicError, inside.GravityDirection),
 )
 """Effects with a shape; two shapes of each are tried beside that of the truth."""
 FAR: Final = 0.9
@@ -212,9 +206,8 @@ def _cosine(campaign: CaseMotions, one: PlacedEntry, shape: float, true: Array) 
     cosine = 0.0
     for _ in range(2):
         try:
-            change = _close_change(
-                campaign, one.entry.kind(campaign.plan.scene, one.place, size * one.scale, shape), true
-            )
+            effect = one.entry.kind(campaign.plan.scene, one.place, size * one.scale, shape)
+            change = _close_change(campaign, effect, true)
         except FloatingPointError:
             return 0.0
         if change is None:

@@ -300,11 +300,8 @@ def solve_cases(folder: Path, maker: CaseMaker[Any], run: Runner, progress: Prog
     cases = sorted(one for one in (folder / CASES_FOLDER).glob(f"case-*{maker.suffix}"))
     if not cases:
         raise BadRequest(f"{folder}: no case is recorded yet; the step make goes on")
-    jobs = [
-        (folder.absolute(), maker, one.absolute())
-        for one in cases
-        if not result_path(folder, one.stem).exists()
-    ]
+    left = [one.absolute() for one in cases if not result_path(folder, one.stem).exists()]
+    jobs = [(folder.absolute(), maker, one) for one in left]
     if jobs:  # before the workers start, else each would compute it
         maker.prepare(folder, run, _uncounted(progress))
     progress(0, len(jobs), "solving")

@@ -197,9 +197,8 @@ def _add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
         place = next((key for key, (one, _) in total.items() if _is_base(one, each)), "")
         by = float(before[place][0]) if place in before else 0.0
         low, high = each.interval
-        base.append(
-            replace(each, nominal=each.nominal + by, value=each.value + by, interval=(low + by, high + by))
-        )
+        moved = replace(each, nominal=each.nominal + by, value=each.value + by)
+        base.append(replace(moved, interval=(low + by, high + by)))
     return replace(
         part,
         base=tuple(base),
@@ -219,20 +218,10 @@ def _is_base(effect: Effect, one: Base) -> bool:
 def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
     """Join the results of several kinds of residual."""
     lists = (
-        "findings",
-        "base",
-        "errors",
-        "remaining",
-        "rejected",
-        "effects",
-        "sizes",
-        "start",
-        "effect_kinds",
-        "rivals",
+        *("findings", "base", "errors", "remaining", "rejected"),
+        *("effects", "sizes", "start", "effect_kinds", "rivals"),
     )
-    joined: dict[str, Any] = {
-        name: tuple(one for part in parts for one in getattr(part, name)) for name in lists
-    }
+    joined: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in lists}
     kinds, methods = [part.kind for part in parts], [part.method for part in parts]
     return replace(parts[0], kind=" and ".join(kinds), method=" ".join(methods), **joined)
 

@@ -267,9 +267,8 @@ def _joint(
     """Take from the model what the file does not say."""
     where, dof = f"{path}: joints.{name}", int(model.jnt_dofadr[number])
     kp, kd = _gains(table, drive, where, needs_gains)
-    constant = (
-        drive.torque_constant_Nm_A if table.torque_constant_Nm_A is None else table.torque_constant_Nm_A
-    )
+    own = table.torque_constant_Nm_A
+    constant = drive.torque_constant_Nm_A if own is None else own
     if constant is None and table.mode == "current":
         raise RobotError(f"{where}.torque_constant_Nm_A: is missing; the mode current needs it")
     if constant is None and not table.torque_constant_is_known:
@@ -311,9 +310,8 @@ def _gains(table: JointTable, drive: mjcf.Drive, where: str, needs_gains: bool) 
             )
         return drive.torque_Nm_V, drive.back_emf_Nms_rad if table.kd_Nms_rad is None else kd
     kp = drive.kp_Nm_rad if table.kp_Nm_rad is None else table.kp_Nm_rad
-    key, gain = {"position": ("kp_Nm_rad", kp), "velocity": ("kd_Nms_rad", kd)}.get(
-        table.mode, ("", math.inf)
-    )
+    gains = {"position": ("kp_Nm_rad", kp), "velocity": ("kd_Nms_rad", kd)}
+    key, gain = gains.get(table.mode, ("", math.inf))
     if gain != 0.0:
         return kp, kd
     if needs_gains:

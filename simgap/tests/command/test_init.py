@@ -269,10 +269,8 @@ def test_one_of_two_actuators_is_taken_and_asked(tmp_path):
 
 
 def test_a_gripper_that_no_column_shows_is_left_out_and_a_joint_that_follows_has_no_table(tmp_path):
-    fingers = "".join(
-        f'<body><joint name="{one}" type="slide"/><geom size="0.01" mass="0.1"/></body>'
-        for one in ("left", "right")
-    )
+    finger = '<body><joint name="{}" type="slide"/><geom size="0.01" mass="0.1"/></body>'
+    fingers = finger.format("left") + finger.format("right")
     tendon = "".join(f'<joint joint="{one}" coef="0.5"/>' for one in ("left", "right"))
     file, _ = start_with(
         tmp_path,

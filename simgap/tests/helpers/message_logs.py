@@ -39,12 +39,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 def joint_state(k: int, order: tuple[str, ...] = ("shoulder", "elbow"), **fields) -> dict:
     """Make the message of row k: position k of the shoulder and -k of the elbow."""
     values = {"shoulder": float(k), "elbow": -float(k), "finger": 99.0}
-    return {
-        "name": list(order),
-        "position": [values[one] for one in order],
-        "velocity": [],
-        "effort": [],
-    } | fields
+    names = {"name": list(order), "position": [values[one] for one in order]}
+    return names | {"velocity": [], "effort": []} | fields
 
 
 def rows(n: int = 5, **fields) -> list[tuple[str, int, dict]]:

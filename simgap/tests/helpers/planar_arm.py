@@ -56,10 +56,8 @@ def commands(number: int, low: float, high: float) -> dict[str, np.ndarray]:
     """Return slow commands of one motion: the shoulder swings between two angles, the elbow differs."""
     time_s = np.arange(0.0, DURATION_S, 1.0 / RATE_HZ)
     swing = 0.5 - 0.5 * np.cos(2 * np.pi * time_s / 6.0)
-    return {
-        "shoulder": low + (high - low) * swing,
-        "elbow": 0.2 + 0.1 * number + 0.15 * np.sin(2 * np.pi * time_s / 12.0),
-    }
+    elbow = 0.2 + 0.1 * number + 0.15 * np.sin(2 * np.pi * time_s / 12.0)
+    return {"shoulder": low + (high - low) * swing, "elbow": elbow}
 
 
 def record(real: Robot, number: int, sent: dict[str, np.ndarray], arrived=None) -> Motion:
@@ -75,10 +73,8 @@ def record(real: Robot, number: int, sent: dict[str, np.ndarray], arrived=None) 
 
 def motion(number, time_s, position, command) -> Motion:
     """Return a motion from arrays."""
-    joints = {
-        name: JointLog(position=Signal(time_s, position[name]), command=Signal(time_s, command[name]))
-        for name in position
-    }
+    pairs = {name: (Signal(time_s, one), Signal(time_s, command[name])) for name, one in position.items()}
+    joints = {name: JointLog(position=one, command=sent) for name, (one, sent) in pairs.items()}
     return Motion(f"motion {number}", joints, {})
 
 

@@ -12,11 +12,8 @@ from simgap.logs import Logs, Motion
 from simgap.robot import Robot
 
 ROBOTS = ("so101", "kr300", "pendulum", "ur10")
-LOADED = {
-    "so101": {"shoulder_lift", "elbow_flex", "wrist_flex"},
-    "kr300": {"a2", "a3", "a4", "a5"},
-    "pendulum": {"servo"},
-}
+LOADED = {"so101": {"shoulder_lift", "elbow_flex", "wrist_flex"}, "pendulum": {"servo"}}
+LOADED["kr300"] = {"a2", "a3", "a4", "a5"}
 """Joints that gravity moves against their friction."""
 LOGS = {
     "so101": ("so101/so101.parquet",),

@@ -27,9 +27,8 @@ def drawn_arm(joints=4):
         for k in range(joints)
     )
     uncertainty = Uncertainty(compliance_rad_per_Nm=1e-4, periodic_rad=2e-4, orders=ORDERS)
-    return SerialArm(
-        "made up", links, uncertainty=uncertainty, repeatability=Repeatability(POSITION_M, ROTATION_RAD)
-    )
+    of_arm = Repeatability(POSITION_M, ROTATION_RAD)
+    return SerialArm("made up", links, uncertainty=uncertainty, repeatability=of_arm)
 
 
 def built_arm(arm, seed):

@@ -49,10 +49,8 @@ def test_the_load_is_the_slope_of_the_energy():
 
     def energy(angles):
         ends, _ = chain.forward_kinematics(chain.repeat_pose(chain.IDENTITY, 1), arm.link_geometry, angles)
-        heavy = [
-            (X @ chain.Pose(np.eye(3)[:, :, None], c[:, None])).p[:, 0]
-            for X, c in zip(ends, centres, strict=True)
-        ]
+        placed = [chain.Pose(np.eye(3)[:, :, None], one[:, None]) for one in centres]
+        heavy = [(X @ one).p[:, 0] for X, one in zip(ends, placed, strict=True)]
         return -sum(m * gravity @ p for m, p in zip(masses, heavy, strict=True))
 
     ends, axes = chain.forward_kinematics(chain.repeat_pose(chain.IDENTITY, 1), arm.link_geometry, q)

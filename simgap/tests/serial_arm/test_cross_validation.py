@@ -30,9 +30,8 @@ def test_a_block_is_predicted_as_by_a_fit_that_never_saw_it():
     for k in range(BLOCKS):
         mine = held_out.block == k
         others = fit_poses(found.model.arm, found.model.setup, part, TERMS, ~mine)
-        assert held_out.rms_by_block_m[k] == pytest.approx(
-            pose_errors(others.arm, others.setup, part.at(mine)).rms_m, rel=0.01
-        )
+        error = pose_errors(others.arm, others.setup, part.at(mine))
+        assert held_out.rms_by_block_m[k] == pytest.approx(error.rms_m, rel=0.01)
 
 
 def test_a_temperature_that_moves_the_base_explains_something():

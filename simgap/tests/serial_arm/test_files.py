@@ -61,12 +61,9 @@ def test_what_is_wrong_with_an_arm_is_named(tmp_path, change, line):
     assert line in str(error.value)
 
 
-def test_an_arm_without_links_is_none(tmp_path):
+def test_an_arm_without_links_is_none_and_one_without_gravity_in_its_file_stands_upright(tmp_path):
     with pytest.raises(RobotError, match="link: is missing"):
         read_arm(written(tmp_path, "arm.toml", 'name = "none"'))
-
-
-def test_an_arm_without_gravity_in_its_file_stands_upright(tmp_path):
     arm = read_arm(written(tmp_path, "arm.toml", 'name = "one"\n[[link]]\nname = "joint"'))
     assert arm.gravity_B_m_s2 == UPRIGHT_B_m_s2
 
@@ -86,7 +83,7 @@ def test_an_arm_without_gravity_in_its_file_stands_upright(tmp_path):
         (('order = "XYZ"', 'form = "matrice"'), "rotation.form: should be 'euler', 'rotation vector', 'quat"),
         (
             ('rz"]\nunit = "deg"\norder = "XYZ"', 'rz", "w"]\norder = "wzyx"\nform = "quaternion"'),
-            "rotation: order: should be wxyz or xyzw, not 'wzyx'",
+            "order: should be wxyz or xyzw, not",
         ),
         (('rz"]\nunit = "deg"\norder = "XYZ"', 'rz"]\norder = "XYZ"'), "unit: '' is no unit of angle"),
         (("[position]", "[place]"), "place: is not known"),
@@ -129,15 +126,20 @@ def test_rows_are_put_in_order_of_their_times(tmp_path):
     assert series_of(tmp_path, with_times(rows(4), times), timed).row.tolist() == [2, 3, 1, 4]
 
 
-def test_times_that_run_backwards_are_an_error_unless_the_rows_are_sorted(tmp_path):
-    with pytest.raises(RobotError, match="row 2, column 'when': is before the row above"):
-        series_of(tmp_path, with_times(rows(3), "312"), '\n[time]\ncolumn = "when"\n')
-
-
-def test_a_time_of_another_format_is_named_by_its_row(tmp_path):
-    timed = '\n[time]\ncolumn = "when"\nformat = "%Y"\nsort = true\n'
-    with pytest.raises(RobotError, match=r"row 2, column 'when': '.*' is no time as '%Y' has it"):
-        series_of(tmp_path, with_times(rows(2), ("2026", "noon")), timed)
+@pytest.mark.parametrize(
+    ("times", "more", "said"),
+    [
+        ("312", "", "row 2, column 'when': is before the row above"),
+        (
+            ("2026", "now", "2027"),
+            'format = "%Y"\nsort = true\n',
+            "row 2, column 'when': '.*' is no time as '%Y'",
+        ),
+    ],
+)
+def test_times_that_run_backwards_or_have_another_format_are_named_by_their_row(tmp_path, times, more, said):
+    with pytest.raises(RobotError, match=said):
+        series_of(tmp_path, with_times(rows(3), times), f'\n[time]\ncolumn = "when"\n{more}')
 
 
 def bad_table(folder, table):
@@ -187,9 +189,8 @@ def series_in_form(folder, form, columns):
     mapping = MAPPING.replace(old, toml_text({"rotation": table}))
     numbers = rows(5)
     poses = text(np.column_stack([numbers[:, :6], columns, numbers[:, -1]]), heads)
-    return series_from_table(
-        written(folder, "poses.csv", poses), read_mapping(written(folder, "m.toml", mapping))
-    )
+    named = read_mapping(written(folder, "m.toml", mapping))
+    return series_from_table(written(folder, "poses.csv", poses), named)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -89,9 +89,8 @@ def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():
     found = fit.fit(parameters(3), model)
     used = np.arange(12) != 5
     others = fit.fit(parameters(3), model, used=used)
-    assert fit.leave_one_out_distance(found)[5] == pytest.approx(
-        fit.leave_one_out_distance(others)[5], rel=1e-2
-    )
+    left, expected = (fit.leave_one_out_distance(one)[5] for one in (found, others))
+    assert left == pytest.approx(expected, rel=1e-2)
 
 
 def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():

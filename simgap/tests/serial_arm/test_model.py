@@ -22,9 +22,8 @@ def test_the_derivatives_are_those_of_finite_differences(joints):
     model = serial_model(arm, setup(1), series(arm, setup(1), 4, 2), TERMS)
     scale = np.array([min(parameter.scale, 1e-2) for parameter in model.parameters])
     x = scale * np.random.default_rng(3).standard_normal(scale.size)
-    numeric = np.stack(
-        [(model(x + h).residual - model(x - h).residual) / 2e-6 for h in 1e-6 * np.eye(scale.size)], -1
-    )
+    steps = 1e-6 * np.eye(scale.size)
+    numeric = np.stack([(model(x + h).residual - model(x - h).residual) / 2e-6 for h in steps], -1)
     np.testing.assert_allclose(model(x).jacobian, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
 
 

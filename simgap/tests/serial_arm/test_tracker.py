@@ -18,11 +18,8 @@ from simgap.serial_arm.tracker import diagnose_tracker, fit_tracker
 COUNT = 500
 WAVES = (0.0, 3e-4, 0.0, 0.0, 0.0, 0.0)
 FLAT = (0.0,) * 6
-THREE = {
-    "joint0": {"hysteresis_rad": 2e-4},
-    "joint1": {"compliance_rad_per_Nm": 4e-5},
-    "joint2": {"sin_rad": WAVES},
-}
+THREE = {"joint0": {"hysteresis_rad": 2e-4}, "joint1": {"compliance_rad_per_Nm": 4e-5}}
+THREE["joint2"] = {"sin_rad": WAVES}
 
 
 def built_with(**effects):
@@ -81,9 +78,8 @@ def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
     poses = series(built_with(**THREE), setup(2), COUNT, 5)
     part, fresh = poses.at(np.arange(COUNT) < COUNT // 2), poses.at(np.arange(COUNT) >= COUNT // 2)
     placed = calibrate_series(arm, estimate_setup(arm, part), part, ())
-    assert pose_errors(placed.arm, placed.setup, fresh).rms_m == pytest.approx(
-        three.errors[0].explained, rel=0.02
-    )
+    error = pose_errors(placed.arm, placed.setup, fresh)
+    assert error.rms_m == pytest.approx(three.errors[0].explained, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", slow_but(range(4), 0))
@@ -96,11 +92,8 @@ def test_an_arm_with_errors_of_its_links_only_has_no_finding(seed):
 def test_a_compliance_below_zero_is_not_named():
     found = diagnose(built_with(joint1={"compliance_rad_per_Nm": -4e-5}))
     assert all(one.effect != kinds.TrackerCompliance.name for one in found.findings)
-    (reason,) = (
-        one.reason
-        for one in found.rejected
-        if (one.place, one.effect) == ("joint1", kinds.TrackerCompliance.name)
-    )
+    reasons = {(one.place, one.effect): one.reason for one in found.rejected}
+    reason = reasons["joint1", kinds.TrackerCompliance.name]
     assert "no joint is" in reason or "does not lower" in reason
 
 
@@ -155,14 +148,12 @@ def test_without_a_parameter_the_fit_is_that_of_a_model_without_it():
 )
 def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table, mapping, held_out_mm):
     arm = read_arm(repository_file("models/robots/ur10/arm.toml"))
-    series = read_series(
-        arm, real_data / "ur10-tracker" / table, repository_file(f"models/robots/ur10/{mapping}")
-    )
+    path = repository_file(f"models/robots/ur10/{mapping}")
+    series = read_series(arm, real_data / "ur10-tracker" / table, path)
     found = diagnose_tracker(arm, series)
     named = {(one.effect, one.place) for one in found.findings}
-    assert {place for effect, place in named if effect == "periodic joint error"} == {
-        one.name for one in arm.links
-    }
+    periodic = {place for effect, place in named if effect == "periodic joint error"}
+    assert periodic == {one.name for one in arm.links}
     assert {place for effect, place in named if effect == "joint compliance"} == {"shoulder_lift", "elbow"}
     assert ("direction hysteresis", "shoulder_pan") in named
     assert found.errors[0].explained * 1e3 < held_out_mm

@@ -31,11 +31,8 @@ def audit_rates(
         for motion in motions
         for name, log in motion.joints.items()
     )
-    return rates, [
-        *_describe_pauses(robot, motions, pauses),
-        *_describe_short(motions, rates),
-        *_remarks(rates),
-    ]
+    own = (*_describe_pauses(robot, motions, pauses), *_describe_short(motions, rates))
+    return rates, [*own, *_remarks(rates)]
 
 
 def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
@@ -140,9 +137,8 @@ def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
 
 
 def _has_gaps(rate: SignalRate) -> bool:
-    return rate.n_missing > 0 and (
-        rate.n_missing > REMARK_SHARE * rate.n_samples or rate.longest_s > SETTLING_S
-    )
+    most = REMARK_SHARE * rate.n_samples
+    return rate.n_missing > 0 and (rate.n_missing > most or rate.longest_s > SETTLING_S)
 
 
 def _names(rates: Sequence[SignalRate]) -> tuple[str, ...]:

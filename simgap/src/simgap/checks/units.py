@@ -48,12 +48,8 @@ def _all_small(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
     tables = {} if robot.file is None else robot.file.joints
     if not hinges or any(name not in tables or tables[name].position.unit != "deg" for name in hinges):
         return
-    moved = [
-        joint_samples(motion.joints[name]).position
-        for name in hinges
-        for motion in motions
-        if name in motion.joints
-    ]
+    shown = [motion.joints[name] for name in hinges for motion in motions if name in motion.joints]
+    moved = [joint_samples(log).position for log in shown]
     widest_deg = math.degrees(max(map(span, moved), default=math.inf))
     if widest_deg < math.tau:
         text = (
@@ -69,11 +65,8 @@ def _compare_velocities(
     known = {name: one for name, one in ratios.items() if math.isfinite(one)}
     wrong = {name: one for name, one in known.items() if not is_near(one, 1.0)}
     what, other = "the velocity", "the change of the position"
-    by_unit = [
-        remark
-        for name, ratio in wrong.items()
-        for remark in _compare(ratio, robot.joint(name), motions, what, other)
-    ]
+    found = [(robot.joint(name), ratio) for name, ratio in wrong.items()]
+    by_unit = [remark for joint, ratio in found for remark in _compare(ratio, joint, motions, what, other)]
     yield from by_unit
     if by_unit or not wrong:
         return
@@ -212,9 +205,8 @@ def _ask_unit(robot: Robot, joint: RobotJoint, ratio: float) -> str:
     """Ask whether a log is in the unit in which positions that are too large would lie in the range."""
     for factor, unit in _factors(joint).items():
         if ratio <= factor * CLOSE:
-            lost = (
-                ', or has the model lost angle="radian"?' if unit == "degrees" and _looks_lost(robot) else ""
-            )
+            is_lost = unit == "degrees" and _looks_lost(robot)
+            lost = ', or has the model lost angle="radian"?' if is_lost else ""
             return f"is the log in {unit}? That is a factor of {factor:.4g}{lost}"
     return ""
 

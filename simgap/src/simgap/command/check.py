@@ -105,9 +105,8 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     progress(READ, GUESS, "auditing")
     found = audit(robot, logs)
     models = Models(robot)
-    durations_s = [
-        max(float(np.ptp(log.position.time_s)) for log in motion.joints.values()) for motion in logs.motions
-    ]
+    logs_of = [motion.joints.values() for motion in logs.motions]
+    durations_s = [max(float(np.ptp(log.position.time_s)) for log in joints) for joints in logs_of]
     ends = np.cumsum([0.0, *durations_s]) / max(sum(durations_s), 1e-9)
     nominal = []
     for motion, done in zip(logs.motions, ends[:-1], strict=True):
@@ -319,13 +318,9 @@ def drawn_motions(report: CheckReport) -> list[int]:
     for one in report.audit.refused:
         refused[one.motion] += one.n_samples
     error = [np.nansum([*_comparable(report.robot, one).values()]) for one in report.nominal]
-    of_remarks = [
-        names.index(max(one.motions, key=lambda name: refused[name]))
-        for one in report.audit.remarks
-        if one.motions
-    ]
+    worst = [max(one.motions, key=refused.__getitem__) for one in report.audit.remarks if one.motions]
     by_error = sorted(range(len(names)), key=lambda k: -error[k])
-    return list(dict.fromkeys([*of_remarks, *by_error]))[:MAX_DRAWN]
+    return list(dict.fromkeys([*map(names.index, worst), *by_error]))[:MAX_DRAWN]
 
 
 def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:

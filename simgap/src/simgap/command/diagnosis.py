@@ -223,10 +223,7 @@ def _diagnose_tracker(
     request: DiagnoseRequest, file: SerialFile, terms: tuple[str, ...], progress: Progress
 ) -> RobotDiagnosis:
     given = {
-        "split": request.split,
-        "held-out": request.held_out,
-        "effects": request.effects,
-        "start": request.start,
+        name: getattr(request, name.replace("-", "_")) for name in ("split", "held-out", "effects", "start")
     }
     _refuse_any(
         {name: bool(value) for name, value in given.items()},

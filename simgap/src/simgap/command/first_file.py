@@ -124,10 +124,8 @@ def columns_parts(logs: Sequence[LogContent]) -> list[str | ReportTable]:
         title = f"{one.log}: {pluralize(len(one.columns), 'column')}"
         parts.append(ReportTable(COLUMN_HEAD, [*map(_cells, one.columns)], title))
         parts += [f"{one.log}: {loss}" for loss in one.losses]
-    return [
-        *parts,
-        "A robot file says which of these columns is which joint; `simgap init` writes a first one.",
-    ]
+    last = "A robot file says which of these columns is which joint; `simgap init` writes a first one."
+    return [*parts, last]
 
 
 def _cells(one: ColumnInfo) -> tuple[str, ...]:

@@ -109,9 +109,8 @@ class VerbCommand(TyperCommand):
         """Read the options of the verb; those of a command that is no verb are there."""
         read = getattr(inspect.unwrap(self.callback), "read_options", None) if self.callback else None
         if read is not None:
-            whole = get_command_from_info(
-                CommandInfo(callback=read()), pretty_exceptions_short=False, rich_markup_mode=None
-            )
+            info = CommandInfo(callback=read())
+            whole = get_command_from_info(info, pretty_exceptions_short=False, rich_markup_mode=None)
             self.callback, self.params = whole.callback, whole.params
 
 
@@ -119,9 +118,8 @@ class VerbApp(typer.Typer):
     """Command line, or a part of it, whose commands are verbs; with rich, `--help` takes twice the time."""
 
     def __init__(self, help: str, **settings: Any) -> None:
-        super().__init__(
-            help=help, short_help=_summary(help), rich_markup_mode=None, no_args_is_help=True, **settings
-        )
+        settings |= {"short_help": _summary(help), "rich_markup_mode": None, "no_args_is_help": True}
+        super().__init__(help=help, **settings)
 
     def command(self, name: str | None = None, **_: Any) -> Callable[..., Any]:
         """Make a command of a verb."""
@@ -162,9 +160,8 @@ def make_app(program: str, about: str) -> VerbApp:
             print(f"{program} {version(program)}")
             raise typer.Exit
 
-    option = typer.Option(
-        "--version", help="Print the version and exit.", callback=print_version, is_eager=True
-    )
+    about = "Print the version and exit."
+    option = typer.Option("--version", help=about, callback=print_version, is_eager=True)
 
     @app.callback()
     def options_without_verb(_: Annotated[bool, option] = False) -> None:

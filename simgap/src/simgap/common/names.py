@@ -13,9 +13,8 @@ def list_names(package: str) -> dict[str, str]:
     import ast  # commands ask for no name
 
     path = Path(sys.modules[package].__path__[0], "__init__.pyi")
-    imports = [
-        node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
-    ]
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    imports = [node for node in body if isinstance(node, ast.ImportFrom)]
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 

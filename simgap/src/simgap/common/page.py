@@ -101,10 +101,8 @@ def _verdict(verdict: str | Mapping[str, str], kind: str) -> str:
 
 def _items(items: Mapping[str, str], form: str) -> str:
     """Return the items of a list of definitions, their texts in a form."""
-    return "".join(
-        f"<dt>{html.escape(name)}</dt><dd>{form.format(html.escape(text))}</dd>"
-        for name, text in items.items()
-    )
+    shown = ((html.escape(name), html.escape(text)) for name, text in items.items())
+    return "".join(f"<dt>{name}</dt><dd>{form.format(text)}</dd>" for name, text in shown)
 
 
 def _requirement_table(requirements: Sequence[Requirement]) -> str:
@@ -154,10 +152,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str
         own = [*kinds[:-1], last[k]] if last else kinds
         lines.append("".join(_cell("td", text, kind) for text, kind in zip(row, own, strict=True)))
     body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return (
-        '<div class="scroll" tabindex="0"><table>'
-        f"<thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+    whole = f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="scroll" tabindex="0">{whole}</div>'
 
 
 def _cell(tag: str, text: str, kind: str) -> str:

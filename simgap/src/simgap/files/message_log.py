@@ -105,9 +105,7 @@ class MessageLog:
         """Return numbers of a field with their times; RobotError for none, or if the clock steps back."""
         one = self.fields.get(name) or _parse(self.path, name, self.topics)
         series = self._series(one)
-        back = next(
-            (k for k in range(1, len(series.values)) if series.times_ns[k] < series.times_ns[k - 1]), 0
-        )
+        back = next(iter(np.flatnonzero(np.diff(series.times_ns) < 0) + 1), 0)
         if back:
             before_s, after_s = ((series.times_ns[k] - self.start_ns) * 1e-9 for k in (back - 1, back))
             raise RobotError(
@@ -155,9 +153,8 @@ class MessageLog:
         if kind in ("text", "other"):
             return columns.ColumnInfo(name, kind, len(series.values))
         values = np.array([_number(self.path, name, one) for one in series.values], dtype=np.float64)
-        return columns.describe_numbers(
-            name, columns.Column(values, None, time_s), kind, "s" if kind == "time" else ""
-        )
+        unit = "s" if kind == "time" else ""
+        return columns.describe_numbers(name, columns.Column(values, None, time_s), kind, unit)
 
     def _times_s(self, series: Series) -> Array:
         return np.array([time - self.start_ns for time in series.times_ns], dtype=np.float64) * 1e-9
@@ -271,13 +268,8 @@ class _Reader:
 
     def _missing(self, one: _Field, step: str, content: Any) -> RobotError:
         there = _fields_of(content)
-        has = (
-            f"has {', '.join(there)}"
-            if there is not None
-            else "is no record"
-            if step[0] == "."
-            else "is not so long"
-        )
+        has = "is no record" if step[0] == "." else "is not so long"
+        has = has if there is None else f"has {', '.join(there)}"
         key = step[1:] if step.startswith(".") else _place(step)
         return RobotError(f"{self.path}: {one.name!r}: there is no {key!r} in a message, which {has}")
 

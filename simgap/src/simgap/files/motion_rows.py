@@ -170,19 +170,15 @@ class MotionRows:
             return [""] * len(self.names)
         texts = self._log.texts(column)
         self._check_length(texts, column)
-        return [
-            str(self._constant(texts[part], column, name))
-            for name, part in zip(self.names, self._parts, strict=True)
-        ]
+        named = zip(self.names, self._parts, strict=True)
+        return [str(self._constant(texts[part], column, name)) for name, part in named]
 
     def values(self, column: str) -> list[float]:
         """Return the number of a column by motion; RobotError if it changes within one or is not finite."""
         values = self._log.numbers(column).value
         self._check_length(values, column)
-        found = [
-            float(self._constant(values[part], column, name))
-            for name, part in zip(self.names, self._parts, strict=True)
-        ]
+        named = zip(self.names, self._parts, strict=True)
+        found = [float(self._constant(values[part], column, name)) for name, part in named]
         for name, value in zip(self.names, found, strict=True):
             if not math.isfinite(value):
                 raise RobotError(
@@ -279,9 +275,8 @@ def _other_unit(share: float, unit: str) -> str:
             size = f"{ratio:.4g} times too long" if ratio > 1.0 else f"{1.0 / ratio:.4g} times too short"
             factor = UNITS[unit].factor / ratio
             others = [name for name in TIMES if math.isclose(UNITS[name].factor, factor)]
-            return f"the times look {size}; " + (
-                f"write time.unit = {others[0]!r}" if others else "convert them"
-            )
+            advice = f"write time.unit = {others[0]!r}" if others else "convert them"
+            return f"the times look {size}; {advice}"
     if share < 1.0:
         return f"the times look {SLOWEST / share:.2g} to {FASTEST / share:.2g} times too long; convert them"
     return f"the times look {share / FASTEST:.2g} to {share / SLOWEST:.2g} times too short; convert them"

@@ -88,9 +88,8 @@ def open_npz(path: Path, wanted: Sequence[str] | None) -> TableLog:
     if wanted is None:  # a number alone is no column
         arrays = {name: array for name, array in arrays.items() if array.ndim and array.size}
     n_rows = max((one.size for one in arrays.values() if one.ndim == 1), default=0)
-    turned = {
-        name: one.T for name, one in arrays.items() if one.ndim == 2 and one.shape[1] == n_rows > one.shape[0]
-    }
+    is_long = {name: one.ndim == 2 and one.shape[1] == n_rows > one.shape[0] for name, one in arrays.items()}
+    turned = {name: one.T for name, one in arrays.items() if is_long[name]}
     losses = [
         f"{name!r} has {one.shape[1]} rows of {n_rows} values: it is transposed, to have a row a sample"
         for name, one in turned.items()

@@ -56,9 +56,8 @@ class TableLog:
         if pa.types.is_timestamp(column.type):
             microseconds = column.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
             column = pc.divide(microseconds.cast(pa.float64(), safe=False), 1e6)
-        if not (
-            pa.types.is_integer(column.type) or pa.types.is_floating(column.type) or column.type == pa.null()
-        ):
+        kind = column.type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or kind == pa.null()):
             raise RobotError(f"{self.path}: column {name!r} {_content(column)}; a signal needs numbers")
         is_present = column.is_valid().to_numpy(zero_copy_only=False) if column.null_count else None
         return Column(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), is_present)

@@ -124,9 +124,8 @@ def _seconds_of_day(column: pa.ChunkedArray) -> pa.ChunkedArray:
     parts = pc.extract_regex(column.cast(pa.string()), CLOCK)
     if parts.null_count > column.null_count or parts.null_count == len(column):
         return column
-    hours, minutes, seconds = (
-        pc.replace_substring(pc.struct_field(parts, k), ",", ".").cast(pa.float64()) for k in range(3)
-    )
+    parts = [pc.struct_field(parts, k) for k in range(3)]
+    hours, minutes, seconds = (pc.replace_substring(one, ",", ".").cast(pa.float64()) for one in parts)
     return pc.add(pc.multiply(pc.add(pc.multiply(hours, 60.0), minutes), 60.0), seconds)
 
 
@@ -176,9 +175,7 @@ def _find_form(path: Path, data: bytes, given: CsvTable, wanted: Sequence[str] |
         if given.separator in ("", separator) and given.decimal in ("", decimal)
     ] or [(given.separator or ("," if given.decimal != "," else ";"), given.decimal or ".")]
     try:
-        tried = [
-            _try_form(_rows(text, separator), separator, decimal, wanted) for separator, decimal in forms
-        ]
+        tried = [_try_form(_rows(text, one), one, decimal, wanted) for one, decimal in forms]
     except (csv.Error, TypeError) as error:
         raise RobotError(f"{path}: cannot be read as a table: {error}") from error
     form, _ = max(tried, key=lambda one: one[1])
@@ -270,10 +267,8 @@ def open_json_lines(path: Path, wanted: Sequence[str] | None) -> TableLog:
         except (ValueError, RecursionError) as error:
             if number < len(lines) or not rows:
                 raise RobotError(f"{path}: line {number} is no JSON: {error}") from error
-            losses = [
-                f"line {number} is cut, where the file ends; the {pluralize(len(rows), 'line')} before it "
-                "are used"
-            ]
+            before = pluralize(len(rows), "line")
+            losses = [f"line {number} is cut, where the file ends; the {before} before it are used"]
             break
         if not isinstance(row, dict):
             raise RobotError(f"{path}: line {number} is no JSON object; write {{...}} in each line")

@@ -61,18 +61,16 @@ class Plan:
         """Return the motion in words."""
         joint = robot.joint(self.joint)
         low, high = (joint.show(one, ".3g") for one in self.ends_rad)
-        speed = (
-            f"at up to {joint.show(self.speed_rad_s, '.3g')}/s" if self.speed_rad_s < np.inf else "in jumps"
-        )
+        top = f"at up to {joint.show(self.speed_rad_s, '.3g')}/s"
+        speed = top if self.speed_rad_s < np.inf else "in jumps"
         rests = f", with rests of {self.rest_s:g} s" if self.rest_s else ""
         held = [f"{name} at {robot.joint(name).show(at, '.3g')}" for name, at in self.others_rad.items()]
         gains = {
             f"gain {value:g}" for name, value in self.gain.items() if robot.file and _has_gain(robot, name)
         }
         given = [*held, *sorted(gains), *(f"{name} = {value:g}" for name, value in self.conditions.items())]
-        return f"{self.joint} from {low} to {high} and back {speed}{rests}" + (
-            f"; {', '.join(given)}" if given else ""
-        )
+        more = f"; {', '.join(given)}" if given else ""
+        return f"{self.joint} from {low} to {high} and back {speed}{rests}{more}"
 
 
 def _has_gain(robot: Robot, joint: str) -> bool:
@@ -133,9 +131,8 @@ def _targets(motions: Sequence[Motion], joint: str) -> Array:
         if log is None:
             raise RobotError(f"motion {motion.name}: joint {joint} has no log; a motion needs all joints")
         signal = log.position
-        parts.append(
-            np.interp(np.linspace(signal.time_s[0], signal.time_s[-1], 50), signal.time_s, signal.value)
-        )
+        at_s = np.linspace(signal.time_s[0], signal.time_s[-1], 50)
+        parts.append(np.interp(at_s, signal.time_s, signal.value))
     return np.concatenate(parts)
 
 
@@ -149,9 +146,8 @@ def _strokes(
     if known:
         low, high = (float(find([find(one.value) for one in known])) for find in (np.min, np.max))
     usual = joint_scales(robot, motions)[joint].speed_rad_s
-    steps = [
-        (float(np.max(np.abs(np.diff(one.value)))), float(np.median(np.diff(one.time_s)))) for one in known
-    ]
+    changes = [(np.abs(np.diff(one.value)), np.diff(one.time_s)) for one in known]
+    steps = [(float(np.max(jump)), float(np.median(step_s))) for jump, step_s in changes]
     jump = max((step for step, dt in steps if step > JUMP * usual * dt), default=0.0)
     for share in ENDS:
         ends = low + share[0] * (high - low), low + share[1] * (high - low)
@@ -198,13 +194,8 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
         if joint.name == plan.joint:
             path = _path(plan, time_s)
         speed, still = np.gradient(path, time_s), np.zeros(time_s.size)
-        values = {
-            "position": path,
-            "secondary": path,
-            "velocity": speed,
-            "torque": still,
-            "enabled": still + 1.0,
-        }
+        values = {"position": path, "secondary": path, "velocity": speed, "torque": still}
+        values["enabled"] = still + 1.0
         if joint.mode in PATH_MODES:
             values["command"] = path if joint.mode is ControlMode.POSITION else speed
         if log.temperature is not None:

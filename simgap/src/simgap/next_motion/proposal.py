@@ -163,13 +163,8 @@ class _Family:
         kind: ResidualKind,
         models: _Models,
     ) -> None:
-        self._robot, self._logged, self._plans, self._kind, self._models = (
-            robot,
-            motions[0],
-            plans,
-            kind,
-            models,
-        )
+        self._robot, self._logged, self._plans = robot, motions[0], plans
+        self._kind, self._models = kind, models
         self._is_simulated = kind.name == SimulationResiduals.kind
         union, found = models.union, models.points[0]
         base = [one for one in union.effects if getattr(one, "is_base", False)]
@@ -255,8 +250,6 @@ def neighbour_correlation(model: ResidualModel, residuals: Array) -> Array:
     follows = (np.diff(model.joint_of) == 0) & (np.diff(model.motion_of) == 0)
     product, energy = residuals[1:] * residuals[:-1], residuals[:-1] ** 2
     n = len(model.joints)
-    sums = [
-        np.bincount(model.joint_of[:-1][follows], weights=one[follows], minlength=n)
-        for one in (product, energy)
-    ]
+    joint_of = model.joint_of[:-1][follows]
+    sums = [np.bincount(joint_of, weights=one[follows], minlength=n) for one in (product, energy)]
     return np.clip(sums[0] / np.maximum(sums[1], 1e-300), 0.0, 0.95)

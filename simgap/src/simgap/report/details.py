@@ -30,10 +30,8 @@ GAINS: Final = {
 
 def detail_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
-    refused = [
-        f"{one.motion}: {pluralize(one.n_samples, 'sample')} took no part: {one.reason}."
-        for one in diagnosis.refused
-    ]
+    sizes = [(one, pluralize(one.n_samples, "sample")) for one in diagnosis.refused]
+    refused = [f"{one.motion}: {size} took no part: {one.reason}." for one, size in sizes]
     return [
         *finding_lines(diagnosis),
         *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),

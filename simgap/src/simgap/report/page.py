@@ -80,11 +80,8 @@ def _rank_errors(diagnosis: Diagnosis) -> list[JointError]:
     """Return the errors, that which is largest over its noise first; without noise in the order of joints."""
 
     def share(one: JointError) -> float:
-        return (
-            (one.nominal if isfinite(one.nominal) else inf) / one.noise_floor
-            if one.noise_floor > 0.0
-            else 0.0
-        )
+        nominal = one.nominal if isfinite(one.nominal) else inf
+        return nominal / one.noise_floor if one.noise_floor > 0.0 else 0.0
 
     return sorted(diagnosis.errors, key=share, reverse=True) if has_floor(diagnosis) else [*diagnosis.errors]
 
@@ -112,11 +109,8 @@ def _error_bars(one: JointError, has_kind: bool) -> str:
     values = {"nominal": one.nominal, "base": one.base, "explained": one.explained}
     most = max((value for value in (*values.values(), one.noise_floor) if isfinite(value)), default=0.0)
     most = most or 1.0
-    line = (
-        f'<div class="floor" style="--share:{one.noise_floor / most:.4f}"></div>'
-        if isfinite(one.noise_floor)
-        else ""
-    )
+    floor = f'<div class="floor" style="--share:{one.noise_floor / most:.4f}"></div>'
+    line = floor if isfinite(one.noise_floor) else ""
     rows = "".join(
         f'<div class="row"><span>{BARS[kind]}</span><div class="track">'
         f'<div class="bar {kind}" style="--share:{value / most if isfinite(value) else 0.0:.4f}"></div>{line}'
@@ -149,11 +143,8 @@ def draw_traces(traces: Mapping[str, Sequence[Trace]]) -> list[str]:
 
 def draw_figures(figures: Sequence[str]) -> list[str]:
     """Return figures of `series_figure` with the script that they need."""
-    return [
-        "<noscript><p>The figures here need JavaScript.</p></noscript>",
-        *figures,
-        f"<script>{_read('traces.js')}</script>",
-    ]
+    hint = "<noscript><p>The figures here need JavaScript.</p></noscript>"
+    return [hint, *figures, f"<script>{_read('traces.js')}</script>"]
 
 
 def _trace_figure(joint: str, traces: Sequence[Trace]) -> str:
@@ -163,9 +154,8 @@ def _trace_figure(joint: str, traces: Sequence[Trace]) -> str:
 
 def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str, dict[str, Any]]]) -> str:
     """Draw an interactive figure of keys of SERIES, in motions by name as `motion_document` has them."""
-    options = "".join(
-        f'<option value="{k}">{html.escape(name)}</option>' for k, (name, _) in enumerate(motions)
-    )
+    named = ((k, html.escape(name)) for k, (name, _) in enumerate(motions))
+    options = "".join(f'<option value="{k}">{name}</option>' for k, name in named)
     buttons = "".join(
         f'<button type="button" data-series="{name}" aria-pressed="true"><i class="swatch {name}"></i>'
         f"{SERIES[name]}</button>"
@@ -192,11 +182,7 @@ def _motion(one: Trace) -> dict[str, Any]:
     residuals = {"nominal": one.nominal, "explained": one.explained}
     panels = [error_panel("measured less predicted", one.unit, residuals)]
     if one.measured is not None:
-        series = {
-            "measured": one.measured,
-            "nominal": one.measured - one.nominal,
-            "explained": one.measured - one.explained,
-        }
+        series = {"measured": one.measured} | {name: one.measured - left for name, left in residuals.items()}
         panels.insert(0, position_panel("measured and predicted", one.unit, series))
     return motion_document(one.time_s, panels)
 
@@ -240,20 +226,16 @@ def _finding_part(diagnosis: Diagnosis) -> list[str]:
     if not (rows or items):
         return []
     head = ("place", "effect", "size, and with 90 % probability", "own share", "not excluded at 5 %")
-    return [
-        heading("Which effects"),
-        *([table(head, rows)] if rows else []),
-        *([f"<ul>{items}</ul>"] if items else []),
-    ]
+    listed = [f"<ul>{items}</ul>"] if items else []
+    return [heading("Which effects"), *([table(head, rows)] if rows else []), *listed]
 
 
 def _finding_row(one: Finding) -> tuple[str, ...]:
     """Return the cells of a finding, at the level at which it is known."""
     place = join_words(one.places or (one.place,), "or")
     known = level(one)
-    members = {"effect": one.effects, "family": tuple(FAMILY_WORDS[family] for family in one.families)}.get(
-        known, ()
-    )
+    families = tuple(FAMILY_WORDS[family] for family in one.families)
+    members = {"effect": one.effects, "family": families}.get(known, ())
     if known != "effect":
         what = join_words(members, "or") or "something"
         return NOT_LOCATED if known == "none" else place, what, "", "", ", ".join(members) or "not known"

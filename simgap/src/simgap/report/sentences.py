@@ -79,9 +79,8 @@ def has_floor(diagnosis: Diagnosis) -> bool:
 
 def regime_words(regime: str) -> str:
     """Return a regime as part of a sentence."""
-    return {"slow": "in slow motion", "fast": "in fast motion", "all motion": "in all motion"}.get(
-        regime, regime
-    )
+    kinds = ("slow", "fast", "all motion")
+    return f"in {regime.removesuffix(' motion')} motion" if regime in kinds else regime
 
 
 def percent(share: float) -> str:
@@ -124,11 +123,8 @@ def _where(diagnosis: Diagnosis) -> str:
 def _much_remaining(diagnosis: Diagnosis) -> list[Remainder]:
     """Return what remains beyond MUCH times the noise, or beside a noise that is not known."""
     noise = {(one.joint, one.unit): one.noise_floor for one in diagnosis.errors}
-    return [
-        one
-        for one in diagnosis.remaining
-        if not one.mean_abs <= MUCH * noise.get((one.joint, one.unit), math.nan)
-    ]
+    floors = [(one, noise.get((one.joint, one.unit), math.nan)) for one in diagnosis.remaining]
+    return [one for one, floor in floors if not one.mean_abs <= MUCH * floor]
 
 
 def _much_left(errors: Sequence[JointError]) -> str:

@@ -74,16 +74,8 @@ def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array
             at = np.flatnonzero((model.joint_of == joint) & (model.motion_of == motion))
             if at.size:
                 own = None if measured is None else measured[at]
-                yield Trace(
-                    name,
-                    model.kind,
-                    title,
-                    model.units[joint],
-                    model.time_s[at],
-                    own,
-                    nominal[at],
-                    explained[at],
-                )
+                unit, time_s = model.units[joint], model.time_s[at]
+                yield Trace(name, model.kind, title, unit, time_s, own, nominal[at], explained[at])
 
 
 def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace, ...]]:
@@ -103,9 +95,7 @@ def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace,
 
 def thin(one: Trace) -> Trace:
     """Return a trace without points that a screen would not show; extremes stay."""
-    shown = (
-        [one.nominal, one.explained] if one.measured is None else [one.measured, one.nominal, one.explained]
-    )
+    shown = [*([] if one.measured is None else [one.measured]), one.nominal, one.explained]
     at = extreme_rows(shown)
     measured = None if one.measured is None else one.measured[at]
     return replace(
