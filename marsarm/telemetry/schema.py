@@ -26,7 +26,8 @@ from marsarm.telemetry.format import SchemaError
 UNIT_SYMBOLS: Final = {
     **{name: name for name in ("rad", "urad", "m", "s", "A", "N", "K", "J", "kg", "Hz", "Pa", "V", "W")},
     **{name: name for name in ("count", "1", "s2", "s3")},
-    **{"Nm": "N m", "C": "degC"},
+    "Nm": "N m",
+    "C": "degC",
 }
 """Unit for each part of a suffix."""
 
