@@ -311,12 +311,10 @@ def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
     check_options(request)
     if request.case not in model.case:
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)}")
-    if request.only is not None and not 0 <= request.only < request.arms:
-        raise BadRequest(f"only: {request.only} is not within 0 .. {request.arms - 1}")
 
 
 def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
-    arms = range(request.arms) if request.only is None else [request.only]
+    arms = range(request.arms)
     if _has_arm_files(request.params):
         numbers = [request.seed + arm for arm in arms]
         names = [

@@ -1,7 +1,6 @@
 """Report of a Monte Carlo: errors and coverage of the budget."""
 
 from functools import partial
-from math import degrees
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +24,6 @@ COLOURS: Final = dict(zip(RULES, (svg.RED, svg.GREEN, svg.AMBER, svg.VIOLET), st
 def monte_carlo_document(report: MonteCarloReport) -> dict[str, Any]:
     """Collect the result in SI units."""
     request, found = report.request, report.coverage
-    measured = [m for trial in report.trials for m in trial] if request.only is not None else None
     return {
         "case": request.case,
         "built": request.built,
@@ -36,7 +34,6 @@ def monte_carlo_document(report: MonteCarloReport) -> dict[str, Any]:
         "failed": report.failed,
         "coverage": None if found is None else _coverage_document(found),
         "three_sigma": report.three_sigma,
-        "measured": measured,
     }
 
 
@@ -58,11 +55,9 @@ def monte_carlo_parts(report: MonteCarloReport) -> list[str | ReportTable]:
     """Show coverage and width of every rule, three sigma, failed arms and files."""
     request, found = report.request, report.coverage
     parts: list[str | ReportTable] = []
-    if request.only is not None:
-        parts.append(_one_arm_table(report))
-    elif found is not None:
+    if found is not None:
         parts.append(_coverage_table(report, found))
-    if request.only is None and report.three_sigma is not None:
+    if report.three_sigma is not None:
         parts.append(_three_sigma_table(report))
     parts += [f"arm {arm}: {why}" for arm, why in report.failed.items()]
     return [*parts, *file_lines({"results": request.results, "report": request.report})]
@@ -114,15 +109,6 @@ def _three_sigma_table(report: MonteCarloReport) -> ReportTable:
 
 def _sample(report: MonteCarloReport) -> str:
     return f"{len(report.trials)} arms, {report.request.places} places each"
-
-
-def _one_arm_table(report: MonteCarloReport) -> ReportTable:
-    rows = []
-    for m in (m for trial in report.trials for m in trial):
-        shift, turn = (f"{1e3 * v:+.2f}" for v in m.error[3:]), (f"{degrees(v):+.3f}" for v in m.error[1:3])
-        rows.append((m.tool, *shift, *turn))
-    title = f"{report.request.case}: arm {report.request.only}, in tool axes"
-    return ReportTable(("tool", "x mm", "y mm", "z mm", "about y deg", "about z deg"), rows, title)
 
 
 def monte_carlo_requirements(report: MonteCarloReport) -> list[Requirement]:

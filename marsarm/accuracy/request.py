@@ -61,9 +61,6 @@ class MonteCarloRequest:
         int,
         Option("Seed of arms, places and moves; calibrated arm K is calibrated:SEED+K.", within=(0, None)),
     ] = 0
-    only: Annotated[
-        int | None, Option("Run arm number K alone; its results are the same as among others.", "K")
-    ] = None
     workers: WorkersOption = None
     cluster: ClusterOption = None
     params: Annotated[

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.collision.geometry import build_collision_geometry
-from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, select_runner
@@ -37,7 +36,6 @@ MIN_SAMPLES: Final = 5
 ROVER_SEEN_M: Final = 1.5
 """Length in front of the workspace that the picture shows of the rover."""
 GREY: Final = "0.85"
-BLUE: Final = "#31688e"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,22 +69,9 @@ def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, pat
     def draw(figure: Any) -> None:
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
         figure.suptitle(_title(samples, counted, model), fontsize=11)
-        _draw(figure, samples, counted, model)
+        _draw_maps(figure, samples, model)
 
-    return save_figure(path, (14, 9), 110, draw)
-
-
-def _draw(figure: Any, samples: ReachSamples, counted: Tally, model: IkModel) -> None:
-    above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
-    _draw_maps(above, samples, model)
-    branches, numbers, reasons = below.subplots(1, 3)
-    targets, by_valid = counted.targets, counted.targets_by_valid
-    _bars(branches, {name: counted.valid_by_branch[name] for name in BRANCHES}, targets)
-    branches.set(title="Valid branches", xlabel="share of targets [%]")
-    _bars(numbers, {str(valid): by_valid[valid] for valid in range(max(by_valid) + 1)}, targets)
-    numbers.set(title="Valid branches of a target", xlabel="share of targets [%]", ylabel="how many")
-    _bars(reasons, _reasons(counted), max(counted.out, 1))
-    reasons.set(title="Why branches are out", xlabel="share of branches that are out [%]")
+    return save_figure(path, (14, 5.5), 110, draw)
 
 
 def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
@@ -156,26 +141,6 @@ def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, scale_ma
     counts, _, _ = np.histogram2d(across, along, cells, ranges)
     mean = np.ma.masked_where(counts < MIN_SAMPLES, sums / np.maximum(counts, 1))
     return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=scale_max, cmap="viridis")
-
-
-def _reasons(counted: Tally) -> dict[str, int]:
-    """Count invalid branches by the joint farthest beyond its limit, or by another reason."""
-    out = {f"{joint} limit": count for joint, count in counted.outside_by_joint.items()}
-    for verdict, count in counted.by_verdict.items():
-        if verdict not in ("valid", "outside_limits"):
-            out[verdict.replace("_", " ")] = count
-    return dict(sorted(out.items(), key=lambda item: -item[1]))
-
-
-def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
-    """Draw a bar for each name, with its share of the total in percent."""
-    shares = [100.0 * count / whole for count in counts.values()]
-    drawn = axes.barh(list(counts), shares, color=BLUE)
-    labels = [f"{share:.2g} %" if 0.0 < share < 10.0 else f"{share:.0f} %" for share in shares]
-    axes.bar_label(drawn, labels, padding=3)
-    axes.invert_yaxis()
-    axes.set_xticks(range(0, 101, 20))
-    axes.set_xlim(0.0, 1.25 * max([*shares, 1.0]))
 
 
 def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:

@@ -2,16 +2,14 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import degrees
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Calibrate, CalibrateAll
+from fsw.dictionary.commands import CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
 from marsarm.common.effects import fit_effects, parse_effects
@@ -71,7 +69,6 @@ class HardstopJob:
     """Joint that finds its hardstop; None for all."""
     arm: BuiltArm
     world: World
-    start_rad: Joints5 | None
     effects: tuple[Effect, ...]
 
 
@@ -91,8 +88,6 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
         raise BadRequest(
             f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
         )
-    if request.start_deg is not None and request.joint is None:
-        raise BadRequest("start: is for one joint; give --joint")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
@@ -101,7 +96,6 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
         joint=None if request.joint is None else _parse_joint(request.joint),
         arm=arm if request.turret else _remove_turret(arm, request),
         world=world,
-        start_rad=None if request.start_deg is None else _parse_start(arm, request.start_deg),
         effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
     )
 
@@ -120,19 +114,6 @@ def _remove_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
         raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
 
 
-def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
-    """Convert a start pose to radians, and check that it is between hardstops and upper soft limits."""
-    start = np.radians(start_deg)
-    for joint, angle_rad, params in zip(Joint, start, arm.params.joints.in_order(), strict=True):
-        low, high = params.hardstop_rad, params.soft_max_rad
-        if not low <= angle_rad <= high:
-            raise BadRequest(
-                f"start: joint {joint.name.lower()}: {degrees(angle_rad):g} deg is outside "
-                f"{degrees(low):.1f} .. {degrees(high):.1f} deg"
-            )
-    return joints5(start)
-
-
 def _run_homing(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
     run = _prepare_run(request, job)
     loop = run.loop
@@ -149,13 +130,11 @@ def _run_homing(request: HardstopRequest, job: HardstopJob, progress: Progress) 
 
 
 def _prepare_run(request: HardstopRequest, job: HardstopJob) -> InitialisationRun:
-    if job.joint is not None and job.start_rad is None:
+    if job.joint is not None:
         return prepare_homing(job.arm, job.joint, job.world, request.seed, job.effects)
-    command = CalibrateAll() if job.joint is None else Calibrate(job.joint)
-    start_rad = job.start_rad or job.arm.params.hardstop.start_rad
-    return InitialisationRun(
-        ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects)), command
-    )
+    start_rad = job.arm.params.hardstop.start_rad
+    setup = Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects)
+    return InitialisationRun(ClosedLoop(setup), CalibrateAll())
 
 
 def save_hardstop_figure(run: InitialisationResult, path: Path) -> str | None:

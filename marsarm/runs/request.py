@@ -127,14 +127,6 @@ class HardstopRequest:
             name="--turret/--no-turret",
         ),
     ] = True
-    start_deg: Annotated[
-        tuple[float, float, float, float, float] | None,
-        Option(
-            "Start pose for one joint, degrees; if not given, its planned pose near its hardstop.",
-            "J1 J2 J3 J4 J5",
-            "--start",
-        ),
-    ] = None
     temperature_C: Annotated[
         float | None,
         Option(

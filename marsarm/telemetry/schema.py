@@ -24,42 +24,17 @@ from fsw.dictionary.types import Limits, NameMark
 from marsarm.telemetry.format import SchemaError
 
 UNIT_SYMBOLS: Final = {
-    "rad": "rad",
-    "urad": "urad",
-    "m": "m",
-    "s": "s",
-    "A": "A",
-    "N": "N",
+    **{name: name for name in ("rad", "urad", "m", "s", "A", "N", "K", "J", "kg", "Hz", "Pa", "V", "W")},
+    **{name: name for name in ("count", "1", "s2", "s3")},
     "Nm": "N m",
     "C": "degC",
-    "K": "K",
-    "J": "J",
-    "kg": "kg",
-    "Hz": "Hz",
-    "Pa": "Pa",
-    "V": "V",
-    "W": "W",
-    "count": "count",
-    "1": "1",
-    "s2": "s2",
-    "s3": "s3",
 }
 """Unit for each part of a suffix."""
 
 DIMENSIONLESS: Final = {
-    "tick": "cycle",
-    "cycle": "cycle",
-    "cycles": "cycle",
-    "persistence": "cycle",
-    "period": "cycle",
+    **dict.fromkeys(("tick", "cycle", "cycles", "persistence", "period"), "cycle"),
+    **dict.fromkeys(("share", "fraction", "ratio", "factor", "side", "along", "across"), "1"),
     "turn": "count",
-    "share": "1",
-    "fraction": "1",
-    "ratio": "1",
-    "factor": "1",
-    "side": "1",
-    "along": "1",
-    "across": "1",
 }
 """Unit for the last word of a name without a unit suffix: the counted thing, or 1 for a pure number."""
 

@@ -55,12 +55,6 @@ def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
 
 
 @pytest.mark.slow
-def test_an_arm_alone_is_what_it_is_among_others(report):
-    alone = run_monte_carlo(replace(STATICS, only=7))
-    assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
-
-
-@pytest.mark.slow
 def test_two_processes_measure_what_one_does(report):
     two = run_monte_carlo(replace(STATICS, arms=6, workers=2))
     for trial, same in zip(two.trials, report.trials[:6], strict=True):

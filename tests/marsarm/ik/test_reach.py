@@ -63,7 +63,7 @@ def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
     for word in ("500 random targets", "at most four", "shoulder-in elbow-up wrist-down", "reach.png"):
         assert word in done.stdout
     with PIL.Image.open(tmp_path / "reach.png") as picture:
-        assert picture.size == (1540, 990)
+        assert picture.size == (1540, 605)
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
 
 

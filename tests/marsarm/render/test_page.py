@@ -120,8 +120,8 @@ def test_text_cannot_break_out_of_the_page(page):
         ),
         (
             "monte-carlo",
-            MonteCarloRequest(built="as-built", only=0, move_model="statics"),
-            "--built as-built --move-model statics --only 0",
+            MonteCarloRequest(built="as-built", arms=3, move_model="statics"),
+            "--built as-built --arms 3 --move-model statics",
         ),
         (
             "calibrate",
