@@ -54,15 +54,15 @@ def test_every_reason_to_leave_out_a_command_is_used():
     assert all(any(f"{one.text} ".startswith(start) for one in left_out) for start in documents.LEFT_OUT)
 
 
-def test_a_page_gives_its_blocks_its_files_and_the_commands_in_its_lines(tmp_path, monkeypatch):
+def test_a_page_gives_its_files_its_blocks_and_the_commands_in_its_lines(tmp_path, monkeypatch):
     monkeypatch.setattr("validation.documents.ROOT", tmp_path)
     (tmp_path / "page.md").write_text(
         "`marsarm log info run.mcap` `marsarm log`\n```sh\nmarsarm arm  # lists\n```\n"
         "```toml\n# rock.toml\nseed = 1\n```\n```python\nprint(1)\n```\n```\nmarsarm no\n```\n"
     )
     assert list(documents.read_page("page")) == [
-        documents.Step("page", "sh", "marsarm arm"),
         documents.Step("page", "file", "# rock.toml\nseed = 1\n", "rock.toml"),
+        documents.Step("page", "sh", "marsarm arm"),
         documents.Step("page", "python", "print(1)\n"),
         documents.Step("page", "sh", "marsarm log info run.mcap"),
     ]

@@ -82,12 +82,11 @@ def read_steps() -> list[Step]:
 
 
 def read_page(page: str) -> Iterator[Step]:
-    """Yield the steps of a page, with those that are not run."""
+    """Yield the steps of a page, its files first, with those that are not run."""
     text = (ROOT / f"{page}.md").read_text(encoding="utf-8")
-    for language, block in BLOCK.findall(text):
-        named = NAMED.match(block)
-        if named is not None:
-            yield Step(page, "file", block, named[1])
+    blocks = BLOCK.findall(text)
+    yield from (Step(page, "file", block, named[1]) for _, block in blocks if (named := NAMED.match(block)))
+    for language, block in blocks:
         if language == "python":
             yield Step(page, "python", block)
         elif language == "sh":
