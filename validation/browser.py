@@ -29,14 +29,8 @@ from validation.campaigns import Context, Document
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome-headless-shell")
 MISSING = "no Chromium on this machine; apt-get install chromium"
 FLAGS = (
-    *(
-        "--headless",
-        "--no-sandbox",
-        "--no-first-run",
-        "--disable-quic",
-        "--disable-sync",
-        "--hide-scrollbars",
-    ),
+    *("--headless", "--no-sandbox", "--no-first-run"),
+    *("--disable-quic", "--disable-sync", "--hide-scrollbars"),
     *("--disable-background-networking", "--disable-component-update", "--remote-debugging-pipe"),
     *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
 )

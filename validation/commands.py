@@ -216,16 +216,9 @@ def _draw_number(random: Random, marks: tuple[Any, ...]) -> Any:
     """Draw a number within the limits, at one of them or next to one, of any type."""
     limits = next(mark for mark in marks if isinstance(mark, Limits))
     low, high = max(limits.low, -3.0), min(limits.high, 100.0)
-    number = _choose(
-        random,
-        (
-            float(random.uniform(low, high)),
-            float(low + (high - low) * 0.1 * random.random()),
-            limits.low,
-            limits.high,
-            float(np.nextafter(limits.high, np.inf)),
-        ),
-    )
+    inside = float(random.uniform(low, high)), float(low + (high - low) * 0.1 * random.random())
+    ends = limits.low, limits.high, float(np.nextafter(limits.high, np.inf))
+    number = _choose(random, (*inside, *ends))
     kind: Callable[[float], Any] = _choose(random, (float, float, float, np.float64, np.float32))
     return kind(number)
 

@@ -51,19 +51,13 @@ def run_trial(place: Place, number: int, joint: Joint, repetition: int) -> Trial
     """Carry out a trial."""
     arm, world = arm_at(place, number)
     found = prepare_random_homing(arm, joint, world, 1000 * number + repetition).finish()
-    stop = found.stops[0] if found.outcome is Outcome.DONE else None
-    return TrialResult(
-        place,
-        number,
-        joint,
-        repetition,
-        found.outcome.value,
-        np.nan if stop is None else 1e3 * stop.zero_error_rad,
-        np.nan if stop is None else 1e3 * stop.uncorrected_error_rad,
-        np.nan if stop is None else 1e3 * stop.half_backlash_error_rad,
-        float(found.max_torque_Nm[joint]),
-        float(found.max_current_ratio[joint]),
-    )
+    errors_mrad = (np.nan, np.nan, np.nan)
+    if found.outcome is Outcome.DONE:
+        stop = found.stops[0]
+        zero_mrad, plain_mrad = 1e3 * stop.zero_error_rad, 1e3 * stop.uncorrected_error_rad
+        errors_mrad = (zero_mrad, plain_mrad, 1e3 * stop.half_backlash_error_rad)
+    most = float(found.max_torque_Nm[joint]), float(found.max_current_ratio[joint])
+    return TrialResult(place, number, joint, repetition, found.outcome.value, *errors_mrad, *most)
 
 
 def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = "") -> Document:
@@ -85,24 +79,18 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
         "above_rated_torque": sum(r.max_torque_Nm > rated_Nm[r.joint] for r in results),
         "above_current_limit": sum(r.max_current_ratio > 1.0 + ROUNDING for r in results),
     }
+    failed = (r for r in results if r.outcome != "done")
+    found: Document = {"arms": arms, "repeats": repeats, "seed": seed, "in_bounds": not any(never.values())}
+    for place in PLACES:
+        own = {one: [r for r in results if (r.place, r.joint) == (place, one)] for one in joints}
+        found[place] = {one.name.lower(): _summarize_joint(trials) for one, trials in own.items()}
     return {
-        "arms": arms,
-        "repeats": repeats,
-        "seed": seed,
-        "in_bounds": not any(never.values()),
+        **found,
         **never,
         "failures": [
             f"{r.joint.name.lower()} of as-built:{r.arm}, {r.place}, trial {r.repetition}: {r.outcome}"
-            for r in results
-            if r.outcome != "done"
+            for r in failed
         ],
-        **{
-            place: {
-                one.name.lower(): _summarize_joint([r for r in results if (r.place, r.joint) == (place, one)])
-                for one in joints
-            }
-            for place in PLACES
-        },
         "earth_less_mars_mrad": {"equal torque": _mean_difference(results, joints)},
     }
 
@@ -110,16 +98,13 @@ def campaign(context: Context, arms: int = 5, repeats: int = 50, joint: str = ""
 def _summarize_joint(results: Sequence[TrialResult]) -> dict[str, Any]:
     """Compute the repeatability within an arm, and the means of the arms."""
     corrected, uncorrected = _by_arm(results), _by_arm(results, "uncorrected_mrad")
-    means = np.nanmean(corrected, axis=1)
+    means, plain = np.nanmean(corrected, axis=1), np.nanmean(uncorrected, axis=1)
+    squares = [r.half_backlash_error_mrad**2 for r in results]
     return {
         "repeatability_3_sigma_mrad": _three_sigma(corrected),
         "mean_error_worst_arm_mrad": float(np.abs(means).max()),
-        "without_wind_up": {
-            "mean_error_worst_arm_mrad": float(np.abs(np.nanmean(uncorrected, axis=1)).max())
-        },
-        "half_backlash_error_rms_mrad": float(
-            np.sqrt(np.nanmean([r.half_backlash_error_mrad**2 for r in results]))
-        ),
+        "without_wind_up": {"mean_error_worst_arm_mrad": float(np.abs(plain).max())},
+        "half_backlash_error_rms_mrad": float(np.sqrt(np.nanmean(squares))),
     }
 
 

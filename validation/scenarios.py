@@ -74,20 +74,16 @@ def run_scenario_on(
             if recorder is not None:
                 recorder.write(record)
     result = run.result()
+    tilt_rad = [scenario.world.tilt_roll_rad, scenario.world.tilt_pitch_rad]
+    shown = [m for m in result.checks if m.unit or m.name.startswith("lateral over")]
     return ScenarioOutcome(
         scenario=scenario.name,
         arm=name,
-        tilt_deg=tuple(
-            np.degrees([scenario.world.tilt_roll_rad, scenario.world.tilt_pitch_rad]).round(1).tolist()
-        ),
+        tilt_deg=tuple(np.degrees(tilt_rad).round(1).tolist()),
         outcome=str(result.outcome),
         passed=result.passed,
         failed=tuple(f"{m.check}: {m.name} {m.value:.6g} {m.unit}" for m in result.checks if not m.passed),
-        measured={
-            f"{m.check}: {m.name} [{m.unit}]": m.value
-            for m in result.checks
-            if m.unit or m.name.startswith("lateral over")
-        },
+        measured={f"{m.check}: {m.name} [{m.unit}]": m.value for m in shown},
         faults=tuple(evr.message for _, evr in result.evrs if isinstance(evr, Fault)),
         replays=None if log is None else replay(ReplayRequest(log)).differences.identical,
     )

@@ -156,12 +156,8 @@ def summary(tried: list[ToolChangeErrors | NotChanged]) -> Document:
         return counts
     table = np.array([[getattr(c, name) for name in ToolChangeErrors.__slots__] for c in changes])
     three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
-    named = {
-        name: {"three_sigma": float(three), "max": float(largest)}
-        for name, three, largest in zip(
-            ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True
-        )
-    }
+    rows = zip(ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True)
+    named = {name: {"three_sigma": float(three), "max": float(most)} for name, three, most in rows}
     return {**counts, **named}
 
 

@@ -33,13 +33,8 @@ def six_motions():
 def guessed(constant_Nm_A, true_Nm_A, is_known):
     """Return the arm and its logs, in which torques are known as currents."""
     robot = arm()
-    robot = replace(
-        robot,
-        joints=tuple(
-            replace(one, torque_constant_Nm_A=constant_Nm_A, torque_constant_is_known=is_known)
-            for one in robot.joints
-        ),
-    )
+    guess = {"torque_constant_Nm_A": constant_Nm_A, "torque_constant_is_known": is_known}
+    robot = replace(robot, joints=tuple(replace(one, **guess) for one in robot.joints))
     motions = []
     for one in six_motions():
         joints = {
@@ -77,26 +72,13 @@ def test_no_gain_is_asked_where_torques_are_compared(tmp_path):
         Robot.from_toml(path)
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ("torque_constant_is_known = false", "torque_constant_is_known: counts where a current stands for"),
-        (
-            'current = { column = "m2", unit = "mA" }\ntorque_constant_is_known = false',
-            "torque_constant_is_known: counts where a current stands for",
-        ),
-    ],
-)
-def test_a_guess_without_a_current_in_place_of_a_torque_is_refused(tmp_path, more, said):
-    with pytest.raises(RobotError, match=said):
-        Robot.from_toml(write_robot(tmp_path, (ELBOW, f"{ELBOW}\n{more}")))
-
-
-def test_a_guess_needs_a_number(tmp_path):
-    text = CURRENT.split("\n")[0] + "\ntorque_constant_is_known = false"
-    with pytest.raises(
-        RobotError, match=r"elbow.torque_constant_Nm_A: is missing; with torque_constant_is_known"
-    ):
+@pytest.mark.parametrize("more", ["", 'current = { column = "m2", unit = "mA" }\n'])
+def test_a_guess_without_a_current_in_place_of_a_torque_or_without_a_number_is_refused(tmp_path, more):
+    guess = "torque_constant_is_known = false"
+    with pytest.raises(RobotError, match="torque_constant_is_known: counts where a current stands for"):
+        Robot.from_toml(write_robot(tmp_path, (ELBOW, f"{ELBOW}\n{more}{guess}")))
+    text = CURRENT.split("\n")[0] + f"\n{guess}"
+    with pytest.raises(RobotError, match=r"torque_constant_Nm_A: is missing; with torque_constant_is_known"):
         Robot.from_toml(write_robot(tmp_path, (ELBOW, text)))
 
 

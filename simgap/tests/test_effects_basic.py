@@ -120,11 +120,7 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go():
         (DampingGain, [0.1], lambda t, q, v: 4.0 * (0.2 - q) - 0.2 * v),
         (TorqueConstant, [-0.4], lambda t, q, v: 0.6 * np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.5, 0.5)),
         (TorqueLimit, [5.0], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2, 0.2)),
-        (
-            BackEmf,
-            [0.2],
-            lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 * (1 + 0.2 * v), 0.2 * (1 - 0.2 * v)),
-        ),
+        (BackEmf, [0.2], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 - 0.04 * v, 0.2 - 0.04 * v)),
         (DeadZone, [0.05], lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v),
     ],
 )

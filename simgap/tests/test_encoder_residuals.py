@@ -165,12 +165,9 @@ def test_without_gravity_compliance_is_a_second_order_lag_of_the_encoder():
     assert rms(rest) < 0.1 * nominal
 
 
-def test_logs_without_a_second_encoder_are_refused():
+def test_logs_without_a_second_encoder_and_base_parameters_without_a_command_or_a_torque_are_refused():
     with pytest.raises(RobotError, match="no log has a second encoder"):
         EncoderResiduals(arm(), [motor_log()])
-
-
-def test_base_parameters_alone_need_a_command_or_a_torque():
     logs = {name: replace(log, command=None, torque=None) for name, log in second_log().joints.items()}
     with pytest.raises(RobotError, match="they show no base parameter"):
         diagnose(arm(), [Motion("m", logs, {})], base_only=True)

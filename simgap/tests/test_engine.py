@@ -305,14 +305,8 @@ def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed):
     measured_rad = measure(truth, seed)
     measured_rad[:5] += 5e-3
     log = motion(STARTS_s, measured_rad, command)
-    judged, fitted = (
-        np.abs(
-            SimulationResiduals(pendulum(), [log], n_threads=1, fit_starts=fit).residuals(
-                [], np.zeros((1, 0))
-            )
-        )
-        for fit in (False, True)
-    )
+    models = [SimulationResiduals(pendulum(), [log], n_threads=1, fit_starts=fit) for fit in (False, True)]
+    judged, fitted = (np.abs(one.residuals([], np.zeros((1, 0)))) for one in models)
     assert judged[0, 5:15].max() > 10 * NOISE_rad
     assert np.median(fitted[0, 5:]) < 2 * NOISE_rad
 

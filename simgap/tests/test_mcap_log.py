@@ -28,11 +28,9 @@ NO_MOTION = ('columns = ["motion"]\n\n[conditions.gain]\ncolumn = "gain"', "")
 FIELDS = (
     NO_MOTION,
     ('[time]\ncolumn = "t"\nunit = "ms"', ""),
-    ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n"),
-    ('"q1"', '"/joints.position[0]"'),
-    ('"q2"', '"/joints.position[1]"'),
-    ('"c1"', '"/command.deg"'),
-    ('"m2"', '"/joints.current[1]"'),
+    ('gain_column = "gain"\n', ""),
+    *(('"q1"', '"/joints.position[0]"'), ('"q2"', '"/joints.position[1]"')),
+    *(('"c1"', '"/command.deg"'), ('"m2"', '"/joints.current[1]"')),
 )
 
 

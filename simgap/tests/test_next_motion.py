@@ -35,11 +35,8 @@ RANDOM = np.random.default_rng(5)
 NOTHING: Slopes = (np.zeros((3, 0)), np.zeros((3, 0)))
 
 
-def test_without_anything_to_fit_the_separation_is_the_distance():
+def test_without_anything_to_fit_the_separation_is_the_distance_and_what_a_size_can_imitate_is_none():
     assert find_sigma(np.array([[1.0, 2.0, 0.0], [1.0, 0.0, 0.0]]), NOTHING, 0, 1) == pytest.approx(2.0)
-
-
-def test_what_a_free_size_can_imitate_separates_nothing():
     values, column = RANDOM.normal(size=(2, 50)), RANDOM.normal(size=(50, 1))
     values[1] = values[0] + 3.0 * column[:, 0]
     assert find_sigma(values, (1e6 * column, 1e6 * column), 0, 1) < 1e-3
@@ -161,9 +158,11 @@ def test_torques_are_compared_along_the_motion_though_no_command_is_known():
     assert {one.signal for one in proposal.curves} == {"elbow"}
 
 
-def test_a_finding_without_a_rival_leaves_nothing_to_tell_apart():
+def test_a_finding_without_a_rival_and_a_joint_that_takes_torques_get_no_motion():
     with pytest.raises(RobotError, match="no motion is needed"):
         choose_rivals([rival(DELAY, 0.02)])
+    with pytest.raises(RobotError, match="joint swing: is commanded by torque"):
+        list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"], True)
 
 
 def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
@@ -187,11 +186,6 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
     assert float(second["c1"]) == pytest.approx(np.degrees(0.6))
     assert float(first["q2"]) == pytest.approx(0.5 * 50.0 * 4096.0 / (2.0 * np.pi))
     assert float(first["gain"]) == 3.0
-
-
-def test_a_joint_that_takes_torques_gets_no_motion(tmp_path):
-    with pytest.raises(RobotError, match="joint swing: is commanded by torque"):
-        list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"], True)
 
 
 def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):

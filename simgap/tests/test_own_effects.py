@@ -73,6 +73,9 @@ def test_files_of_one_name_in_two_folders_stay_apart(tmp_path):
     assert names == ["mine 1", "mine 2"]
 
 
+OTHER = "\n@dataclass(frozen=True, slots=True)\nclass Other(Mine):\n    pass\n"
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -86,11 +89,7 @@ def test_files_of_one_name_in_two_folders_stay_apart(tmp_path):
         (KIND.format(sizes='(Size("a", 0.1, 1.0, 0.5),)', hook=HOOK), "right is low <= 0 < typical <= high"),
         (KIND.format(sizes=SIZE, hook="pass"), "Mine changes nothing; override one of"),
         (KIND.format(sizes=SIZE, hook=HOOK).replace('name = "mine"', ""), "Mine lacks its name or its"),
-        (
-            KIND.format(sizes=SIZE, hook=HOOK)
-            + "\n@dataclass(frozen=True, slots=True)\nclass Other(Mine):\n    pass\n",
-            "2 effects have the key 'pan: mine'",
-        ),
+        (KIND.format(sizes=SIZE, hook=HOOK) + OTHER, "2 effects have the key 'pan: mine'"),
     ],
 )
 def test_a_wrong_file_is_one_sentence(tmp_path, text, sentence):
@@ -103,9 +102,8 @@ def test_a_wrong_file_is_one_sentence(tmp_path, text, sentence):
 
 
 def test_a_missing_file_and_another_kind_of_file_are_one_sentence(tmp_path):
-    with pytest.raises(RobotError, match="no such file"):
-        load_effects(tmp_path / "none.py", ARM, LOGS)
-    with pytest.raises(RobotError, match="no such file"):
-        load_effects(tmp_path / f"{'a' * 300}.py", ARM, LOGS)
+    for name in ("none.py", f"{'a' * 300}.py"):
+        with pytest.raises(RobotError, match="no such file"):
+            load_effects(tmp_path / name, ARM, LOGS)
     with pytest.raises(RobotError, match=r"its name ends in \.py"):
         load_effects(write(tmp_path, "x = 1", "mine.txt"), ARM, LOGS)

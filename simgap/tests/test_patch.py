@@ -33,20 +33,9 @@ from simgap.simulation.windows import cut_windows
 SCALES = {"swing": JointScales(0.02, 0.0, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 2.0, math.nan, math.nan)}
 ROBOT = pendulum(limit_Nm=1.5)
 IN_MODEL = {ViscousFriction: 0.01, CoulombFriction: 0.05, GainError: -0.3, Armature: 0.001}
-AT_RUN_TIME = {
-    StribeckFriction: (0.05, 0.4),
-    LoadFriction: 0.1,
-    CommandDelay: 0.013,
-    MeasurementDelay: 0.0123,
-    EncoderScale: 0.02,
-    JointZero: 0.03,
-    BackEmf: 0.2,
-    DeadZone: 0.02,
-    LeakyIntegral: (1.0, 2.0),
-    VelocityLimit: 2.0,
-    AccelerationLimit: 0.5,
-    ClampHigh: 0.3,
-}
+AT_RUN_TIME = {StribeckFriction: (0.05, 0.4), LoadFriction: 0.1, CommandDelay: 0.013, ClampHigh: 0.3}
+AT_RUN_TIME |= {MeasurementDelay: 0.0123, EncoderScale: 0.02, JointZero: 0.03, BackEmf: 0.2, DeadZone: 0.02}
+AT_RUN_TIME |= {LeakyIntegral: (1.0, 2.0), VelocityLimit: 2.0, AccelerationLimit: 0.5}
 TIME_s = np.arange(0.0, 1.5, 0.01)
 COMMAND = waves(TIME_s, seed=5)
 

@@ -84,11 +84,7 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            "friction_per_load =",
-            "friction_per_weight =",
-            "size has friction_per_weight; it takes friction_per",
-        ),
+        ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
         ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
         ("robot runtime 1", "else", "is not 'robot runtime 1'"),
         ("", "", "use the patched model"),

@@ -48,10 +48,8 @@ def test_sizes_are_even_in_their_logarithm_and_as_far_from_neutral_as_they_say()
     effects = [one for case in drawn(1000) for one in case.effects]
     times = np.array([one.times_limit for one in effects])
     assert LIMIT_MULTIPLES[0] <= times.min() < times.max() <= LIMIT_MULTIPLES[1]
-    below = np.mean(
-        np.log(times / LIMIT_MULTIPLES[0]) < 0.5 * np.log(LIMIT_MULTIPLES[1] / LIMIT_MULTIPLES[0])
-    )
-    assert below == pytest.approx(0.5, abs=0.06)
+    least, most = LIMIT_MULTIPLES
+    assert np.mean(np.log(times / least) < 0.5 * np.log(most / least)) == pytest.approx(0.5, abs=0.06)
     for one in effects:
         assert abs(one.values[0]) == pytest.approx(2.0 * one.times_limit * one.source.limit)
     assert {np.sign(one.values[0]) for one in effects} == {-1.0, 1.0}

@@ -18,6 +18,7 @@ from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
+from validation.cases.bars import LEVELS
 from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs, write_robot
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
@@ -97,11 +98,10 @@ def test_a_right_answer_meets_all_bars():
 
 
 def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives():
-    bars = score_cases([(case("outside", CREEP), result(FRICTION))]).document["bars"]
-    assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 1, 1]
     only_place = {**FRICTION, "families": [], "effects": []}
-    bars = score_cases([(case("outside", CREEP), result(only_place))]).document["bars"]
-    assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 0, 0]
+    for found, wrong in ((FRICTION, [0, 1, 1]), (only_place, [0, 0, 0])):
+        bars = score_cases([(case("outside", CREEP), result(found))]).document["bars"]
+        assert [bars[f"outside, wrong {level}"]["hits"] for level in LEVELS] == wrong
 
 
 def test_effects_below_the_limit_are_not_counted_as_missed():

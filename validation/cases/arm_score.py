@@ -119,26 +119,12 @@ class EquivalenceClasses:
 
 def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     """Return the JSON document; an infinite limit is None."""
-    rows = zip(
-        model.sensitivities.hypotheses,
-        model.label.tolist(),
-        model.limits.tolist(),
-        model.family_wise_limits.tolist(),
-        model.families,
-        model.locations,
-        strict=True,
-    )
+    names = ("class", "limit", "family_wise_limit", "family", "location")
+    numbers = (one.tolist() for one in (model.label, model.limits, model.family_wise_limits))
+    rows = zip(*numbers, map(str, model.families), model.locations, strict=True)
     document: list[dict[str, Any]] = to_json([
-        {
-            "name": one.effect,
-            "place": one.place,
-            "class": label,
-            "limit": limit,
-            "family_wise_limit": family_wise_limit,
-            "family": str(family),
-            "location": location,
-        }
-        for one, label, limit, family_wise_limit, family, location in rows
+        {"name": one.effect, "place": one.place} | dict(zip(names, row, strict=True))
+        for one, row in zip(model.sensitivities.hypotheses, rows, strict=True)
     ])  # fmt: skip
     return document
 

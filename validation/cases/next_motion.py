@@ -83,15 +83,9 @@ class NextCases(ServoCases):
         """Count the cases that the motion settles, by what was open, with a 90 % interval."""
         tried = [(case, result) for case, result in solved if "next" in result]
         settled = [is_settled(case, result) for case, result in tried]
+        pairs = [(result["next"]["open"], done) for (_, result), done in zip(tried, settled, strict=True)]
         named = ("set", "place", "wrong name")
-        groups = {
-            name: [
-                done
-                for (_, result), done in zip(tried, settled, strict=True)
-                if result["next"]["open"] == name
-            ]
-            for name in named
-        }
+        groups = {name: [done for open_as, done in pairs if open_as == name] for name in named}
         bars = {"settled by one motion": check_rate(settled, BAR, False)}
         counts = {name: f"{sum(own)} of {len(own)}" for name, own in groups.items()}
         more = {

@@ -182,16 +182,10 @@ def find_equivalents(
     """Return the entries, with places, that cannot be told from a true effect, itself included."""
     true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
     near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
-    found = [
-        (one.entry.kind.name, one.place)
-        for one in list_hypotheses(campaign.robot, entries)
-        if one.place in near
-        and (
-            (one.entry.kind.name, one.place) == (drawn.name, drawn.place)
-            or _imitates(campaign, one, drawn, true)
-        )
-    ]
-    return tuple(found)
+    own = drawn.name, drawn.place
+    known = [(one, (one.entry.kind.name, one.place)) for one in list_hypotheses(campaign.robot, entries)]
+    here = [(one, name) for one, name in known if one.place in near]
+    return tuple(name for one, name in here if name == own or _imitates(campaign, one, drawn, true))
 
 
 def _imitates(campaign: CaseMotions, one: PlacedEntry, drawn: DrawnEffect, true: Array) -> bool:

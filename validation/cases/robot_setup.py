@@ -62,11 +62,9 @@ ARMS: Final = {
     "four_joint": Arm((0.0, 0.7, -1.0, -0.3), frozenset({"wrist"}), frozenset({"pan"})),
 }
 SERVOS: Final = {
-    f"servo_{1000 * mass_kg:.0f}g_{1000 * length_m:.0f}mm": Arm(
-        (0.5,), frozenset(), mass_kg=mass_kg, length_m=length_m
-    )
-    for mass_kg in (0.1, 0.2, 0.3, 0.4)
-    for length_m in (0.1, 0.15)
+    f"servo_{1000 * kg:.0f}g_{1000 * m:.0f}mm": Arm((0.5,), frozenset(), mass_kg=kg, length_m=m)
+    for kg in (0.1, 0.2, 0.3, 0.4)
+    for m in (0.1, 0.15)
 }
 MODELS: Final = {**{name: ARMS[name] for name in sorted(ARMS)}, **SERVOS}
 

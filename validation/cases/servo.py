@@ -45,17 +45,15 @@ def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
     given = [(pair, pair.finding) for pairs, _ in paired for pair in pairs if pair.finding is not None]
     named = [(pair, one) for pair, one in given if 1 <= len(one["effects"]) <= LISTED]
     quiet = [result for case, result in solved if case.truth.kind == "none"]
+    sure = [is_sure_and_wrong(*one) for one in solved]
+    shown = [pair.finding for pair in clear]
+    short = [one is not None and 1 <= len(one["effects"]) <= LISTED for one in shown]
+    right = [first_choice(one) in pair.accepted for pair, one in named]
     bars = {
-        "sure and wrong": check_rate((is_sure_and_wrong(*one) for one in solved), 0.02, True),
-        "reported": check_rate((pair.finding is not None for pair in clear), 0.80, False),
-        "named": check_rate(
-            (pair.finding is not None and 1 <= len(pair.finding["effects"]) <= LISTED for pair in clear),
-            0.60,
-            False,
-        ),
-        "right effect of those named": check_rate(
-            (first_choice(one) in pair.accepted for pair, one in named), 0.88, False
-        ),
+        "sure and wrong": check_rate(sure, 0.02, True),
+        "reported": check_rate((one is not None for one in shown), 0.80, False),
+        "named": check_rate(short, 0.60, False),
+        "right effect of those named": check_rate(right, 0.88, False),
         "false alarms": check_rate((bool(one["findings"]) for one in quiet), 0.05, True),
     }
     return score_bars(bars, len(solved), {"cpu seconds": sum(one["seconds"] for _, one in solved)})

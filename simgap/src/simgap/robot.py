@@ -40,17 +40,8 @@ SLIDE_m_rad: Final = 0.1
 """Distance of a slide that is worth as much as 1 rad of a hinge: the hinge moves a point 10 cm away as far.
 Typical sizes of effects, which are known for hinges, are converted with it."""
 SLIDE_UNITS: Final = (
-    ("Nms_rad", "Ns_m"),
-    ("Nm_rad", "N_m"),
-    ("rad_Nm", "m_N"),
-    ("Nm_K", "N_K"),
-    ("Nm_A", "N_A"),
-    ("kgm2", "kg"),
-    ("rad_s", "m_s"),
-    ("s_rad", "s_m"),
-    ("s2_rad", "s2_m"),
-    ("rad", "m"),
-    ("Nm", "N"),
+    *(("Nms_rad", "Ns_m"), ("Nm_rad", "N_m"), ("rad_Nm", "m_N"), ("Nm_K", "N_K"), ("Nm_A", "N_A")),
+    *(("kgm2", "kg"), ("rad_s", "m_s"), ("s_rad", "s_m"), ("s2_rad", "s2_m"), ("rad", "m"), ("Nm", "N")),
 )
 """Units in the names of numbers of a hinge, and those of a slide."""
 

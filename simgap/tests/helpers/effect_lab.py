@@ -77,14 +77,8 @@ def robot_of(xml: str, tool_site: str = "tool", mode: ControlMode = ControlMode.
         )
         for k in range(model.njnt)
     )
-    return Robot(
-        name=xml.split('model="')[1].split('"')[0],
-        model=model,
-        model_xml=xml,
-        joints=joints,
-        control_period_s=5 * model.opt.timestep,
-        tool_site=tool_site,
-    )
+    name = xml.split('model="')[1].split('"')[0]
+    return Robot(name, model, xml, joints, 5 * model.opt.timestep, tool_site)
 
 
 def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> mujoco.batch.Batch:

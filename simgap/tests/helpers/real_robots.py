@@ -45,13 +45,9 @@ def exchange_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...
     """Give each motion the commands of another one: a cycle through all motions in random order."""
     order = np.random.default_rng(seed).permutation(len(motions))
     other = dict(zip(order.tolist(), np.roll(order, 1).tolist(), strict=True))
-    return tuple(
-        replace(
-            motion,
-            joints={
-                name: replace(log, command=motions[other[k]].joints[name].command)
-                for name, log in motion.joints.items()
-            },
-        )
-        for k, motion in enumerate(motions)
-    )
+    exchanged = []
+    for k, motion in enumerate(motions):
+        sent = {name: log.command for name, log in motions[other[k]].joints.items()}
+        joints = {name: replace(log, command=sent[name]) for name, log in motion.joints.items()}
+        exchanged.append(replace(motion, joints=joints))
+    return tuple(exchanged)

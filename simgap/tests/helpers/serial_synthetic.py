@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from simgap.serial_arm import model
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
-from simgap.serial_arm.model import Link, Repeatability, SerialArm, TrackerSetup, Uncertainty, serial_model
+from simgap.serial_arm.model import GEOMETRY_FIELDS, Link, SerialArm, TrackerSetup
 
 POSITION_M, ROTATION_RAD = 5e-5, 2e-4
 ORDERS = 6
@@ -14,20 +15,12 @@ ORDERS = 6
 
 def drawn_arm(joints=4):
     """Return the arm of the file."""
-    turns = (np.pi / 2, -np.pi / 2, 0.0)
-    links = tuple(
-        Link(
-            f"joint{k}",
-            d_m=0.1 + 0.02 * k,
-            alpha_rad=turns[k % 3],
-            a_m=0.25 if k % 3 == 2 else 0.05,
-            mass_kg=3.0 - 0.3 * k,
-            mass_centre_m=(-0.05, 0.01, 0.02),
-        )
-        for k in range(joints)
-    )
-    uncertainty = Uncertainty(compliance_rad_per_Nm=1e-4, periodic_rad=2e-4, orders=ORDERS)
-    of_arm = Repeatability(POSITION_M, ROTATION_RAD)
+    turns, lengths = (np.pi / 2, -np.pi / 2, 0.0), (0.05, 0.05, 0.25)
+    shape = [{"alpha_rad": turns[k % 3], "a_m": lengths[k % 3], "d_m": 0.1 + 0.02 * k} for k in range(joints)]
+    mass = [{"mass_kg": 3.0 - 0.3 * k, "mass_centre_m": (-0.05, 0.01, 0.02)} for k in range(joints)]
+    links = tuple(Link(f"joint{k}", **shape[k], **mass[k]) for k in range(joints))
+    uncertainty = model.Uncertainty(compliance_rad_per_Nm=1e-4, periodic_rad=2e-4, orders=ORDERS)
+    of_arm = model.Repeatability(POSITION_M, ROTATION_RAD)
     return SerialArm("made up", links, uncertainty=uncertainty, repeatability=of_arm)
 
 
@@ -38,19 +31,11 @@ def built_arm(arm, seed):
     def off(one):
         angle, length = (sigma * rng.standard_normal(3) for sigma in (sure.angle_rad, sure.length_m))
         waves = sure.periodic_rad * rng.standard_normal((2, sure.orders))
-        return replace(
-            one,
-            theta_rad=one.theta_rad + angle[0],
-            beta_rad=one.beta_rad + angle[1],
-            alpha_rad=one.alpha_rad + angle[2],
-            d_m=one.d_m + length[0],
-            b_m=one.b_m + length[1],
-            a_m=one.a_m + length[2],
-            compliance_rad_per_Nm=5e-5 * abs(rng.standard_normal()),
-            hysteresis_rad=1e-4 * rng.standard_normal(),
-            cos_rad=tuple(waves[0].tolist()),
-            sin_rad=tuple(waves[1].tolist()),
-        )
+        errors = np.column_stack([angle, length]).ravel()
+        own = {name: getattr(one, name) + off for name, off in zip(GEOMETRY_FIELDS, errors, strict=True)}
+        own["compliance_rad_per_Nm"] = 5e-5 * abs(rng.standard_normal())
+        own["hysteresis_rad"] = 1e-4 * rng.standard_normal()
+        return replace(one, **own, cos_rad=tuple(waves[0].tolist()), sin_rad=tuple(waves[1].tolist()))
 
     return replace(arm, links=tuple(off(one) for one in arm.links))
 
@@ -69,7 +54,7 @@ def series(arm, stands, count, seed, noise=1.0, air=None):
     q = rng.uniform(-2.5, 2.5, (len(arm.links), count))
     blank = Pose(np.repeat(np.eye(3)[:, :, None], count, 2), np.zeros((3, count)))
     unmeasured = PoseSeries("made", q, move_directions(q), blank, air, np.arange(1, count + 1))
-    X = serial_model(arm, stands, unmeasured, ()).poses(np.zeros(12))
+    X = model.serial_model(arm, stands, unmeasured, ()).poses(np.zeros(12))
     turn = Rotation.from_rotvec(noise * ROTATION_RAD * rng.standard_normal((count, 3))).as_matrix()
     R = np.einsum("nij,jkn->ikn", turn, X.R)
     return replace(unmeasured, X_TM=Pose(R, X.p + noise * POSITION_M * rng.standard_normal((3, count))))

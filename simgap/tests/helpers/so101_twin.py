@@ -49,17 +49,12 @@ def with_locked_joints(robot: Robot, free: tuple[str, ...]) -> Robot:
             spec.delete(spec.joint(joint.name))
     spec.option.timestep = robot.model.opt.timestep
     model = spec.compile()
-    joints = tuple(
-        replace(
-            joint,
-            qpos_index=int(model.joint(joint.name).qposadr[0]),
-            dof_index=int(model.joint(joint.name).dofadr[0]),
-            actuator_index=model.actuator(joint.name).id,
-        )
-        for joint in robot.joints
-        if joint.name in free
-    )
-    return replace(robot, model=model, model_xml=spec.to_xml(), joints=joints)
+    joints = []
+    for joint in (one for one in robot.joints if one.name in free):
+        own, actuator = model.joint(joint.name), model.actuator(joint.name)
+        places = {"qpos_index": int(own.qposadr[0]), "dof_index": int(own.dofadr[0])}
+        joints.append(replace(joint, **places, actuator_index=actuator.id))
+    return replace(robot, model=model, model_xml=spec.to_xml(), joints=tuple(joints))
 
 
 def record(robot: Robot, truth: Truth, name: str, command: Mapping[str, Array], seed: int) -> Motion:

@@ -93,14 +93,9 @@ def simulated(
         mujoco.mj_step(model, data)
     q += noise_rad * np.random.default_rng(seed).standard_normal(q.shape)
     time_s = PERIOD_s * np.arange(n)
-    return Motion(
-        name,
-        {
-            joint.name: JointLog(Signal(time_s, q[:, j]), torque=Signal(time_s, torque[:, j]))
-            for j, joint in enumerate(robot.joints)
-        },
-        {},
-    )
+    signals = [(Signal(time_s, q[:, j]), Signal(time_s, torque[:, j])) for j in range(2)]
+    logs = [JointLog(position, torque=own) for position, own in signals]
+    return Motion(name, {joint.name: log for joint, log in zip(robot.joints, logs, strict=True)}, {})
 
 
 def scales(robot: Robot, *motions: Motion) -> dict[str, JointScales]:

@@ -46,23 +46,10 @@ REST = Remainder("pan", "slow", 0.0011, "rad", "position", 0.4)
 
 def diagnosis(**changes):
     """Return a diagnosis with one finding, and these fields changed."""
-    return replace(
-        Diagnosis(
-            robot="arm",
-            kind="simulation",
-            seed=1,
-            findings=(FRICTION,),
-            base=(GAIN,),
-            errors=(PAN, LIFT),
-            remaining=(),
-            refused=(),
-            fitted_motions=("a", "b", "c"),
-            judged_motions=("d", "e"),
-            effects=(Rub("lift"),),
-            sizes=((0.44,),),
-        ),
-        **changes,
-    )
+    fields = {"robot": "arm", "kind": "simulation", "seed": 1, "remaining": (), "refused": ()}
+    fields |= {"findings": (FRICTION,), "base": (GAIN,), "errors": (PAN, LIFT)}
+    fields |= {"fitted_motions": ("a", "b", "c"), "judged_motions": ("d", "e")}
+    return Diagnosis(**(fields | {"effects": (Rub("lift"),), "sizes": ((0.44,),)} | changes))
 
 
 def finding(**changes):

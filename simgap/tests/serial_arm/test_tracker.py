@@ -40,24 +40,15 @@ def three():
     return diagnose(built_with(**THREE))
 
 
-def test_each_effect_is_named_at_its_joint_and_no_other(three):
-    assert {(one.place, one.effect) for one in three.findings} == {
-        ("joint0", kinds.DirectionHysteresis.name),
-        ("joint1", kinds.TrackerCompliance.name),
-        ("joint2", kinds.PeriodicJointError.name),
-    }
-
-
-def test_the_intervals_hold_the_sizes(three):
-    sizes = {one.effect: (one.size[0], one.interval[0]) for one in three.findings}
-    truth = {kinds.DirectionHysteresis.name: 2e-4, kinds.TrackerCompliance.name: 4e-5}
-    truth[kinds.PeriodicJointError.name] = 3e-4 / np.sqrt(2)
+def test_each_effect_is_named_at_its_joint_with_its_size_and_no_other_without_a_reason(three):
+    sizes = {(one.place, one.effect): (one.size[0], one.interval[0]) for one in three.findings}
+    truth = {("joint0", kinds.DirectionHysteresis.name): 2e-4, ("joint1", kinds.TrackerCompliance.name): 4e-5}
+    truth["joint2", kinds.PeriodicJointError.name] = 3e-4 / np.sqrt(2)
+    assert sizes.keys() == truth.keys()
     for name, (size, (low, high)) in sizes.items():
         assert size == pytest.approx(truth[name], rel=0.15)
         assert low - 0.3 * (high - low) < truth[name] < high + 0.3 * (high - low)
-
-
-def test_every_effect_that_is_not_named_says_why(three):
+    assert all(0.0 < one.share < 1.0 for one in three.findings)  # of the error comes back without it
     rejected = {(one.place, one.effect): one.reason for one in three.rejected}
     assert len(rejected) == 3 * 3 - 3
     assert all(rejected.values())
@@ -67,10 +58,6 @@ def test_the_findings_explain_held_out_poses_to_the_noise(three):
     position = three.errors[0]
     assert position.nominal > position.base > position.explained
     assert position.explained < 1.2 * np.sqrt(3) * POSITION_M
-
-
-def test_the_error_comes_back_without_a_finding(three):
-    assert all(0.0 < one.share < 1.0 for one in three.findings)
 
 
 def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
@@ -166,12 +153,8 @@ def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table
 def test_the_arm_of_one_series_is_that_of_a_series_four_months_later(real_data):
     folder, models = real_data / "ur10-tracker", "models/robots/ur10"
     arm = read_arm(repository_file(f"{models}/arm.toml"))
-    one, other = (
-        read_series(arm, folder / table, repository_file(f"{models}/{mapping}"))
-        for table, mapping in (
-            ("series_a_grid.csv", "series_a.toml"),
-            ("series_c_random_poses.csv", "series_c.toml"),
-        )
-    )
+    named = (("series_a_grid.csv", "series_a.toml"), ("series_c_random_poses.csv", "series_c.toml"))
+    paths = ((folder / table, repository_file(f"{models}/{mapping}")) for table, mapping in named)
+    one, other = (read_series(arm, *both) for both in paths)
     moved = fit_tracker(fit_tracker(arm, one).found.arm, other, terms=())
     assert moved.models[-1].fresh.rms_m < 0.60e-3

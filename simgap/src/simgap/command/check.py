@@ -157,6 +157,7 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
     usable = [report.audit.is_usable(motion.name, joint) for motion in report.logs.motions]
     positions = [motion.joints[joint].position.value for motion in report.logs.motions]
     errors = np.array([one.mean_abs_rad[joint] for one in report.nominal])
+    is_judged = is_simulated and weight.any()
     return JointSummary(
         name=joint,
         rate_Hz=float(np.median([rate.rate_Hz for rate in rates if np.isfinite(rate.rate_Hz)] or [np.nan])),
@@ -167,9 +168,7 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
         refused_share=1.0 - sum(int(one.sum()) for one in usable) / max(sum(one.size for one in usable), 1),
         lowest_rad=min(float(np.nanmin(one)) for one in positions),
         highest_rad=max(float(np.nanmax(one)) for one in positions),
-        nominal_mean_abs_rad=float(np.average(errors, weights=weight))
-        if is_simulated and weight.any()
-        else float("nan"),
+        nominal_mean_abs_rad=float(np.average(errors, weights=weight)) if is_judged else math.nan,
         is_simulated=is_simulated,
         is_slide=report.robot.joint(joint).is_slide,
     )
@@ -256,21 +255,17 @@ def _motion_words(remark: Remark) -> str:
 def joint_cells(one: JointSummary) -> tuple[str, ...]:
     """Return the cells of a joint, as JOINT_HEAD names them."""
     error = one.nominal_mean_abs_rad
+    factor, digits, unit = (1e3, 1, " mm") if one.is_slide else (1.0, 2, "")
+    failed = "blew up" if one.is_simulated else "not simulated"
     return (
         one.name,
         f"{one.rate_Hz:.0f}",
         f"{one.jitter_s * 1e3:.1f}",
         str(one.n_missing + one.n_invalid),
         str(one.n_stale),
-        f"{1e3 * one.lowest_rad:.1f}..{1e3 * one.highest_rad:.1f} mm"
-        if one.is_slide
-        else f"{one.lowest_rad:.2f}..{one.highest_rad:.2f}",
+        f"{factor * one.lowest_rad:.{digits}f}..{factor * one.highest_rad:.{digits}f}{unit}",
         f"{one.refused_share:.1%}",
-        f"{error * 1e3:.1f}{' mm' if one.is_slide else ''}"
-        if math.isfinite(error)
-        else "blew up"
-        if one.is_simulated
-        else "not simulated",
+        f"{error * 1e3:.1f}{unit}" if math.isfinite(error) else failed,
     )
 
 

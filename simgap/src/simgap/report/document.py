@@ -19,23 +19,14 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis as a document that JSON can hold; unknown numbers are null."""
     return {
         "format": FORMAT,
-        "robot": diagnosis.robot,
-        "kind": diagnosis.kind,
-        "method": diagnosis.method,
-        "remarks": list(diagnosis.remarks),
-        "seed": diagnosis.seed,
+        **_own(diagnosis, "robot", "kind", "method", "remarks", "seed"),
         "verdict": verdict_word(diagnosis),
         "lines": list(verdict_lines(diagnosis)),
         "details": detail_lines(diagnosis),
         "closure_share": diagnosis.closure,
         "findings": [_finding(one) for one in diagnosis.findings],
         "base": [_base(one) for one in diagnosis.base],
-        "errors": to_json(diagnosis.errors),
-        "remaining": to_json(diagnosis.remaining),
-        "refused": to_json(diagnosis.refused),
-        "rejected": to_json(diagnosis.rejected),
-        "fitted_motions": list(diagnosis.fitted_motions),
-        "judged_motions": list(diagnosis.judged_motions),
+        **_own(diagnosis, "errors", "remaining", "refused", "rejected", "fitted_motions", "judged_motions"),
         "effects": [
             {
                 "key": effect.key,
@@ -48,6 +39,10 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _own(record: Diagnosis | Finding | Base, *names: str) -> dict[str, Any]:
+    return {name: to_json(getattr(record, name)) for name in names}
+
+
 def number(value: float) -> float | str | None:
     """Return a number as JSON can hold it: NaN is null, infinity a text."""
     if math.isinf(value):
@@ -58,34 +53,24 @@ def number(value: float) -> float | str | None:
 def _finding(one: Finding) -> dict[str, Any]:
     sizes = zip(one.size_names, one.size, one.interval, strict=True)
     return {
-        "place": one.place,
-        "family": str(one.family),
-        "effect": one.effect,
-        "text": one.text,
+        **_own(one, "place", "family", "effect", "text"),
         "level": level(one),
         "sizes": [
             {"name": name, "value": number(size), "low_90": number(low), "high_90": number(high)}
             for name, size, (low, high) in sizes
         ],
         "share": number(one.share),
-        "not_excluded": {
-            "places": list(one.places),
-            "families": [str(family) for family in one.families],
-            "effects": list(one.effects),
-        },
+        "not_excluded": _own(one, "places", "families", "effects"),
         "next_motion": one.next_motion,
     }
 
 
 def _base(one: Base) -> dict[str, Any]:
     low, high = one.interval
+    numbers = {"nominal": one.nominal, "value": one.value, "low_90": low, "high_90": high}
     return {
-        "place": one.place,
-        "name": one.name,
-        "nominal": number(one.nominal),
-        "value": number(one.value),
-        "low_90": number(low),
-        "high_90": number(high),
+        **_own(one, "place", "name"),
+        **{name: number(value) for name, value in numbers.items()},
         "is_identifiable": one.is_identifiable,
         "is_at_bound": one.is_pushed,
         "share": number(one.share),
@@ -94,6 +79,7 @@ def _base(one: Base) -> dict[str, Any]:
 
 COMPARISON = "comparison 1"
 """Name and version of the document."""
+NOTHING = "What: nothing changed that these logs show."
 
 
 def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
@@ -102,12 +88,8 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     small = "Not seen: smaller changes; the limits of each joint follow."
     limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
-        return (
-            "Where: nowhere; one model fits both sets of logs.",
-            "What: nothing changed that these logs show.",
-            f"How far: {_how_far(made)}",
-            limits,
-        )
+        where, what = "Where: nowhere; one model fits both sets of logs.", NOTHING
+        return where, what, f"How far: {_how_far(made)}", limits
     asked = following if "record" in following else limits
     return where, what, f"How far: {_how_far(made)}", asked
 

@@ -246,16 +246,10 @@ def _finding_row(one: Finding) -> tuple[str, ...]:
 
 
 def _base_part(diagnosis: Diagnosis) -> list[str]:
-    rows = [
-        (
-            one.place,
-            one.name,
-            f"{one.nominal:.4g}",
-            f"{one.value:.4g}",
-            f"{one.interval[0]:.4g} to {one.interval[1]:.4g}" if one.is_identifiable else "not known",
-        )
-        for one in diagnosis.base
-    ]
+    rows = []
+    for one in diagnosis.base:
+        ends = "{:.4g} to {:.4g}".format(*one.interval) if one.is_identifiable else "not known"
+        rows.append((one.place, one.name, f"{one.nominal:.4g}", f"{one.value:.4g}", ends))
     about = "Numbers that the model does not know for certain. They are fitted, and are no findings."
     return _table_part("Base parameters", ("place", "parameter", "model", "fitted", "90 %"), rows, about)
 
@@ -268,16 +262,12 @@ def _table_part(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], 
 def _remaining_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.remaining:
         return [heading("What remains"), paragraph("Nothing that differs from noise.")]
-    rows = [
-        (
-            one.joint,
-            one.regime,
-            quantity(one.mean_abs, one.unit),
-            one.depends_on or "no logged variable",
-            percent(one.depends_share) if one.depends_on else "",
+    rows = []
+    for one in diagnosis.remaining:
+        depends = (
+            (one.depends_on, percent(one.depends_share)) if one.depends_on else ("no logged variable", "")
         )
-        for one in diagnosis.remaining
-    ]
+        rows.append((one.joint, one.regime, quantity(one.mean_abs, one.unit), *depends))
     about = "No effect of the catalogue explains this part; it is apart from what was named."
     head = ("joint", "regime", "mean error", "depends on", "share of it")
     return _table_part("What remains", head, rows, about)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -121,6 +121,8 @@ def extreme_rows(series: Iterable[Array]) -> Integers:
 
 
 MOTOR_SIDE = "N m of the motor"
+ERRORS = ("nominal", "base", "explained", "noise_floor")
+Measured = TypeVar("Measured", JointError, Remainder)
 
 
 def find_user_unit(robot: Robot, joint: str, unit: str) -> tuple[str, float]:
@@ -139,8 +141,8 @@ def convert_errors(robot: Robot, diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis whose errors and remainders are in the units of the user."""
     return replace(
         diagnosis,
-        errors=tuple(_convert_error(robot, one) for one in diagnosis.errors),
-        remaining=tuple(_convert_remainder(robot, one) for one in diagnosis.remaining),
+        errors=tuple(_convert(robot, one, *ERRORS) for one in diagnosis.errors),
+        remaining=tuple(_convert(robot, one, "mean_abs") for one in diagnosis.remaining),
     )
 
 
@@ -152,12 +154,6 @@ def convert_trace(robot: Robot, trace: Trace) -> Trace:
     return replace(trace, unit=unit, measured=measured, nominal=factor * trace.nominal, explained=explained)
 
 
-def _convert_error(robot: Robot, one: JointError) -> JointError:
+def _convert(robot: Robot, one: Measured, *numbers: str) -> Measured:
     unit, factor = find_user_unit(robot, one.joint, one.unit)
-    numbers = ("nominal", "base", "explained", "noise_floor")
     return replace(one, unit=unit, **{name: factor * getattr(one, name) for name in numbers})
-
-
-def _convert_remainder(robot: Robot, one: Remainder) -> Remainder:
-    unit, factor = find_user_unit(robot, one.joint, one.unit)
-    return replace(one, unit=unit, mean_abs=factor * one.mean_abs)

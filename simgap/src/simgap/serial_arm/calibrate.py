@@ -271,15 +271,8 @@ def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:
     errors = []
     for one, features in zip(arm.links, found.model.features, strict=True):
         waves = features[:, len(NON_PERIODIC) :] @ one.periodic_rad(found.model.orders).ravel()
-        errors.append(
-            JointTerms(
-                one.name,
-                one.compliance_rad_per_Nm,
-                sigma.get(f"{one.name}.compliance", 0.0),
-                one.hysteresis_rad,
-                sigma.get(f"{one.name}.hysteresis", 0.0),
-                float(np.sqrt(np.mean(waves**2))),
-                float(np.max(np.abs(waves))),
-            )
-        )
+        sigmas = [sigma.get(f"{one.name}.{term}", 0.0) for term in ("compliance", "hysteresis")]
+        periodic = float(np.sqrt(np.mean(waves**2))), float(np.max(np.abs(waves)))
+        own = (one.compliance_rad_per_Nm, sigmas[0], one.hysteresis_rad, sigmas[1])
+        errors.append(JointTerms(one.name, *own, *periodic))
     return tuple(errors)

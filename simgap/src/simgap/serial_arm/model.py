@@ -5,7 +5,7 @@ Values of parameters are arrays (p,) in their units.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -16,6 +16,7 @@ from simgap.serial_arm.fit import FitParameter, Linearisation
 
 GEOMETRY_NAMES: Final = ("theta", "d", "beta", "b", "alpha", "a")
 """Geometric parameters of a link in the order of paper equation 1."""
+GEOMETRY_FIELDS: Final = ("theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m")
 
 Length = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
 Angle = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
@@ -58,9 +59,9 @@ class Link:
             raise ValueError(f"{self.name}: cos and sin are not equally many; give both, one for each order")
 
     @property
-    def geometry(self) -> tuple[float, float, float, float, float, float]:
+    def geometry(self) -> tuple[float, ...]:
         """Return the geometric parameters in the order of GEOMETRY_NAMES."""
-        return (self.theta_rad, self.d_m, self.beta_rad, self.b_m, self.alpha_rad, self.a_m)
+        return tuple(getattr(self, name) for name in GEOMETRY_FIELDS)
 
     def periodic_rad(self, orders: int) -> Array:
         """Return amplitudes of cosines and sines [rad], shape (2, orders), filled up with zeros."""
@@ -285,24 +286,13 @@ def _with_prior(parameter: FitParameter) -> FitParameter:
 
 
 def _update_link(one: Link, geometry: Array, errors: Array) -> Link:
-    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.geometry) + geometry)
+    moved = (np.array(one.geometry) + geometry).tolist()
+    fields: dict[str, Any] = dict(zip(GEOMETRY_FIELDS, moved, strict=True))
+    fields |= {"compliance_rad_per_Nm": float(errors[0]), "hysteresis_rad": float(errors[1])}
     orders = (errors.size - len(NON_PERIODIC)) // 2
-    cos, sin = (
-        tuple(float(v) for v in part) or None for part in errors[len(NON_PERIODIC) :].reshape(2, orders)
-    )
-    return replace(
-        one,
-        theta_rad=theta,
-        d_m=d,
-        beta_rad=beta,
-        b_m=b,
-        alpha_rad=alpha,
-        a_m=a,
-        compliance_rad_per_Nm=float(errors[0]),
-        hysteresis_rad=float(errors[1]),
-        cos_rad=cos,
-        sin_rad=sin,
-    )
+    waves = errors[len(NON_PERIODIC) :].reshape(2, orders).tolist()
+    cos, sin = (tuple(one) or None for one in waves)
+    return replace(one, cos_rad=cos, sin_rad=sin, **fields)
 
 
 def _move_frame(X: chain.Pose, geometry: Array) -> chain.Pose:

@@ -146,18 +146,8 @@ def fit_nested_models(
         validation = CrossValidation(found.fit, arm.repeatability.position_m)
         held_out = validation.held_out()
         gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
-        calibrated, calibrated_setup = found.arm, found.setup
-        done.append(
-            NestedModel(
-                terms,
-                found,
-                validation,
-                held_out,
-                *gain,
-                calibrate.pose_errors(calibrated, calibrated_setup, part),
-                calibrate.pose_errors(calibrated, calibrated_setup, fresh),
-            )
-        )
+        errors = [calibrate.pose_errors(found.arm, found.setup, one) for one in (part, fresh)]
+        done.append(NestedModel(terms, found, validation, held_out, *gain, *errors))
     return tuple(done)
 
 

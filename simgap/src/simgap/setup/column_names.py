@@ -44,21 +44,11 @@ UNCLEAR: Final = _words(
     "raw rel simple load error err kd ki std header acceleration accelerations accel acc ddq qdd qacc jerk"
 )
 """Words of a signal whose unit or meaning is not known, or that is none of a joint: it is not taken."""
-UNIT_WORDS: Final = {
-    "degrees": "deg",
-    "degree": "deg",
-    "radians": "rad",
-    "radian": "rad",
-    "turns": "turn",
-    "counts": "count",
-    "ticks": "count",
-    "amps": "a",
-    "volts": "v",
-    "seconds": "s",
-    "secs": "s",
-    "sec": "s",
-    "nanoseconds": "ns",
-}
+UNIT_WORDS: Final = (
+    {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad", "turns": "turn"}
+    | {"counts": "count", "ticks": "count", "amps": "a", "volts": "v"}
+    | {"seconds": "s", "secs": "s", "sec": "s", "nanoseconds": "ns"}
+)
 SIGNAL_OF: Final = {
     quantity: key for key, own in SIGNALS.items() if key not in ("secondary", "enabled") for quantity in own
 } | {Quantity.TIME: "time"}
