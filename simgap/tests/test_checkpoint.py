@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TypeVar
@@ -14,7 +13,6 @@ from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
-from simgap.effects.effect import Effect
 from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, digest_inputs, pack, unpack
 from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
@@ -37,7 +35,7 @@ class MortalToy(ToyResiduals):
 
     last = 10**9
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         if self.calls + len(sizes) > self.last:
             raise Killed
         return super().residuals(effects, sizes)

@@ -62,7 +62,7 @@ class Amount(Toy):
     """Toy whose size is not negative."""
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self):
         return (Size(self.label, 0.0, 5.0, 1.0),)
 
 
