@@ -197,17 +197,13 @@ def test_the_digest_changes_with_every_input():
     assert len({same, *others}) == 1 + len(others)
 
 
-def test_the_digest_changes_with_the_code(monkeypatch, tmp_path):
-    robot = planar_arm()
-    before = digest_inputs(robot, (), None, (), 1)
-    (tmp_path / "fit.py").write_text("")
-    monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
-    assert digest_inputs(robot, (), None, (), 1) != before
-
-
-def test_an_effect_without_a_file_has_no_digest():
+def test_the_digest_changes_with_the_code_and_an_effect_without_a_file_has_none(monkeypatch, tmp_path):
     kind = type("Typed", (Toy,), {"__module__": "typed"})
     assert digest_inputs(planar_arm(), (), None, (kind("base", "x", np.square),), 1) is None
+    before = digest_inputs(planar_arm(), (), None, (), 1)
+    (tmp_path / "fit.py").write_text("")
+    monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
+    assert digest_inputs(planar_arm(), (), None, (), 1) != before
 
 
 TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})
