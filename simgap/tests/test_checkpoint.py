@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TypeVar
@@ -14,7 +13,6 @@ from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
-from simgap.effects.effect import Effect
 from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, digest_inputs, pack, unpack
 from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
@@ -37,7 +35,7 @@ class MortalToy(ToyResiduals):
 
     last = 10**9
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         if self.calls + len(sizes) > self.last:
             raise Killed
         return super().residuals(effects, sizes)
@@ -199,17 +197,13 @@ def test_the_digest_changes_with_every_input():
     assert len({same, *others}) == 1 + len(others)
 
 
-def test_the_digest_changes_with_the_code(monkeypatch, tmp_path):
-    robot = planar_arm()
-    before = digest_inputs(robot, (), None, (), 1)
-    (tmp_path / "fit.py").write_text("")
-    monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
-    assert digest_inputs(robot, (), None, (), 1) != before
-
-
-def test_an_effect_without_a_file_has_no_digest():
+def test_the_digest_changes_with_the_code_and_an_effect_without_a_file_has_none(monkeypatch, tmp_path):
     kind = type("Typed", (Toy,), {"__module__": "typed"})
     assert digest_inputs(planar_arm(), (), None, (kind("base", "x", np.square),), 1) is None
+    before = digest_inputs(planar_arm(), (), None, (), 1)
+    (tmp_path / "fit.py").write_text("")
+    monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
+    assert digest_inputs(planar_arm(), (), None, (), 1) != before
 
 
 TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})

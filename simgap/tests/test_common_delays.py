@@ -37,12 +37,9 @@ def commands(seed):
 
 def log_of(name, command, shown_rad, repeat):
     time_s = ARM.control_period_s * np.arange(N_TICKS - N_REST)
-    joints = {
-        joint.name: JointLog(
-            Signal(time_s, shown_rad[j, N_REST:]), command=Signal(time_s, command[N_REST:, j])
-        )
-        for j, joint in enumerate(ARM.joints)
-    }
+    joints = {}
+    for joint, shown, sent in zip(ARM.joints, shown_rad[:, N_REST:], command[N_REST:].T, strict=True):
+        joints[joint.name] = JointLog(Signal(time_s, shown), command=Signal(time_s, sent))
     return Motion(name, joints, {}, repeat)
 
 
@@ -79,18 +76,15 @@ def test_a_delay_of_all_joints_acts_as_one_at_each():
     command = commands(0)
     for n_periods, key in ((4.0, COMMON[0]), (0.4, COMMON[1]), (3.7, COMMON[1]), (-1.3, COMMON[1])):
         assert delays()[key].family == Family.TIMING
-        one, each = (
-            simulate(ARM, effects, [[n_periods * ARM.control_period_s] * len(effects)], command, command[0])
-            for effects in ([delays()[key]], own(key))
-        )
+        delay_s, sets = n_periods * ARM.control_period_s, ([delays()[key]], own(key))
+        one, each = (simulate(ARM, some, [[delay_s] * len(some)], command, command[0]) for some in sets)
         np.testing.assert_allclose(one[..., N_REST:], each[..., N_REST:], atol=1e-6)
 
 
 def test_a_patch_has_the_delay_of_each_joint():
     runtime = tomllib.loads(make_patch(ARM, [delays()[COMMON[0]]], [[DELAY_S]]).runtime)
-    assert [(one["place"], one["effect"], one["size"]) for one in runtime["effects"]] == [
-        (joint.name, "command delay", {"delay_s": DELAY_S}) for joint in ARM.joints
-    ]
+    written = [(one["place"], one["effect"], one["size"]) for one in runtime["effects"]]
+    assert written == [(joint.name, "command delay", {"delay_s": DELAY_S}) for joint in ARM.joints]
     (first, _) = read_effect(runtime["effects"][0], Path("runtime.toml"))
     assert np.isclose(first.sample_delay_s(np.array([[0.0225]])), 0.0025)
 

@@ -131,16 +131,13 @@ def test_at_size_zero_the_plane_changes_no_bit_of_the_motion():
     assert shown_rad[1] != nominal_rad[0]
 
 
-def test_plane_and_tip_touch_nothing_else():
-    xml = ARM_XML.replace(
-        '<site name="tool"', '<geom size="0.05" pos="0.14 0 0.02" mass="0"/><site name="tool"'
-    ).replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -5"/>')
+def test_plane_and_tip_touch_nothing_else_and_add_no_mass():
+    tip = '<geom size="0.05" pos="0.14 0 0.02" mass="0"/><site name="tool"'
+    floor = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -5"/>'
+    xml = ARM_XML.replace('<site name="tool"', tip).replace("<worldbody>", floor)
     batch = changed(robot_of(xml), (PlaneContact("tool", -10.0, 20.0),), [[0.0]])
     data, model = batch.get_data(0), batch.get_model(0)
     mujoco.mj_forward(model, data)
     assert data.ncon == 0
-
-
-def test_the_plane_adds_no_mass():
     batch = changed(robot_of(ARM_XML), (PlaneContact("tool", -0.3, 0.3),), [[0.05]])
     np.testing.assert_array_equal(batch.get_model(0).body_mass, robot_of(ARM_XML).model.body_mass)

@@ -45,9 +45,8 @@ def swing(torque, time_s, q_rad=0.0):
         gravity = -MASS_kg * g_m_s2 * LENGTH_m * np.sin(y[0])
         return [y[1], (torque(t, y[0], y[1]) + gravity - 0.02 * y[1]) / INERTIA_kgm2]
 
-    found = solve_ivp(
-        slope, (0, time_s[-1]), [q_rad, 0.0], t_eval=time_s, rtol=1e-9, atol=1e-11, max_step=0.005
-    )
+    tight = {"rtol": 1e-9, "atol": 1e-11, "max_step": 0.005}
+    found = solve_ivp(slope, (0, time_s[-1]), [q_rad, 0.0], t_eval=time_s, **tight)
     return np.asarray(found.y[0])
 
 
@@ -214,7 +213,7 @@ def test_windows_begin_at_measured_positions_and_speeds():
     assert [window.v_rad_s[0] for window in windows] == pytest.approx([0.2] * 3)
 
 
-def test_a_window_begins_where_a_stop_left_the_joint():
+def test_a_window_begins_where_a_stop_left_the_joint_and_none_after_a_short_stretch_without_samples():
     position = np.where(TIME_s < 1.0, 0.3, 0.1)
     log, stopped = motion(TIME_s, position, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.99)
     windows = cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stopped})
@@ -223,9 +222,6 @@ def test_a_window_begins_where_a_stop_left_the_joint():
     assert [window.measured_rad[0][-1] for window in windows] == pytest.approx([0.3, 0.1])
     kept_s = np.concatenate([window.start_s + window.sample_time_s[0] for window in windows])
     assert not np.any((kept_s > 0.6) & (kept_s < 0.99))
-
-
-def test_a_short_stretch_without_samples_begins_no_window():
     log, stale = motion(TIME_s, 0 * TIME_s, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.7)
     assert len(cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stale})) == 1
 

@@ -1,14 +1,10 @@
 """Fits of all joints: coupled joints, sizes at bounds, joints without data, repeats."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
-from simgap.arrays import Array
 from simgap.assemble import find_interval
-from simgap.effects.effect import Effect
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.selection.acceptance import step_without
 from simgap.selection.checkpoint import Meter
@@ -23,7 +19,7 @@ from simgap.selection.sharing import share_nothing
 class Coupled(ToyResiduals):
     """Two joints, the first of which moves the second."""
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
         rows[:, 1] += 0.5 * (rows[:, 0] - self.measured[0])
         return rows.reshape(len(rows), -1)

@@ -22,10 +22,8 @@ from simgap.selection.joint_fits import fit_base
 def with_commands(robot):
     """Return motions in which the logged torque was the command too."""
     found = [simulated(robot, seed, duration_s=2.0, name=f"m{seed}") for seed in range(4)]
-    return [
-        replace(one, joints={name: replace(log, command=log.torque) for name, log in one.joints.items()})
-        for one in found
-    ]
+    told = [{name: replace(log, command=log.torque) for name, log in one.joints.items()} for one in found]
+    return [replace(one, joints=joints) for one, joints in zip(found, told, strict=True)]
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +53,17 @@ def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded):
     robot, motions = unloaded
     found = diagnosis(kind="inverse dynamics", effects=(), sizes=())
     traces = trace_motions(robot, motions, found)
-    assert {(one.joint, one.kind, one.unit) for one in traces} == {
-        (joint.name, "inverse dynamics", "N m") for joint in robot.joints
-    }
+    shown = {(one.joint, one.kind, one.unit) for one in traces}
+    assert shown == {(joint.name, "inverse dynamics", "N m") for joint in robot.joints}
     assert all(one.measured is None and one.explained.any() for one in traces)
 
 
 def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded):
     robot, motions = unloaded
     late, other = MeasurementDelay.at(robot, "shoulder", joint_scales(robot, motions)), Rub("shoulder")
-    kinds = ("simulation", "second encoder", "second encoder")
-    found = diagnosis(
-        kind="simulation and second encoder",
-        effects=(late, late, other),
-        sizes=((0.015,), (0.003,), (0.2,)),
-        effect_kinds=kinds,
-    )
+    kinds = {"effect_kinds": ("simulation", "second encoder", "second encoder")}
+    kinds["kind"] = "simulation and second encoder"
+    found = diagnosis(effects=(late, late, other), sizes=((0.015,), (0.003,), (0.2,)), **kinds)
     assert found.fitted_to("second encoder") == ((late, other), ((0.003,), (0.2,)))
     assert found.of_model() == ((late, other), ((0.015,), (0.2,)))
 

@@ -69,7 +69,7 @@ class Bounded(Toy):
     least = 0.0
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self):
         return (Size(self.label, self.least, 5.0, 1.0),)
 
 

@@ -1,13 +1,11 @@
 """Parts of the selection: comparison of models, effects that hide each other, screening, sharing."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
-from simgap.arrays import Array
 from simgap.effects.effect import Effect, Size
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection import elimination, verdict
@@ -27,14 +25,14 @@ class Clamp(Toy):
     """Effect that limits the command to one over its size."""
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self):
         return (Size(self.label, 0.0, 20.0, 2.9),)
 
 
 class Clamped(ToyResiduals):
     """Residuals of joints whose command may be limited."""
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         is_clamp = np.array([isinstance(effect, Clamp) for effect in effects], bool)
         others = [effect for effect, is_one in zip(effects, is_clamp, strict=True) if not is_one]
         rows = super().residuals(others, sizes[:, ~is_clamp])
@@ -104,7 +102,7 @@ STEP = Toy("near", "step of all", np.sign)
 class Hidden(ToyResiduals):
     """Toys of which the sine shows only as much as the step is present."""
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
         keys = [effect.key for effect in effects]
         sine = sizes[:, keys.index("near: sine")] if "near: sine" in keys else np.zeros(len(sizes))
@@ -158,7 +156,7 @@ def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):
 class Leaking(ToyResiduals):
     """The squares at the first joint move the second three times as much."""
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
         for k, effect in enumerate(effects):
             if effect.key == "near: square":

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -151,13 +150,13 @@ TRUTH = sealed.SealedTruth(
 class WrittenCases(ArmCases):
     """Cases whose logs are their results; without its effect, a case names another."""
 
-    def prepare(self, *_: object) -> None:
+    def prepare(self, *_):
         pass
 
-    def load(self, *_: object) -> None:
+    def load(self, *_):
         pass
 
-    def diagnose(self, folder: Path, case: Path, without: str = "") -> dict[str, Any]:
+    def diagnose(self, folder, case, without=""):
         if without:
             return said(finding("drag", "knee", others=((case.name, "knee"),)))
         document: dict[str, Any] = json.loads((case / "log").read_bytes())

@@ -1,13 +1,10 @@
 """A folder with the planar arm as a user has it: model, robot file, and logs as Parquet."""
 
-from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from helpers.planar_arm import MODEL, planar_arm, slow_logs
-from simgap.logs import Logs
 
 ROBOT = """name = "planar arm"
 model = "model.xml"
@@ -33,7 +30,7 @@ position = {{ column = "position_{name}", unit = "rad" }}
 """
 
 
-def write_arm(folder: Path) -> None:
+def write_arm(folder):
     """Write the model without a table, the robot file, and logs of an arm that meets a table."""
     (folder / "model.xml").write_text(MODEL.format(table="", ball=""))
     (folder / "robot.toml").write_text(
@@ -42,7 +39,7 @@ def write_arm(folder: Path) -> None:
     write_logs(folder / "log.parquet", slow_logs(planar_arm(table=True), low=-0.5, high=1.0))
 
 
-def columns_of(logs: Logs) -> dict[str, np.ndarray]:
+def columns_of(logs):
     """Return the columns of a table of all motions."""
     table: dict[str, list] = {"t": [], "motion": []}
     for one in logs.motions:
@@ -55,7 +52,7 @@ def columns_of(logs: Logs) -> dict[str, np.ndarray]:
     return {name: np.concatenate(parts) for name, parts in table.items()}
 
 
-def write_logs(path: Path, logs: Logs, **changes: np.ndarray) -> None:
+def write_logs(path, logs, **changes):
     """Write motions as one table, with other values in some columns; None leaves a column out."""
     columns = columns_of(logs) | changes
     kept = {name: value.tolist() for name, value in columns.items() if value is not None}

@@ -6,11 +6,9 @@ import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from functools import cache
 from io import BytesIO, TextIOWrapper
-from pathlib import Path
 from unittest.mock import patch
 
 import typer
@@ -29,12 +27,12 @@ get_command = cache(typer.main.get_command)
 """A program makes its verbs from their functions once."""
 
 
-def run_simgap(folder: Path, *words: str) -> Ran:
+def run_simgap(folder, *words):
     """Run `simgap` with these words in a folder, until it exits."""
     return call(start, folder, *words)
 
 
-def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
+def call(program, folder, *words):
     """Run a program in this process until it exits.
 
     Args:
@@ -67,7 +65,7 @@ def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
     return subprocess.CompletedProcess(words, status or 0, printed, errors)
 
 
-def snapshot(folder: Path) -> dict[str, tuple[int, int]]:
+def snapshot(folder):
     """Return size and time of change of every file."""
     found = ((path, path.lstat()) for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
     return {str(path): (about.st_size, about.st_mtime_ns) for path, about in found}

@@ -1,14 +1,11 @@
 """Small robots for tests of effects, and the model as an effect changes it."""
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import mujoco.batch
 import numpy as np
 
-from simgap.arrays import Array
-from simgap.effects.effect import Effect
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models, nominal_fields
 from simgap.simulation.simulation import Engine
@@ -60,7 +57,7 @@ PENDULUM_XML = """
 """
 
 
-def robot_of(xml: str, tool_site: str = "tool", mode: ControlMode = ControlMode.POSITION) -> Robot:
+def robot_of(xml, tool_site="tool", mode=ControlMode.POSITION):
     """Return a robot whose joints all have an actuator in the order of the joints."""
     model = mujoco.MjModel.from_xml_string(xml)
     joints = tuple(
@@ -81,7 +78,7 @@ def robot_of(xml: str, tool_site: str = "tool", mode: ControlMode = ControlMode.
     return Robot(name, model, xml, joints, 5 * model.opt.timestep, tool_site)
 
 
-def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> mujoco.batch.Batch:
+def changed(robot, effects, sizes):
     """Return one simulation for each row of the sizes of all effects one after the other."""
     spec = mujoco.MjSpec.from_string(robot.model_xml)
     for effect in effects:
@@ -99,7 +96,7 @@ def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[fl
     return batch
 
 
-def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
+def inverse_Nm(model, seed, n=5):
     """Return the joint torques of random motions by inverse dynamics, (n, nv)."""
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
@@ -113,14 +110,7 @@ def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
     return np.array(torques)
 
 
-def simulate(
-    robot: Robot,
-    effects: Sequence[Effect],
-    sizes: Sequence[Sequence[float]] | Array,
-    command: Array,
-    start_rad: Array,
-    temperature_degC: Array | None = None,
-) -> Array:
+def simulate(robot, effects, sizes, command, start_rad, temperature_degC=None):
     """Return what the encoders show at each control period, (n_candidates, n_joints, n_ticks).
 
     Args:

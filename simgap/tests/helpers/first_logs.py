@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -49,13 +48,13 @@ class Run:
     torque: Array
 
     @property
-    def clock_s(self) -> Array:
+    def clock_s(self):
         """Time that does not restart."""
         return np.arange(self.time_s.size) / RATE_HZ
 
 
 @cache
-def run() -> Run:
+def run():
     """Simulate two motions of four seconds."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     rows: list[tuple[float, ...]] = []
@@ -72,13 +71,13 @@ def run() -> Run:
     return Run(table[:, 0], table[:, 1], *(table[:, k : k + 2] for k in (2, 4, 6, 8)))
 
 
-def write_model(folder: Path, text: str = MODEL) -> Path:
+def write_model(folder, text=MODEL):
     """Write the model."""
     (folder / "model.xml").write_text(text)
     return folder / "model.xml"
 
 
-def write_columns(path: Path, **columns: Array) -> Path:
+def write_columns(path, **columns):
     """Write columns as CSV; arrays of two joints are columns with the number of the joint at `{}`."""
     flat: dict[str, Array] = {}
     for name, values in columns.items():
@@ -89,7 +88,7 @@ def write_columns(path: Path, **columns: Array) -> Path:
     return path
 
 
-def write_lerobot(folder: Path, scale: Array | float = 1.0, names: tuple[str, ...] = JOINTS) -> Path:
+def write_lerobot(folder, scale=1.0, names=JOINTS):
     """Write a LeRobot data set, its values in rad times a scale; return its folder."""
     one = run()
     (folder / "meta").mkdir(parents=True)

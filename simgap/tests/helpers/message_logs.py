@@ -1,7 +1,6 @@
 """Logs of joint states in MCAP and in bags, and a robot file that reads them by topic."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 from mcap.writer import Writer
@@ -36,14 +35,14 @@ BY_PLACE = BY_TOPIC.replace(
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
-def joint_state(k: int, order: tuple[str, ...] = ("shoulder", "elbow"), **fields) -> dict:
+def joint_state(k, order=("shoulder", "elbow"), **fields):
     """Make the message of row k: position k of the shoulder and -k of the elbow."""
     values = {"shoulder": float(k), "elbow": -float(k), "finger": 99.0}
     names = {"name": list(order), "position": [values[one] for one in order]}
     return names | {"velocity": [], "effort": []} | fields
 
 
-def rows(n: int = 5, **fields) -> list[tuple[str, int, dict]]:
+def rows(n=5, **fields):
     """Make states and commands at 100 Hz: topic, time [ns] and content."""
     found = []
     for k in range(n):
@@ -54,7 +53,7 @@ def rows(n: int = 5, **fields) -> list[tuple[str, int, dict]]:
     return found
 
 
-def write_mcap(path: Path, messages: list[tuple[str, int, dict]], **options) -> Path:
+def write_mcap(path, messages, **options):
     """Write messages as JSON."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=300, **options)
@@ -67,7 +66,7 @@ def write_mcap(path: Path, messages: list[tuple[str, int, dict]], **options) -> 
     return path
 
 
-def write_bag(path: Path, messages: list[tuple[str, int, dict]], is_packed: bool = False) -> Path:
+def write_bag(path, messages, is_packed=False):
     """Write a bag of ROS 1 for a file, packed by bzip2 on request, of ROS 2 in SQLite for a folder."""
     is_ros1 = path.suffix == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)

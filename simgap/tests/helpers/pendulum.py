@@ -1,13 +1,9 @@
 """A pendulum with a servo, as a robot made by hand."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 import mujoco
 import numpy as np
 
-from simgap.arrays import Array
-from simgap.effects.effect import Effect, JointEffect, JointScales
+from simgap.effects.effect import JointScales
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models
@@ -42,16 +38,16 @@ INERTIA_kgm2 = MASS_kg * LENGTH_m**2 + ARMATURE_kgm2
 
 
 def pendulum(
-    mode: ControlMode = ControlMode.POSITION,
-    kp: float = 4.0,
-    kd: float = 0.1,
-    limit_Nm: float = float("inf"),
-    damping: float = 0.02,
-    dry_Nm: float = 0.01,
-    step_s: float = 0.002,
-    period_s: float = 0.002,
-    is_level: bool = False,
-) -> Robot:
+    mode=ControlMode.POSITION,
+    kp=4.0,
+    kd=0.1,
+    limit_Nm=float("inf"),
+    damping=0.02,
+    dry_Nm=0.01,
+    step_s=0.002,
+    period_s=0.002,
+    is_level=False,
+):
     """Make a pendulum that hangs down at 0, or one that swings in a level plane."""
     arm = f"{LENGTH_m} 0 0" if is_level else f"0 0 -{LENGTH_m}"
     xml = XML.format(
@@ -62,7 +58,7 @@ def pendulum(
     return Robot("pendulum", mujoco.MjModel.from_xml_string(xml), xml, (joint,), period_s, "")
 
 
-def read(folder: Path, xml: str, mode: str, step_s: float = 0.002, more: str = "") -> Robot:
+def read(folder, xml, mode, step_s=0.002, more=""):
     """Read a pendulum of this model from the files of a user."""
     text = FILE.format(mode=mode, unit=UNITS[mode], step_s=step_s, rate_Hz=round(1 / step_s), more=more)
     (folder / "model.xml").write_text(xml)
@@ -70,28 +66,20 @@ def read(folder: Path, xml: str, mode: str, step_s: float = 0.002, more: str = "
     return Robot.from_toml(folder / "robot.toml")
 
 
-def motion(
-    time_s: Array,
-    position_rad: Array,
-    command: Array,
-    name: str = "m",
-    joint: str = "swing",
-    gain: Mapping[str, float] | None = None,
-    **others: Signal,
-) -> Motion:
+def motion(time_s, position_rad, command, name="m", joint="swing", gain=None, **others):
     """Make a log of one joint, all signals at the same times."""
     log = JointLog(position=Signal(time_s, position_rad), command=Signal(time_s, command), **others)
     return Motion(name=name, joints={joint: log}, gain=gain or {})
 
 
-def waves(time_s: Array, seed: int) -> Array:
+def waves(time_s, seed):
     """Make a command of three sines, which starts at 0 with speed 0."""
     rng = np.random.default_rng(seed)
     speeds = rng.uniform(1.0, 6.0, 3)
     return np.asarray(0.3 * np.sum(1 - np.cos(np.outer(time_s, speeds)), axis=1))
 
 
-def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]]) -> Array:
+def simulated(robot, log, *effects):
     """Simulate a motion with effects of these sizes, and sample it at the times of its positions, (n,)."""
     windows = cut_windows(robot, log, None, 0.0)
     sizes = np.array([[value for _, size in effects for value in size]])
@@ -99,7 +87,7 @@ def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]
     return found
 
 
-def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
+def scales(torque_Nm=1.0, **others):
     """Make numbers from which effects take their bounds."""
     numbers: dict[str, float] = {
         "damping_Nms_rad": 0.02, "stiffness_Nm_rad": 0.0, "frictionloss_Nm": 0.01,
@@ -111,6 +99,6 @@ def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
     return JointScales(**(numbers | others))
 
 
-def at_swing(kind: type[JointEffect], robot: Robot, **others: float) -> JointEffect:
+def at_swing(kind, robot, **others):
     """Make an effect at the joint of the pendulum."""
     return kind.at(robot, "swing", {"swing": scales(**others)})

@@ -41,7 +41,7 @@ TABLE = f'<geom type="plane" size="1 1 1" pos="0 0 {TABLE_M - 0.01}" friction="0
 BALL = '<geom type="sphere" size="0.01" pos="0.25 0 0" friction="0.1"/>'
 
 
-def planar_arm(table: bool = False, torque_limit_Nm: float = 8.0) -> Robot:
+def planar_arm(table=False, torque_limit_Nm=8.0):
     """Return the arm; with a table it stands for the real one."""
     text = MODEL.format(table=TABLE if table else "", ball=BALL if table else "")
     model = mujoco.MjModel.from_xml_string(text)
@@ -52,7 +52,7 @@ def planar_arm(table: bool = False, torque_limit_Nm: float = 8.0) -> Robot:
     return Robot("planar arm", model, text, joints, 0.002, "tip")
 
 
-def commands(number: int, low: float, high: float) -> dict[str, np.ndarray]:
+def commands(number, low, high):
     """Return slow commands of one motion: the shoulder swings between two angles, the elbow differs."""
     time_s = np.arange(0.0, DURATION_S, 1.0 / RATE_HZ)
     swing = 0.5 - 0.5 * np.cos(2 * np.pi * time_s / 6.0)
@@ -60,7 +60,7 @@ def commands(number: int, low: float, high: float) -> dict[str, np.ndarray]:
     return {"shoulder": low + (high - low) * swing, "elbow": elbow}
 
 
-def record(real: Robot, number: int, sent: dict[str, np.ndarray], arrived=None) -> Motion:
+def record(real, number, sent, arrived=None):
     """Record a motion of the real arm; `arrived` are the commands if they differ from what was sent."""
     arrived = arrived or sent
     time_s = np.arange(sent["shoulder"].size) / RATE_HZ
@@ -71,25 +71,25 @@ def record(real: Robot, number: int, sent: dict[str, np.ndarray], arrived=None) 
     return motion(number, time_s, position, sent)
 
 
-def motion(number, time_s, position, command) -> Motion:
+def motion(number, time_s, position, command):
     """Return a motion from arrays."""
     pairs = {name: (Signal(time_s, one), Signal(time_s, command[name])) for name, one in position.items()}
     joints = {name: JointLog(position=one, command=sent) for name, (one, sent) in pairs.items()}
     return Motion(f"motion {number}", joints, {})
 
 
-def slow_logs(real: Robot, low: float = -0.6, high: float = 0.4, count: int = 4) -> Logs:
+def slow_logs(real, low=-0.6, high=0.4, count=4):
     """Return slow motions of the real arm; the same ones are recorded once."""
     return _slow_logs(real.model.ngeom > 0, real.joints[0].torque_limit_Nm, low, high, count)
 
 
 @cache
-def _slow_logs(table: bool, torque_limit_Nm: float, low: float, high: float, count: int) -> Logs:
+def _slow_logs(table, torque_limit_Nm, low, high, count):
     real = planar_arm(table, torque_limit_Nm)
     return Logs(tuple(record(real, k, commands(k, low, high)) for k in range(count)))
 
 
-def with_joint(logs: Logs, joint: str, change) -> Logs:
+def with_joint(logs, joint, change):
     """Return logs in which a function has changed the log of one joint in each motion."""
     return replace(
         logs,

@@ -1,6 +1,5 @@
 """Models of real robots, and the logs that were measured on them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from simgap.loading import load
-from simgap.logs import Logs, Motion
 from simgap.robot import Robot
 
 ROBOTS = ("so101", "kr300", "pendulum", "ur10")
@@ -22,7 +20,7 @@ LOGS = {
 }
 
 
-def repository_file(path: str) -> Path:
+def repository_file(path):
     """Return the path of a file of the repository; skip the test where `simgap/` stands alone."""
     found = Path(__file__).parents[3] / path
     if not found.exists():
@@ -30,18 +28,18 @@ def repository_file(path: str) -> Path:
     return found
 
 
-def robot_path(name: str) -> Path:
+def robot_path(name):
     """Return the path of a robot file."""
     return repository_file(f"models/robots/{name}/robot.toml")
 
 
-def load_real(folder: Path, name: str) -> tuple[Robot, Logs]:
+def load_real(folder, name):
     """Return a robot with all its measured logs."""
     robot = Robot.from_toml(robot_path(name))
     return robot, load(robot, [folder / one for one in LOGS[name]])
 
 
-def exchange_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...]:
+def exchange_commands(motions, seed):
     """Give each motion the commands of another one: a cycle through all motions in random order."""
     order = np.random.default_rng(seed).permutation(len(motions))
     other = dict(zip(order.tolist(), np.roll(order, 1).tolist(), strict=True))

@@ -1,7 +1,5 @@
 """A small robot in a folder: model, robot file, and logs in every format."""
 
-from pathlib import Path
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -65,7 +63,7 @@ COLUMNS = {
 }
 
 
-def changed(text: str, *changes: tuple[str, str]) -> str:
+def changed(text, *changes):
     """Return a text with changes of parts that are in it."""
     for old, new in changes:
         assert old in text
@@ -73,20 +71,20 @@ def changed(text: str, *changes: tuple[str, str]) -> str:
     return text
 
 
-def write_robot(folder: Path, *changes: tuple[str, str], model: str = MODEL) -> Path:
+def write_robot(folder, *changes, model=MODEL):
     """Write the robot with changes of the text of its file; return the path of the file."""
     (folder / "model.xml").write_text(model)
     (folder / "robot.toml").write_text(changed(ROBOT, *changes))
     return folder / "robot.toml"
 
 
-def write_parquet(folder: Path, name: str = "log", **changes: list) -> Path:
+def write_parquet(folder, name="log", **changes):
     """Write the columns, some of them changed, as Parquet."""
     pq.write_table(pa.table(COLUMNS | changes), folder / f"{name}.parquet")
     return folder / f"{name}.parquet"
 
 
-def write_csv(folder: Path, separator: str = ",", decimal: str = ".") -> Path:
+def write_csv(folder, separator=",", decimal="."):
     """Write the columns as text."""
     rows = [list(COLUMNS), *(map(str, row) for row in zip(*COLUMNS.values(), strict=True))]
     lines = [separator.join(cell.replace(".", decimal) for cell in row) for row in rows]
@@ -94,7 +92,7 @@ def write_csv(folder: Path, separator: str = ",", decimal: str = ".") -> Path:
     return folder / "log.csv"
 
 
-def write_npz(folder: Path, **changes: np.ndarray) -> Path:
+def write_npz(folder, **changes):
     """Write the columns as arrays."""
     np.savez(folder / "log.npz", **({name: np.array(one) for name, one in COLUMNS.items()} | changes))
     return folder / "log.npz"

@@ -9,5 +9,5 @@ SHARING = ("tests/marsarm/calibration", "tests/marsarm/diagnosis", "tests/marsar
 class Scheduling(LoadFileScheduling):
     """Give each file, and each folder whose files share runs, to one process."""
 
-    def _split_scope(self, nodeid: str) -> str:
+    def _split_scope(self, nodeid):
         return next((one for one in SHARING if nodeid.startswith(f"{one}/")), super()._split_scope(nodeid))

@@ -1,7 +1,5 @@
 """Synthetic arm, mapping and table as files."""
 
-from pathlib import Path
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -49,7 +47,7 @@ def text(numbers, rotation=("rx", "ry", "rz")):
     return "\n".join([head, *lines, ""])
 
 
-def write(folder: Path, numbers=None):
+def write(folder, numbers=None):
     """Write arm.toml, poses.csv and mapping.toml."""
     (folder / "arm.toml").write_text(arm_to_toml(drawn_arm(3), ["Made up."]))
     (folder / "poses.csv").write_text(text(rows() if numbers is None else numbers))

@@ -20,24 +20,24 @@ DATA_VARIABLE = "MARSARM_DATA"
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+def pytest_xdist_make_scheduler(config, log):
     from helpers.scheduling import Scheduling  # tests may run without xdist
 
     return Scheduling(config, log)
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     gc.disable()  # until all is collected
     settings.load_profile("short" if config.option.markexpr == "not slow" else "repeatable")
 
 
 @pytest.fixture(scope="session")
-def real_data() -> Path:
+def real_data():
     """The folder with measured data; tests that need it are marked `real_data` and skipped without it."""
     return Path(os.environ[DATA_VARIABLE])
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     folder = os.environ.get(DATA_VARIABLE)
     if folder and Path(folder).is_dir():
         return
@@ -47,7 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(skip)
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Leave what was collected out of later garbage collections, which would look through it each time."""
     gc.enable()
     gc.collect()

@@ -1,12 +1,9 @@
 """A slide that lifts a hinged arm, as a folder of a user, and logs of it by a loop of MuJoCo."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 
 from helpers.robot_folder import changed
-from simgap.arrays import Array
 
 MODEL = """<mujoco model="lift">
   <!-- a user's own words -->
@@ -70,20 +67,20 @@ NOISE = (2e-4, 1e-3)
 """Of the encoders [m, rad]."""
 
 
-def model_text(has_gripper: bool = False) -> str:
+def model_text(has_gripper=False):
     """Return the model, with a gripper of two tied fingers."""
     more, ties, drives = (FINGERS, TIES, DRIVES) if has_gripper else ("", "", "")
     return MODEL.format(more=more, ties=ties, drives=drives)
 
 
-def write_folder(folder: Path, *changes: tuple[str, str], has_gripper: bool = False) -> Path:
+def write_folder(folder, *changes, has_gripper=False):
     """Write model and robot file, with changes of the text of the latter; return the path of the file."""
     (folder / "model.xml").write_text(model_text(has_gripper))
     (folder / "robot.toml").write_text(changed(FILE, *changes))
     return folder / "robot.toml"
 
 
-def command_of(seed: int, time_s: Array) -> Array:
+def command_of(seed, time_s):
     """Return smooth commands of both joints, (n, 2) [m, rad], that begin at rest."""
     rng = np.random.default_rng(seed)
     speeds = rng.uniform(1.0, 5.0, (2, 3))
@@ -91,9 +88,7 @@ def command_of(seed: int, time_s: Array) -> Array:
     return np.asarray(parts * (0.03, 0.15))
 
 
-def record(
-    seed: int, noise_seed: int, delay_s: float, friction_N: float, duration_s: float = 2.5
-) -> dict[str, Array]:
+def record(seed, noise_seed, delay_s, friction_N, duration_s=2.5):
     """Return the columns of a motion of the real lift: late commands, and a slide with more friction."""
     model = mujoco.MjModel.from_xml_string(model_text())
     model.dof_solimp[:] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -123,7 +118,7 @@ def record(
     }
 
 
-def write_logs(folder: Path, delay_s: float = 0.03, friction_N: float = 6.0, count: int = 5) -> Path:
+def write_logs(folder, delay_s=0.03, friction_N=6.0, count=5):
     """Write motions as a CSV file; the last two repeat the two before them."""
     seeds = [*range(count - 2), count - 4, count - 3]
     lines = []

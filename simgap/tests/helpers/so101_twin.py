@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from helpers.real_robots import robot_path
-from simgap.arrays import Array
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
 
@@ -35,12 +34,12 @@ class Truth:
     """Dry friction per torque that the gear carries: of gravity, and of the inertia behind it."""
 
 
-def so101() -> Robot:
+def so101():
     """Return the committed model."""
     return Robot.from_toml(robot_path("so101"))
 
 
-def with_locked_joints(robot: Robot, free: tuple[str, ...]) -> Robot:
+def with_locked_joints(robot, free):
     """Return a robot of which only these joints can move, the others are welded at their zero."""
     spec = mujoco.MjSpec.from_string(robot.model_xml)
     for joint in robot.joints:
@@ -57,7 +56,7 @@ def with_locked_joints(robot: Robot, free: tuple[str, ...]) -> Robot:
     return replace(robot, model=model, model_xml=spec.to_xml(), joints=tuple(joints))
 
 
-def record(robot: Robot, truth: Truth, name: str, command: Mapping[str, Array], seed: int) -> Motion:
+def record(robot, truth, name, command, seed):
     """Record a motion of the twin.
 
     Args:
@@ -79,7 +78,7 @@ def record(robot: Robot, truth: Truth, name: str, command: Mapping[str, Array], 
     return Motion(name, joints, {})
 
 
-def _positions(robot: Robot, truth: Truth, sent: Array) -> Array:
+def _positions(robot, truth, sent):
     """Return the true positions at each row, (n, n_joints) [rad], from rest at the first command."""
     names, model = [joint.name for joint in robot.joints], _model(robot, truth)
     dof = [int(model.joint(name).dofadr[0]) for name in names]
@@ -99,7 +98,7 @@ def _positions(robot: Robot, truth: Truth, sent: Array) -> Array:
     return np.array(rows)
 
 
-def _model(robot: Robot, truth: Truth) -> mujoco.MjModel:
+def _model(robot, truth):
     """Compile the twin: its servos and its friction."""
     spec = mujoco.MjSpec.from_string(robot.model_xml)
     for joint in robot.joints:
@@ -114,7 +113,7 @@ def _model(robot: Robot, truth: Truth) -> mujoco.MjModel:
     return model
 
 
-def smooth_command(robot: Robot, seed: int, duration_s: float, reach_rad: Mapping[str, float]) -> dict:
+def smooth_command(robot, seed, duration_s, reach_rad):
     """Return smooth commands: three sines at each joint that moves, which begin slowly.
 
     Args:

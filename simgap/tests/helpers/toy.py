@@ -1,6 +1,6 @@
 """A residual model without physics: two joints, each moved by known functions of a random command."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,7 +9,6 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect, Family, Size
-from simgap.residuals.residuals import ResidualModel
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,11 @@ class Toy(Effect):
     prior_std: float = np.inf
 
     @property
-    def key(self) -> str:
+    def key(self):
         return f"{self.place}: {self.label}"
 
     @property
-    def sizes(self) -> tuple[Size, ...]:
+    def sizes(self):
         return (Size(self.label, -5.0, 5.0, 1.0, self.prior_std),)
 
 
@@ -37,7 +36,7 @@ class SharedToy(Toy):
     """Effect that adds the same function at both joints, and may replace findings of its label."""
 
     @property
-    def parts(self) -> tuple[Effect, ...]:
+    def parts(self):
         return tuple(Toy(name, self.label, self.shape) for name in NAMES)
 
 
@@ -47,7 +46,7 @@ class ToyResiduals:
     kind, method, by_motion, step_s = "simulation", "", False, 0.002
     noise_std = 0.0
 
-    def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
+    def __init__(self, commands, measured, names):
         self.commands, self.measured, self.joints = commands, measured, names
         self.units = ("rad",) * len(names)
         self.motions = tuple(f"m{k}" for k in range(commands.shape[1]))
@@ -58,7 +57,7 @@ class ToyResiduals:
         self.time_s: Array = grid[2].astype(float)
         self.calls = 0
 
-    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+    def residuals(self, effects, sizes):
         self.calls += len(sizes)
         rows = []
         for size in sizes:
@@ -70,14 +69,14 @@ class ToyResiduals:
             rows.append((self.measured - predicted).ravel())
         return np.array(rows)
 
-    def select(self, motions: Sequence[str]) -> "ResidualModel":
+    def select(self, motions):
         chosen, kept = copy(self), [self.motions.index(name) for name in motions]
         ToyResiduals.__init__(chosen, self.commands[:, kept], self.measured[:, kept], self.joints)
         chosen.motions = tuple(motions)
         chosen.repeat_of = tuple(self.repeat_of[k] for k in kept)
         return chosen
 
-    def explain(self, name: str) -> Array:
+    def explain(self, name):
         return self.commands.ravel()
 
 
@@ -93,7 +92,7 @@ BASE = tuple(Toy(name, "gain", lambda x: x, 3.0) for name in NAMES)
 CATALOGUE = tuple(Toy(name, label, shape) for name in NAMES for label, shape in SHAPES.items())
 
 
-def draw_toy(seed: int, truth: dict[str, float], n_motions: int = 10, n_samples: int = 200) -> ToyResiduals:
+def draw_toy(seed, truth, n_motions=10, n_samples=200):
     """Draw commands and measurements of a robot with these effects, with autocorrelated noise."""
     rng = np.random.default_rng(seed)
     commands = rng.uniform(-1.0, 1.0, (len(NAMES), n_motions, n_samples))

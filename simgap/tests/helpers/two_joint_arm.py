@@ -1,16 +1,13 @@
 """An arm with two joints in a vertical plane, and logs of it from forward simulation with known effects."""
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from simgap.arrays import Array
-from simgap.effects.effect import Effect, JointScales, joint_scales
+from simgap.effects.effect import joint_scales
 from simgap.logs import JointLog, Motion, Signal
-from simgap.residuals.residuals import ResidualModel
 from simgap.robot import ControlMode, Robot, RobotJoint
 
 XML = """
@@ -36,7 +33,7 @@ STIFFNESS = (400.0, 200.0)
 DAMPING = (20.0, 8.0)
 
 
-def arm(*, is_loaded: bool = True) -> Robot:
+def arm(*, is_loaded=True):
     """Return the robot; without load, both joints are told to carry no gravity."""
     mode, limit_Nm = ControlMode.TORQUE, math.inf
     model = mujoco.MjModel.from_xml_string(XML)
@@ -47,7 +44,7 @@ def arm(*, is_loaded: bool = True) -> Robot:
     return Robot("two joints", model, XML, joints, PERIOD_s, "")
 
 
-def wanted_rad(time_s: float, seed: int) -> Array:
+def wanted_rad(time_s, seed):
     """Return a smooth path of both joints that begins at rest."""
     rng = np.random.default_rng(seed)
     time_s = max(time_s - SETTLING_s, 0.0)
@@ -56,14 +53,8 @@ def wanted_rad(time_s: float, seed: int) -> Array:
 
 
 def simulated(
-    robot: Robot,
-    seed: int,
-    duration_s: float = 4.0,
-    change: Callable[[mujoco.MjModel], None] = lambda model: None,
-    applied_Nm: Callable[[Array], Array] = np.zeros_like,
-    noise_rad: float = 0.0,
-    name: str = "m",
-) -> Motion:
+    robot, seed, duration_s=4.0, change=lambda model: None, applied_Nm=np.zeros_like, noise_rad=0.0, name="m"
+):
     """Simulate the arm under a position loop, and log positions and motor torques.
 
     Args:
@@ -98,19 +89,17 @@ def simulated(
     return Motion(name, {joint.name: log for joint, log in zip(robot.joints, logs, strict=True)}, {})
 
 
-def scales(robot: Robot, *motions: Motion) -> dict[str, JointScales]:
+def scales(robot, *motions):
     """Return the numbers from which effects take their bounds."""
     return joint_scales(robot, motions)
 
 
-def rms(values: Array) -> float:
+def rms(values):
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def check_promises(
-    make: Callable[[Sequence[Motion]], ResidualModel], log: Motion, effects: Sequence[Effect], sizes: Array
-) -> None:
+def check_promises(make, log, effects, sizes):
     """Check that 0 changes no bit, that candidates do not depend on one another, and that parts stay."""
     model = make([log])
     plain = model.residuals([], np.zeros((1, 0)))[0]

@@ -231,12 +231,9 @@ def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason:
         own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
         in_model = robot.mjcf_joint(joint.name)
         place: tuple[tuple[str, str], ...] = (("name", in_model), ("joint", in_model)) if is_new else ()
-        yield Change(
-            "new actuator" if is_new else "actuator",
-            own or in_model,
-            (*place, *law),
-            f"kp {kp:.5g}, kd {kd:.5g}, torque limit {limit:.5g}: {reason}",
-        )
+        said = f"kp {kp:.5g}, kd {kd:.5g}, torque limit {limit:.5g}: {reason}"
+        kind = "new actuator" if is_new else "actuator"
+        yield Change(kind, own or in_model, (*place, *law), said)
 
 
 def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
@@ -244,12 +241,8 @@ def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
         for name in ("damping", "frictionloss", "armature"):
             old, new = float(before.joints[name][j]), float(after.joints[name][j])
             if old != new:
-                yield Change(
-                    "joint",
-                    robot.mjcf_joint(joint.name),
-                    ((name, number_text(new)),),
-                    f"{name} {old:.5g} to {new:.5g}: {reason}",
-                )
+                said = f"{name} {old:.5g} to {new:.5g}: {reason}"
+                yield Change("joint", robot.mjcf_joint(joint.name), ((name, number_text(new)),), said)
 
 
 def _rotor_changes(robot: Robot, rotors: Iterable[Rotor], numbers: _Numbers) -> Iterator[Change]:

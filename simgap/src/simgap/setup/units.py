@@ -50,6 +50,9 @@ class UnitGuess:
     question: str = ""
 
 
+IN_RAD: Final = UnitGuess("rad", "all positions lie within the range of the model in rad")
+
+
 def guess_position_units(
     values: Mapping[str, Values], unit: str = "", grippers: Sequence[str] = ()
 ) -> dict[str, UnitGuess]:
@@ -94,18 +97,14 @@ def _percent(one: Values, lowest: float, reason: str) -> UnitGuess:
     low, high = one.range_rad if math.isfinite(one.range_rad[1]) else (-math.pi, math.pi)
     start = low if lowest == 0.0 else (low + high) / 2.0
     keys = {"at_0_rad": round(start, 6) + 0.0, "at_1_rad": round(high, 6)}
-    asked = (
-        f"is {lowest:g}..100 % the range of the model? at_0_rad and at_1_rad are the positions at 0 and 100 %"
-    )
-    return UnitGuess("percent", reason, keys, asked)
+    asked = f"is {lowest:g}..100 % the range of the model? at_0_rad and at_1_rad are the positions at 0 and"
+    return UnitGuess("percent", reason, keys, f"{asked} 100 %")
 
 
 def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
     every = tuple(values.values())
     if _fits(every, 1.0):
-        return dict.fromkeys(
-            values, UnitGuess("rad", "all positions lie within the range of the model in rad")
-        )
+        return dict.fromkeys(values, IN_RAD)
     if all(one.are_whole for one in every) and max(one.high - one.low for one in every) > WHOLE:
         return dict.fromkeys(values, _counts(every, "whole numbers"))
     if (zeros := _quarter_turns(values)) is not None:
@@ -126,10 +125,8 @@ def _quarter_turns(values: Mapping[str, Values]) -> dict[str, int] | None:
     found = {}
     for joint, one in values.items():
         low, high = one.range_rad if math.isfinite(one.range_rad[1]) else (-math.tau, math.tau)
-        beyond = {
-            n: max(low - one.low - n * math.pi / 2.0, one.high + n * math.pi / 2.0 - high, 0.0)
-            for n in (0, 1, -1, 2, -2)
-        }
+        turns_rad = {n: n * math.pi / 2.0 for n in (0, 1, -1, 2, -2)}
+        beyond = {n: max(low - one.low - by, one.high + by - high, 0.0) for n, by in turns_rad.items()}
         room = (CLOSE - 1.0) * max(abs(low), abs(high))
         found[joint] = 0 if beyond[0] <= room else min(beyond, key=lambda n: beyond[n])
         if beyond[found[joint]] > room:
@@ -140,7 +137,7 @@ def _quarter_turns(values: Mapping[str, Values]) -> dict[str, int] | None:
 def _moved(one: Values, n_quarters: int) -> UnitGuess:
     """Return rad, and ask whether the zero of a joint is another one."""
     if n_quarters == 0:
-        return UnitGuess("rad", "all positions lie within the range of the model in rad")
+        return IN_RAD
     end = max(abs(one.low), abs(one.high))
     asked = (
         f"the positions reach {end:.3g} rad and the model {max(map(abs, one.range_rad)):.3g}: is the zero of "
@@ -154,9 +151,8 @@ def _moved(one: Values, n_quarters: int) -> UnitGuess:
 def _guess_slides(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
     every = tuple(values.values())
     is_m = _fits(every, 1.0)
-    reason = (
-        "all positions lie within the range of the model in m" if is_m else "in m they would lie beyond it"
-    )
+    fits = "all positions lie within the range of the model in m"
+    reason = fits if is_m else "in m they would lie beyond it"
     return dict.fromkeys(values, UnitGuess("m" if is_m else "mm", reason))
 
 
@@ -267,9 +263,8 @@ def settle_speeds(
             match, table = by_joint[joint]["velocity"], draft.joint(joint)
             if math.isnan(ratio) or fits_speed(ratio, unit):
                 table["velocity"]["unit"] = unit
-                draft.reasons["joints", joint, "velocity"] = (
-                    f"{match.reason}; {unit} fits the change of positions"
-                )
+                said = f"{match.reason}; {unit} fits the change of positions"
+                draft.reasons["joints", joint, "velocity"] = said
                 continue
             del table["velocity"]
             draft.ask(
