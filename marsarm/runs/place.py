@@ -11,7 +11,6 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name, vector3
 from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
-from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     Execution,
     execute,
@@ -53,8 +52,6 @@ class PlaceJob:
 def prepare_placement(request: PlaceRequest) -> PlaceJob:
     """Check a request before anything moves, BadRequest if it is wrong or out of reach, and build its job."""
     check_options(request)
-    if request.files.movie is not None:
-        check_movie_path(request.files.movie)
     point, normals = (np.array(vector, float)[:, None] for vector in (request.target_m, request.normal))
     what = "the direction out of the surface, such as 0 0 -1 for up"
     normal = vector3(check_targets(point, normals, ("target", "normal"), what)[:, 0])

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 from fsw.config import CYCLE_HZ
 from marsarm.common.effects import parse_effects
 from marsarm.common.requests import make_world, select_arm
-from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
     Execution,
@@ -101,8 +100,6 @@ def _carry_out(
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_options(request)
-    if request.files.movie is not None:
-        check_movie_path(request.files.movie)
     if not request.scenario:
         raise BadRequest("scenario: give a name or a file; `marsarm run --list` lists what there is")
     try:
