@@ -17,7 +17,6 @@ from marsarm.runs.execution import (
     execution_not_begun,
     initialise,
     progress_before_movie,
-    record_view,
 )
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.recorder import run_header
@@ -34,7 +33,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.watched_run import RecordedRun
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,22 +95,14 @@ class PlaceReport:
 def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceReport:
     """Carry out a placement; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_placement(request)
-    title = f"{job.placement.tool} on arm {job.arm.name}"
-    effects = effects_of_run(job.effects)
     check_unlocked(request.files.log, "log")
-    return _carry_out(request, job, progress, record_view(request.files, title, job.world, job.arm, effects))
-
-
-def _carry_out(
-    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
-) -> PlaceReport:
     last = initialise(job.arm, request.seed, progress_before_movie(request.files, progress))
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
-    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
+    loop = ClosedLoop(setup, with_truth=True)
     run = PlacementRun(loop, job.placement)
     header = run_header(
         loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects, job.world
@@ -126,6 +117,6 @@ def _carry_out(
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
         arm=job.arm.model,
-        view=view,
+        title=f"{job.placement.tool} on arm {job.arm.name}",
     )
     return PlaceReport(request, job.placement.tool, execution)
