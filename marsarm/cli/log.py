@@ -57,16 +57,11 @@ def info(
 def export(
     progress: Progress,
     log: LogArgument,
-    out: Annotated[
-        Path,
-        typer.Argument(
-            help="A file for one topic, or a folder for several.", metavar="OUT.parquet|OUT.csv|DIR"
-        ),
-    ],
+    out: Annotated[Path, typer.Argument(help="A folder, new or not.", metavar="DIR")],
     topic: Annotated[
         list[str] | None, typer.Option(help="A topic, such as /joint; repeatable.", metavar="TOPIC")
     ] = None,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV files to a folder, not Parquet.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV files, not Parquet.")] = False,
     start: FromOption = None,
     stop: ToOption = None,
 ) -> VerbResult:

@@ -74,7 +74,7 @@ def run(
 ) -> VerbResult:
     """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
-    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.mp4
+    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
     """
     from marsarm.runs.report import run_document, run_parts, scenarios_document, scenarios_parts
 

@@ -58,12 +58,11 @@ def save_movie(
     path: Path,
     size: tuple[int, int] = (640, 360),
 ) -> PictureResult:
-    """Save an MP4 or GIF, by its suffix, with a frame for each pose (model.nq,), drawn after the run.
+    """Save a GIF with a frame for each pose (model.nq,), drawn after the run.
 
-    The size is in pixels, even for an MP4. BadRequest says that path, camera or size are wrong, PyAV is
-    missing for an MP4, or there is no pose.
+    BadRequest says that path, camera or size are wrong, or there is no pose.
     """
-    check_movie_path(path)
+    check_output(path, (".gif",), "movie")
     opened, hint = _open_camera(model, camera, size)
     if opened is None:
         return PictureResult(None, hint)
@@ -78,7 +77,7 @@ def save_movie(
     if not frames:
         raise BadRequest(f"movie {path}: there is no frame to write")
     try:
-        (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(frames, path)
+        _write_gif(frames, path)
     except OSError as error:
         return _not_saved("movie", path, error)
     return PictureResult(path)
@@ -99,32 +98,9 @@ def _write_gif(frames: Sequence[Image], path: Path) -> None:
         images[0].save(part, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
-def _write_mp4(frames: Sequence[Image], path: Path) -> None:
-    """Write images of even sizes as an MP4 with H.264, which every browser plays."""
-    import av
-
-    with (
-        _replace(path) as part,
-        av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as container,
-    ):
-        stream = container.add_stream("libx264", rate=FRAMES_PER_S, options={"crf": "20"})
-        stream.height, stream.width = frames[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
-        for image in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        container.mux(stream.encode())
-
-
 def _replace(path: Path) -> AbstractContextManager[Path]:
     """Give a temporary path for the file that a path names; a link stays a link."""
     return atomic_path(Path(os.path.realpath(path)))
-
-
-def check_movie_path(path: Path) -> None:
-    """Refuse, by BadRequest, a path at which no movie can be written; an MP4 needs PyAV, a GIF does not."""
-    check_output(path, (".gif", ".mp4"), "movie")
-    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
-        raise BadRequest(f"movie {path}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
 
 
 def _open_camera(

@@ -4,12 +4,13 @@ A run continues if its log, picture or movie cannot be written.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Generic, Protocol, Self, TypeVar
+from typing import Final, Generic, Protocol, Self, TypeVar
 
 import mujoco
 import numpy as np
@@ -22,22 +23,18 @@ from fsw.dictionary.params import Params, digest
 from marsarm.render.picture import PictureResult, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
-from marsarm.telemetry.format import LogNotWritable
+from marsarm.telemetry.format import SAMPLE_CYCLES, LogNotWritable
 from marsarm.telemetry.recorder import Recorder
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.setting import World
 from sim.world import build
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, UserError
 from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, as_guess, part_of
-
-if TYPE_CHECKING:
-    from marsarm.view.watched_run import RecordedRun
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
 """Cycles between two frames of a movie, and between two reports of the progress."""
@@ -205,13 +202,16 @@ def save_pictures(
     return picture, movie
 
 
-def write_page(run: "RecordedRun", header: Mapping[str, str], path: Path) -> str | None:
-    """Write the page of a run; return the reason if there is none, None else."""
+def write_page(log: Path, title: str, path: Path | None) -> str | None:
+    """Write the page of the run of a log, None for none; return the reason why there is none, None else."""
+    if path is None:
+        return None
     from marsarm.view.page import save_page  # a run without a page does not wait for it
+    from marsarm.view.watched_run import watch_log
 
     try:
-        save_page(run.collect(header), path)
-    except BadRequest as error:
+        save_page(replace(watch_log(log), title=title), path)
+    except UserError as error:
         return f"no page: {error}"
     return None
 
@@ -225,17 +225,6 @@ class Execution(Generic[Result]):
     realtime_factor: float
     """Duration on Mars over wall time; 0 for a run that did not begin."""
     artifacts: Artifacts
-
-
-def record_view(
-    files: RunFiles, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
-) -> "RecordedRun | None":
-    """Return what records a run for a page; None if none is wanted. Effects are those beyond the arm's."""
-    if files.page is None:
-        return None
-    from marsarm.view.watched_run import RecordedRun  # a run without a page does not wait for it
-
-    return RecordedRun(title, world, arm, effects)
 
 
 def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
@@ -255,7 +244,7 @@ def execute(
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
     arm: ArmModel,
-    view: "RecordedRun | None" = None,
+    title: str,
 ) -> Execution[Result]:
     """Carry out a run: record every cycle, then write page, picture and movie.
 
@@ -276,26 +265,28 @@ def execute(
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
-    with RunLog(files.log, header, loop.config.params) as log:
-        for record in run:
-            log.write(record)
-            if record.tick % FRAME_CYCLES == 0:
-                activity = record.outputs.joint.mode.name.lower().replace("_", " ")
-                running(*progress_at(record), activity)
-                if files.movie is not None:
-                    drawn.poses.append(loop.plant.data.qpos.copy())
-            if view is not None:
-                view.watch(record)
-                loop.with_truth = files.log is not None or view.is_due(record.tick + 1)
-            if is_for_picture(record):
-                drawn.best = loop.plant.data.qpos.copy()
-    wall_s = time.perf_counter() - started
-    if loop.failure is not None:
-        raise loop.failure
+    with TemporaryDirectory() as scratch:
+        log_path = files.log or (None if files.page is None else Path(scratch) / "run.mcap")
+        step = SAMPLE_CYCLES if files.log is None else 1  # a log for the page alone is small
+        with RunLog(log_path, header, loop.config.params) as log:
+            for record in run:
+                if record.tick % step == 0 or record.outputs.evrs or record.outputs.tool is not None:
+                    log.write(record)
+                loop.with_truth = log_path is not None and (record.tick + 1) % step == 0
+                if record.tick % FRAME_CYCLES == 0:
+                    activity = record.outputs.joint.mode.name.lower().replace("_", " ")
+                    running(*progress_at(record), activity)
+                    if files.movie is not None:
+                        drawn.poses.append(loop.plant.data.qpos.copy())
+                if is_for_picture(record):
+                    drawn.best = loop.plant.data.qpos.copy()
+        wall_s = time.perf_counter() - started
+        if loop.failure is not None:
+            raise loop.failure
+        problem = None if log_path is None else write_page(log_path, title, files.page)
     result = run.result()
     drawn.best = loop.plant.data.qpos if drawn.best is None else drawn.best
     picture, movie = save_pictures(files, world, arm, drawn, drawing)
-    problem = None if files.page is None or view is None else write_page(view, header, files.page)
     artifacts = Artifacts(
         picture,
         movie,

@@ -11,14 +11,12 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name, vector3
 from marsarm.common.effects import fit_effects, parse_effects
 from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
-from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     Execution,
     execute,
     execution_not_begun,
     initialise,
     progress_before_movie,
-    record_view,
 )
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.recorder import run_header
@@ -35,7 +33,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.watched_run import RecordedRun
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +51,6 @@ class PlaceJob:
 def prepare_placement(request: PlaceRequest) -> PlaceJob:
     """Check a request before anything moves, BadRequest if it is wrong or out of reach, and build its job."""
     check_options(request)
-    if request.files.movie is not None:
-        check_movie_path(request.files.movie)
     point, normals = (np.array(vector, float)[:, None] for vector in (request.target_m, request.normal))
     what = "the direction out of the surface, such as 0 0 -1 for up"
     normal = vector3(check_targets(point, normals, ("target", "normal"), what)[:, 0])
@@ -99,22 +95,14 @@ class PlaceReport:
 def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceReport:
     """Carry out a placement; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_placement(request)
-    title = f"{job.placement.tool} on arm {job.arm.name}"
-    effects = effects_of_run(job.effects)
     check_unlocked(request.files.log, "log")
-    return _carry_out(request, job, progress, record_view(request.files, title, job.world, job.arm, effects))
-
-
-def _carry_out(
-    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "RecordedRun | None"
-) -> PlaceReport:
     last = initialise(job.arm, request.seed, progress_before_movie(request.files, progress))
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
-    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
+    loop = ClosedLoop(setup, with_truth=True)
     run = PlacementRun(loop, job.placement)
     header = run_header(
         loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects, job.world
@@ -129,6 +117,6 @@ def _carry_out(
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
         arm=job.arm.model,
-        view=view,
+        title=f"{job.placement.tool} on arm {job.arm.name}",
     )
     return PlaceReport(request, job.placement.tool, execution)

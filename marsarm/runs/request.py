@@ -36,9 +36,9 @@ class RunFiles:
     movie: Annotated[
         Path | None,
         Option(
-            "Draw the whole run; .mp4 needs the extra `movie`.",
-            "FILE.gif|FILE.mp4",
-            suffixes=(".gif", ".mp4"),
+            "Draw the whole run; it takes minutes.",
+            "FILE.gif",
+            suffixes=(".gif",),
         ),
     ] = None
     page: Annotated[

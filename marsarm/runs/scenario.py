@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 from fsw.config import CYCLE_HZ
 from marsarm.common.effects import parse_effects
 from marsarm.common.requests import make_world, select_arm
-from marsarm.render.picture import check_movie_path
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
     Execution,
@@ -14,7 +13,6 @@ from marsarm.runs.execution import (
     execution_not_begun,
     initialise,
     progress_before_movie,
-    record_view,
 )
 from marsarm.runs.request import RunRequest
 from marsarm.telemetry.recorder import run_header
@@ -33,7 +31,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, as_guess, no_progress
 
 if TYPE_CHECKING:
-    from marsarm.view.watched_run import RecordedRun
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +53,7 @@ class RunReport:
 def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunReport:
     """Carry out a scenario; BadRequest, before anything moves or is written, if it is wrong."""
     scenario, arm = _prepare(request)
-    title = f"{scenario.title} on arm {arm.name}"
     check_unlocked(request.files.log, "log")
-    view = record_view(request.files, title, scenario.world, arm, scenario.effects)
-    return _carry_out(request, scenario, arm, progress, view)
-
-
-def _carry_out(
-    request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "RecordedRun | None"
-) -> RunReport:
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)
     on_this_day = replace(arm, effects=(*ambient, *arm.effects))
@@ -78,7 +68,7 @@ def _carry_out(
     except NotTaught as error:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
     setup = scenario_setup(scenario, arm, last.reference, request.seed)
-    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
+    loop = ClosedLoop(setup, with_truth=True)
     scenario_run = ScenarioRun(loop, scenario)
     picture_command = _picture_command(scenario)
     execution = execute(
@@ -93,7 +83,7 @@ def _carry_out(
         progress_at=lambda record: (scenario_run.guess_share(record.tick / CYCLE_HZ), GUESS),
         is_for_picture=lambda _: scenario_run.command == picture_command,
         arm=arm.model,
-        view=view,
+        title=f"{scenario.title} on arm {arm.name}",
     )
     return RunReport(request, scenario, arm.name, execution)
 
@@ -101,8 +91,6 @@ def _carry_out(
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_options(request)
-    if request.files.movie is not None:
-        check_movie_path(request.files.movie)
     if not request.scenario:
         raise BadRequest("scenario: give a name or a file; `marsarm run --list` lists what there is")
     try:

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import fields
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -22,8 +22,6 @@ from marsarm.telemetry.topics import ENTRIES
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_distinct_files, check_new_path, check_output
 from simgap.common.progress import Progress
-
-TABLE_SUFFIXES: Final = (".parquet", ".csv")
 
 
 def index_suffixes(shape: tuple[int, ...]) -> list[str]:
@@ -69,15 +67,15 @@ def topic_table(log: Log, topic: str) -> pa.Table:
 def export(
     log: Log, out: Path, topics: Sequence[str], progress: Progress, kind: str = ".parquet"
 ) -> dict[str, Path]:
-    """Write topics to one file, or to one file each in a folder; all files appear together at the end.
+    """Write topics to one file each in a folder; all files appear together at the end.
 
     Args:
         topics: Topics to write; all if empty.
-        kind: Suffix of the files in a folder.
+        kind: Suffix of the files.
 
     Raises:
         BadRequest: the log has no such topic, or a file is the log itself.
-        BadOutput: a file cannot be written, or one file is given for several topics.
+        BadOutput: a file cannot be written.
     """
     if not log.time_ns:
         raise BadRequest(f"log {log.path} holds no message; there is nothing to export")
@@ -91,7 +89,7 @@ def export(
             for k, (topic, path) in enumerate(files.items()):
                 progress(k, len(files), topic)
                 file = open_files.enter_context(atomic_write(path, "out"))
-                (write_csv if path.suffix == ".csv" else pq.write_table)(topic_table(log, topic), file)
+                (write_csv if kind == ".csv" else pq.write_table)(topic_table(log, topic), file)
     except BaseException:
         if is_new_folder:
             out.rmdir()
@@ -101,7 +99,7 @@ def export(
 
 def _make_folder(out: Path) -> bool:
     """Make the folder if it does not exist, BadOutput if that fails, and return whether it was made."""
-    if out.suffix in TABLE_SUFFIXES or os.path.isdir(out):
+    if os.path.isdir(out):
         return False
     try:
         out.mkdir()
@@ -121,24 +119,13 @@ def _select_topics(log: Log, topics: Sequence[str]) -> list[str]:
 
 def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
     """Return the file of each topic, after all checks that are possible before writing."""
-    if out.suffix in TABLE_SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, never raises
-        if kind == ".csv" != out.suffix:
-            raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
-        if len(topics) != 1:
-            raise BadOutput(
-                f"out {out}: one file holds one table, and {len(topics)} topics are selected; "
-                f"name one with --topic, or give a folder"
-            )
-        return {topics[0]: check_output(out, TABLE_SUFFIXES, "out")}
-    if not os.path.isdir(out) and (os.path.exists(out) or out.suffix):
-        raise BadOutput(
-            f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
-        )
+    if os.path.exists(out) and not os.path.isdir(out):
+        raise BadOutput(f"out {out}: is a file; give a folder, new or not")
     check_new_path(out, "out")
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
     if os.path.isdir(out):
         for path in files.values():
-            check_output(path, TABLE_SUFFIXES, "out")
+            check_output(path, (kind,), "out")
     return files
 
 

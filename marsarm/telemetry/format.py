@@ -20,6 +20,9 @@ TICK_NS: Final = 15_625_000
 CHUNK_CYCLES: Final = 64
 """Cycles in a chunk: a second of Mars time, which is what a killed run loses at most."""
 
+SAMPLE_CYCLES: Final = 16
+"""Cycles between two samples of a page: at 4 Hz no joint turns by more than 2 degrees between two."""
+
 FORMAT: Final = "2"
 """Version of the format; a reader refuses others."""
 

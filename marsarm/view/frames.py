@@ -3,7 +3,6 @@
 This is the one way from a run to what is drawn: the page and the tests use it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Self
 
@@ -19,13 +18,11 @@ from fsw.kinematics.chain import Frames as ChainFrames
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from fsw.kinematics.transforms import Array, Pose, stack_poses
+from marsarm.telemetry.format import SAMPLE_CYCLES
 from marsarm.telemetry.read import Log
 from marsarm.view.scene import Scene
-from sim.record import CycleRecord
 from simgap.common.errors import BadRequest
 
-SAMPLE_CYCLES: Final = CYCLE_HZ // 4
-"""Cycles between samples: at 4 Hz no joint turns by more than 2 degrees between two."""
 MOST_SAMPLES: Final = 2000
 """Largest number of samples of a log; in half an hour, a joint turns by 5 degrees at most between two."""
 
@@ -51,25 +48,6 @@ class Samples:
     """True output angles; None if they are not known."""
     force_N: Array | None
     """True contact force, shape (n,); None if it is not known."""
-
-    @classmethod
-    def of_records(
-        cls, time_s: Sequence[float], tools: Sequence[int], records: Sequence[CycleRecord]
-    ) -> Self:
-        """Collect the records of cycles, all with the truth or all without, with their times and tools."""
-        joint = [record.outputs.joint for record in records]
-        truth = [record.truth for record in records if record.truth is not None]
-        return cls(
-            time_s=np.array(time_s),
-            mode=np.array([int(one.mode) for one in joint]),
-            tool=np.array(tools, np.intp),
-            motor_rad=np.array([one.motor_rad for one in joint]).T,
-            believed_rad=np.array([one.output_rad for one in joint]).T,
-            gravity_R_m_s2=np.array([record.sensors.gravity_R_m_s2 for record in records]).T,
-            current_A=np.array([record.sensors.current_A for record in records]).T,
-            true_rad=np.array([one.output_rad for one in truth]).T if truth else None,
-            force_N=np.array([one.contact_force_N for one in truth]) if truth else None,
-        )
 
     @classmethod
     def of_log(cls, log: Log) -> Self:

@@ -8,7 +8,7 @@ import os
 import sys
 import webbrowser
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -141,6 +141,7 @@ def view(request: ViewRequest, progress: Progress) -> ViewReport:
     page = request.html or Path(f"{request.log.stem}.html")
     progress(0.0, GUESS, "reading")
     run = watch_log(request.log)
+    run = replace(run, title=run.title or request.log.name, facts=(("log", request.log.name), *run.facts))
     progress(0.5, GUESS, "drawing")
     return ViewReport(request, page, save_page(run, page), run)
 

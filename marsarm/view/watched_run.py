@@ -1,4 +1,4 @@
-"""Run as a view shows it: its scene, its arms and its events; and its recording while it is carried out."""
+"""Run as a view shows it: its scene, its arms and its events."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
@@ -18,13 +17,12 @@ from marsarm.telemetry.events import BadJson, record_from_json
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.recorder import WORLD
-from marsarm.view.frames import MOST_SAMPLES, SAMPLE_CYCLES, Event, Samples, ViewFrames, compute_frames
+from marsarm.view.frames import Event, Samples, ViewFrames, compute_frames
 from marsarm.view.scene import Scene, build_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect, params_with_effects
 from sim.effects.structure import StandInTurret
-from sim.record import CycleRecord
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.setting import World
 from simgap.common.errors import BadRequest
@@ -134,9 +132,8 @@ def watch_log(path: Path) -> WatchedRun:
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
-    facts = (("log", path.name), *list_facts(log.header))
-    title = _title(log.header) or path.name
-    return WatchedRun(title, facts, tuple(notes), surroundings.scene, frames, events)
+    facts = list_facts(log.header)
+    return WatchedRun(_title(log.header), facts, tuple(notes), surroundings.scene, frames, events)
 
 
 def _title(header: Mapping[str, str]) -> str:
@@ -202,46 +199,3 @@ def _effects(header: Mapping[str, str], tools: Sequence[str], notes: list[str]) 
     except (BadEffect, BadJson) as error:
         notes.append(f"The true arm is drawn without the effects of the run: {error}.")
         return ()
-
-
-class RecordedRun:
-    """Samples and events of a run, or of several that follow each other."""
-
-    def __init__(self, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]) -> None:
-        """Begin a run without any sample, with the effects beyond those of the arm."""
-        self._title = title
-        self._surroundings = build_surroundings(world, arm.params, (*arm.effects, *effects), arm.model)
-        self._records: list[CycleRecord] = []
-        self._times_s: list[float] = []
-        self._tools: list[int] = []
-        self._events: list[Event] = []
-        self._tool = self._last_tick = 0
-        self._begun_s = 0.0
-
-    def is_due(self, tick: int) -> bool:
-        """Return whether the cycle at a tick is a sample, which has the truth."""
-        return tick % SAMPLE_CYCLES == 0
-
-    def watch(self, record: CycleRecord) -> None:
-        """Keep the events of a cycle, and its state if a sample is due."""
-        if record.tick < self._last_tick:  # another run, which follows the last one
-            self._begun_s += (self._last_tick + 1) / CYCLE_HZ
-            self._tool = 0
-        self._last_tick = record.tick
-        time_s = self._begun_s + record.tick / CYCLE_HZ
-        if record.outputs.tool is not None:
-            self._tool = int(record.outputs.tool.tool)
-        self._events += [Event(time_s, evr.severity, evr.message) for evr in record.outputs.evrs]
-        if not self.is_due(record.tick):
-            return
-        self._records.append(record)
-        self._times_s.append(time_s)
-        self._tools.append(self._tool)
-
-    def collect(self, header: Mapping[str, str]) -> WatchedRun:
-        """Return the run for a page, of at most MOST_SAMPLES; BadRequest if none can be drawn."""
-        part = slice(None, None, -(-len(self._times_s) // MOST_SAMPLES))
-        samples = Samples.of_records(self._times_s[part], self._tools[part], self._records[part])
-        frames = self._surroundings.frames(samples)
-        facts, scene = list_facts(header), self._surroundings.scene
-        return WatchedRun(self._title, facts, (), scene, frames, tuple(self._events))

@@ -118,10 +118,8 @@ def test_size_must_be_positive(model, data, tmp_path):
         save_picture(model, data, "front", tmp_path / "scene.png", (0, 10))
 
 
-@pytest.mark.parametrize(("name", "is_new"), [("scene.png", True), ("lift.gif", False), ("lift.mp4", False)])
+@pytest.mark.parametrize(("name", "is_new"), [("scene.png", True), ("lift.gif", False)])
 def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
-    if name.endswith(".mp4"):
-        pytest.importorskip("av", reason="PyAV is not installed; pip install 'marsarm[movie]'")
     path = tmp_path / name
     if not is_new:
         path.write_bytes(b"before")
@@ -152,24 +150,6 @@ def test_an_interrupted_movie_leaves_the_one_before(model, tmp_path, monkeypatch
 def test_movie_without_frames_is_refused(model, tmp_path):
     with pytest.raises(BadRequest, match="no frame"):
         save_movie(model, [], "front", tmp_path / "empty.gif", SIZE)
-
-
-@pytest.mark.skipif(importlib.util.find_spec("av") is None, reason="PyAV is not installed")
-def test_an_mp4_has_the_frames_of_a_gif(model, tmp_path):
-    import av
-
-    poses = [np.array([0.1 * k]) for k in range(5)]
-    result = save_movie(model, poses, "front", tmp_path / "lift.mp4", SIZE)
-    assert result.path == tmp_path / "lift.mp4"
-    with av.open(str(result.path)) as movie:
-        frames = [frame.to_ndarray(format="rgb24") for frame in movie.decode(video=0)]
-        assert movie.streams.video[0].codec_context.name == "h264"
-    assert [frame.shape for frame in frames] == [(120, 160, 3)] * 5
-    save_movie(model, poses, "front", tmp_path / "lift.gif", SIZE)
-    with PIL.Image.open(tmp_path / "lift.gif") as gif:
-        gif.seek(4)
-        last = np.asarray(gif.convert("RGB")).astype(int)
-    assert np.abs(frames[-1].astype(int) - last).mean() < 8, "both show the ball at its last pose"
 
 
 def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):

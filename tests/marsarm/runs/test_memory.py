@@ -38,7 +38,9 @@ def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
 
     tracemalloc.start()
     try:
-        done = execute(run, loop, {}, NO_FILES, scenario.world, no_progress, note, lambda _: False, arm.model)
+        done = execute(
+            run, loop, {}, NO_FILES, scenario.world, no_progress, note, lambda _: False, arm.model, "T"
+        )
     finally:
         tracemalloc.stop()
     assert done.result.passed

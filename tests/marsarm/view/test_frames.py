@@ -11,7 +11,7 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, run_header
-from marsarm.view.frames import Samples, compute_frames
+from marsarm.view.frames import compute_frames
 from marsarm.view.scene import build_scene
 from marsarm.view.watched_run import build_surroundings, watch_log
 from sim.arm_model.load import default_arm
@@ -78,18 +78,6 @@ def test_the_believed_tool_is_where_flight_software_estimated_it(run, log):
     frame = np.searchsorted(run.frames.samples.time_s, read.ticks("/tool")[-1] / 64, side="right") - 1
     drawn_W_m = run.frames.p_m[frame, -1] + run.frames.believed[frame, -1, :3]
     assert drawn_W_m == pytest.approx(estimated_W_m, abs=1e-4)
-
-
-def test_a_log_and_the_cycles_of_its_run_give_equal_frames(run):
-    records = [record for record in records_of(start_loop(ARM, TILTED)) if record.tick % 16 == 0]
-    tools, tool = [], 0
-    for record in records:
-        tool = tool if record.outputs.tool is None else int(record.outputs.tool.tool)
-        tools.append(tool)
-    live = Samples.of_records([record.tick / 64 for record in records], tools, records)
-    count = len(records)
-    for name in ("time_s", "mode", "motor_rad", "believed_rad", "true_rad", "gravity_R_m_s2", "force_N"):
-        assert np.array_equal(getattr(live, name), getattr(run.frames.samples, name)[..., :count]), name
 
 
 def test_a_factor_magnifies_what_compliance_and_backlash_add(run):

@@ -1,6 +1,5 @@
-"""`marsarm view` and `--movie`: what is written, and what is refused in one sentence."""
+"""`marsarm view`: what is written and opened."""
 
-import importlib.util
 import json
 import webbrowser
 
@@ -37,11 +36,3 @@ def test_a_page_is_opened_where_there_is_a_display(tmp_path, monkeypatch, capsys
     OpenedPage(tmp_path / "run.html").play()
     assert asked == [(tmp_path / "run.html").as_uri()]
     assert said in capsys.readouterr().err
-
-
-def test_without_pyav_an_mp4_is_refused_before_anything_moves(tmp_path, monkeypatch):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "av" else find(name))
-    ran = marsarm(tmp_path, "place", "--movie", "run.mp4", "--no-picture")
-    assert ran.returncode == 2
-    assert "PyAV is missing; pip install 'marsarm[movie]', or name a .gif" in ran.stderr
