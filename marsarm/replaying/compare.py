@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
 from math import isfinite, isnan
-from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -26,88 +25,49 @@ class EvrChange(StrEnum):
     ADDED = "added"
     """Replayed, not recorded."""
     CHANGED = "changed"
-    """Replayed at another tick, with other fields, or in another order within its tick."""
+    """Another one replayed in its place, or with other fields."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvrDifference:
-    """Event that differs; it may be None in one run."""
+    """Place in the order of events of a tick whose event differs; it may be None in one run."""
 
     kind: EvrChange
     recorded: EvrEntry | None
     replayed: EvrEntry | None
 
     @property
-    def name(self) -> str:
-        """Name of the event."""
-        return next(one.name for one in (self.recorded, self.replayed) if one is not None)
-
-    @property
-    def tick(self) -> int:
-        """Earlier one of its two ticks."""
-        return min(one.tick for one in (self.recorded, self.replayed) if one is not None)
+    def event(self) -> EvrEntry:
+        """Recorded event, else the replayed one."""
+        event = self.recorded or self.replayed
+        assert event is not None
+        return event
 
 
 def evr_differences(
     recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry], tolerance: float = 0.0
-) -> tuple[EvrDifference, ...]:
-    """Find the differences between events, in order of ticks.
-
-    Events of equal tick and name are paired in their order. Events without a partner are paired at other
-    ticks, first by equal message, then by equal name.
-    """
-    found: list[EvrDifference] = []
-    unpaired = list(recorded), list(replayed)
-    for key in (attrgetter("tick", "name"), attrgetter("message"), attrgetter("name")):
-        pairs, unpaired = _pair_evrs(*unpaired, key)
-        found += [
-            EvrDifference(EvrChange.CHANGED, one, other)
-            for one, other in pairs
-            if one.tick != other.tick or not _evrs_equal(one, other, tolerance)
-        ]
-    found += [EvrDifference(EvrChange.MISSING, one, None) for one in unpaired[0]]
-    found += [EvrDifference(EvrChange.ADDED, None, other) for other in unpaired[1]]
-    found += _order_differences(recorded, replayed)
-    return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
-
-
-def _pair_evrs(
-    recorded: list[EvrEntry], replayed: list[EvrEntry], key: Callable[[EvrEntry], Any]
-) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
-    """Pair events of equal key in order; return the pairs and the events without a partner."""
-    pairs, rest = [], []
-    free = _group_by(replayed, key)
-    for one in recorded:
-        if free[key(one)]:
-            pairs.append((one, free[key(one)].pop(0)))
-        else:
-            rest.append(one)
-    taken = {id(other) for _, other in pairs}
-    return pairs, (rest, [other for other in replayed if id(other) not in taken])
-
-
-def _order_differences(recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry]) -> Iterator[EvrDifference]:
-    """Yield the first event of each tick that has the same events in another order."""
-    theirs = _group_by(replayed, attrgetter("tick"))
-    for tick, ours in _group_by(recorded, attrgetter("tick")).items():
-        names = [[evr.name for evr in side] for side in (ours, theirs[tick])]
-        if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
-            pair = next(pair for pair in zip(ours, theirs[tick], strict=True) if pair[0].name != pair[1].name)
-            yield EvrDifference(EvrChange.CHANGED, *pair)
-
-
-def _group_by(evrs: Sequence[EvrEntry], key: Callable[[EvrEntry], Any]) -> dict[Any, list[EvrEntry]]:
-    groups: dict[Any, list[EvrEntry]] = defaultdict(list)
-    for evr in evrs:
-        groups[key(evr)].append(evr)
-    return groups
+) -> Iterator[EvrDifference]:
+    """Yield the differences between events, compared tick by tick in their order."""
+    ticks: dict[int, tuple[list[EvrEntry], list[EvrEntry]]] = defaultdict(lambda: ([], []))
+    for side, evrs in enumerate((recorded, replayed)):
+        for evr in evrs:
+            ticks[evr.tick][side].append(evr)
+    for tick in sorted(ticks):
+        for one, other in zip_longest(*ticks[tick]):
+            if one is None:
+                yield EvrDifference(EvrChange.ADDED, None, other)
+            elif other is None:
+                yield EvrDifference(EvrChange.MISSING, one, None)
+            elif not _evrs_equal(one, other, tolerance):
+                yield EvrDifference(EvrChange.CHANGED, one, other)
 
 
 def _evrs_equal(one: EvrEntry, other: EvrEntry, tolerance: float) -> bool:
     if tolerance == 0.0:
         return one == other
     # Messages contain rounded numbers, which may differ although the fields agree within the tolerance.
-    return one.severity == other.severity and _values_close(one.fields, other.fields, tolerance)
+    alike = (one.name, one.severity) == (other.name, other.severity)
+    return alike and _values_close(one.fields, other.fields, tolerance)
 
 
 def _values_close(a: Any, b: Any, tolerance: float) -> bool:
@@ -144,9 +104,6 @@ def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDAr
     return np.where(same, 0.0, np.where(np.isnan(distance), np.inf, np.maximum(distance, least)))
 
 
-BEFORE, AFTER = 8, 24
-"""Messages that are kept before the first difference, and from it on."""
-
 ChannelFilter = Callable[[str, str], bool]
 """Function of topic and field that returns whether to compare the channel."""
 Number = float | int | bool
@@ -163,7 +120,7 @@ class LengthDifference:
     """First tick with a message in only one run."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class ChannelDifference:
     """Channel whose values differ; an array is one channel, compared component by component."""
 
@@ -173,10 +130,6 @@ class ChannelDifference:
     """Index of the component that differs most at the first tick; () for a single number."""
     at_first: tuple[Number, Number]
     """Recorded and replayed value of that component at the first tick."""
-    recorded: NDArray[Any]
-    """Recorded values of that component around the first tick."""
-    replayed: NDArray[Any]
-    """Replayed values around the first tick."""
     ticks: int
     """Number of ticks at which the channel differs."""
     compared: int
@@ -186,11 +139,9 @@ class ChannelDifference:
     greatest_tick: int
     component: tuple[int, ...]
     """Index of the component with the greatest difference."""
-    profile: NDArray[np.float64]
-    """Greatest difference of any component at each compared tick, shape (compared,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Differences:
     """Differences between a recorded and a replayed run."""
 
@@ -238,7 +189,7 @@ def compare_behaviours(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
         lengths=tuple(one for one in lengths if one is not None),
-        evrs=evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        evrs=tuple(evr_differences(recorded.evrs, replayed.evrs, tolerance)),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
         not_compared=tuple(not_compared),
@@ -297,20 +248,17 @@ def _channel_difference(
     if not profile.any():
         return None
     first, worst = int(np.flatnonzero(profile)[0]), int(profile.argmax())
-    k, window = int(difference[first].argmax()), slice(max(0, first - BEFORE), first + AFTER)
+    k = int(difference[first].argmax())
     return ChannelDifference(
         channel=channel,
         first_tick=int(ticks[first]),
         first_component=_index(k, shape),
         at_first=(a[first, k].item(), b[first, k].item()),
-        recorded=a[window, k],
-        replayed=b[window, k],
         ticks=int(np.count_nonzero(profile)),
         compared=len(ticks),
         greatest=float(profile[worst]),
         greatest_tick=int(ticks[worst]),
         component=_index(int(difference[worst].argmax()), shape),
-        profile=profile,
     )
 
 

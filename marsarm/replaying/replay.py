@@ -8,13 +8,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import mujoco
-import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from marsarm.replaying.compare import ChannelDifference, Differences, EvrDifference, compare_behaviours
+from marsarm.replaying.compare import (
+    ChannelDifference,
+    Differences,
+    EvrChange,
+    EvrDifference,
+    compare_behaviours,
+)
 from marsarm.replaying.inputs import (
     Behaviour,
     Inputs,
@@ -31,7 +36,7 @@ from sim.arms import params_over
 from sim.loop import step_flight_software
 from sim.params import BadParams
 from sim.scenario.records import did_you_mean
-from simgap.common.console import magnitude_sparkline, pluralize, value_sparklines
+from simgap.common.console import pluralize
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress
 
@@ -148,7 +153,7 @@ def replay_document(report: ReplayReport) -> dict[str, Any]:
         "evrs": [
             {
                 "kind": one.kind,
-                "tick": one.tick,
+                "tick": one.event.tick,
                 **_sides(_evr_document(one.recorded), _evr_document(one.replayed)),
             }
             for one in found.evrs
@@ -171,13 +176,7 @@ def _evr_document(evr: EvrEntry | None) -> dict[str, Any] | None:
 
 
 def _channel_document(one: ChannelDifference) -> dict[str, Any]:
-    """Collect a channel that differs; a line of text stands for its differences at all ticks."""
-    return {
-        **{name: value for name, value in asdict(one).items() if name not in ("profile", *_sides(0, 0))},
-        "at_first": _sides(*one.at_first),
-        "waveform": magnitude_sparkline(one.profile),
-        "around_first": _sides(one.recorded, one.replayed),
-    }
+    return asdict(one) | {"at_first": _sides(*one.at_first)}
 
 
 def replay_parts(report: ReplayReport) -> list[str]:
@@ -226,26 +225,21 @@ def difference_lines(found: Differences) -> Iterator[str]:
 
 
 def _channel_lines(c: ChannelDifference) -> Iterator[str]:
-    """Yield the lines of a channel: its difference, the course over time, values at the first tick."""
+    """Yield the lines of a channel: its difference, and both values at the first tick."""
     yield (
         f"channel   {_component_name(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
     )
-    yield f"          {'difference over time':<20}  {magnitude_sparkline(c.profile)}"
-    lines = value_sparklines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
-    where = "" if c.component == c.first_component else f" of {_component_name(c.channel, c.first_component)}"
-    for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
-        yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"
+    first = _component_name(c.channel, c.first_component)
+    yield f"          {first} at tick {c.first_tick}: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
 
 
 def _evr_line(one: EvrDifference) -> str:
-    evr = one.recorded or one.replayed
-    assert evr is not None
-    line = f"event     tick {evr.tick}  {one.kind.value}  {evr.name}: {evr.message}"
-    if one.recorded is None or one.replayed is None:
-        return line
-    later = "" if one.recorded.tick == one.replayed.tick else f"at tick {one.replayed.tick} "
-    return f"{line}  ->  {later}{one.replayed.name}: {one.replayed.message}"
+    line = f"event     tick {one.event.tick}  {one.kind.value}  {one.event.name}: {one.event.message}"
+    if one.kind is EvrChange.CHANGED:
+        assert one.replayed is not None
+        line += f"  ->  {one.replayed.name}: {one.replayed.message}"
+    return line
 
 
 def _component_name(channel: str, component: tuple[int, ...]) -> str:

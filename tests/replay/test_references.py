@@ -68,7 +68,7 @@ def test_one_bit_of_a_gain_is_seen_in_its_channel_from_the_tick_on_which_it_matt
     after = run_flight_software(inputs, replace(inputs.params, joints=joints), silent)
     found = compare_behaviours(behaviour_from_outputs(before), behaviour_from_outputs(after))
     changed = {one.channel: one for one in found.channels}
-    assert [evr.name for evr in found.evrs] == ["Booted"]
+    assert [evr.event.name for evr in found.evrs] == ["Booted"]
     assert found.lengths == ()
     seen = changed["/joint.backlash_uncertainty_rad"]
     assert seen.first_component == (1,)

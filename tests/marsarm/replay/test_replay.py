@@ -38,10 +38,9 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     assert report.changed_params == ("joints.turret.speed_rad_s: 0.03490658503988659 is 0.02 now",)
     channels = {one.channel: one for one in report.differences.channels}
     assert channels["/drive.setpoint_rate_rad_s"].first_tick > 190
-    assert report.differences.evrs[0].name == "Booted"
+    assert report.differences.evrs[0].event.name == "Booted"
     document = replay_document(report)
     assert document["identical"] is False
-    assert document["channels"][0]["waveform"]
 
 
 def test_a_channel_that_nobody_has_is_refused(tmp_path):
@@ -65,7 +64,7 @@ def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
     monkeypatch.setattr(sim.loop, "step", broken)
     report = replayed(tmp_path)
     added = [one for one in report.differences.evrs if one.recorded is None]
-    assert [(one.tick, one.name) for one in added] == [(100, "SoftwareError")]
+    assert [(one.event.tick, one.event.name) for one in added] == [(100, "SoftwareError")]
     assert "nobody thought of that" in added[0].replayed.message
     assert report.differences.ticks == (ticks_of(LOG), 101)
     changed = {one.channel: one.first_tick for one in report.differences.channels}

@@ -36,4 +36,4 @@ def test_a_difference_as_a_document(folder, log_of_today):
     assert done.returncode == 3
     document = json.loads(done.stdout)
     assert document["evrs"][0]["recorded"]["name"] == "Booted"
-    assert {"channel", "first_tick", "ticks", "greatest", "waveform"} <= document["channels"][0].keys()
+    assert {"channel", "first_tick", "ticks", "greatest", "at_first"} <= document["channels"][0].keys()
