@@ -187,9 +187,8 @@ def is_in_stock(path: Path, log: Log) -> bool:
     counts = Counter[str]()
     with path.open("rb") as file:
         try:
-            for _, channel, _ in NonSeekingReader(file, validate_crcs=True).iter_messages(
-                log_time_order=False
-            ):
+            reader = NonSeekingReader(file, validate_crcs=True)
+            for _, channel, _ in reader.iter_messages(log_time_order=False):
                 counts[channel.topic] += 1
         except (McapError, ValueError, struct.error):  # the cut
             pass

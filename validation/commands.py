@@ -181,9 +181,8 @@ def draw_command(random: Random, params: Params) -> Any:
     if kind in RARE and random.random() > RARE_SHARE:
         kind = MoveJoints
     hints = get_type_hints(kind, include_extras=True)
-    values = {
-        name: _draw_value(random, params, name, hints[name]) for name in (one.name for one in fields(kind))
-    }
+    names = [one.name for one in fields(kind)]
+    values = {name: _draw_value(random, params, name, hints[name]) for name in names}
     return kind(**values)
 
 

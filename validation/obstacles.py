@@ -101,9 +101,8 @@ def draw(seed: int, index: int, attempt: int) -> Obstacle:
         command = MoveJoints(joints5(start + turn))
         p_R_m, normal = _across_the_turn(arm, start, turn, attempt)
     temperature_C = TEMPERATURES_C[(index // (2 * len(KINDS))) % len(TEMPERATURES_C)]
-    return Obstacle(
-        name, temperature_C, kind, joints5(start), command, vector3(p_R_m + P_NR_M), vector3(normal)
-    )
+    p_N_m = vector3(p_R_m + P_NR_M)
+    return Obstacle(name, temperature_C, kind, joints5(start), command, p_N_m, vector3(normal))
 
 
 def _line(arm: Arm, start: Array, way: Array) -> tuple[Command, Array, Array]:

@@ -108,9 +108,8 @@ def draw_contact(robot: Robot, motion: Motion, found: Audit, figure: Any) -> Non
     (plane,) = (one for one in found.remarks if one.kind is RemarkKind.CONTACT)
     axes = figure.subplots()
     top, bottom = axes.get_xaxis_transform(), ~found.is_usable(motion.name, JOINT)
-    axes.fill_between(
-        time_s, 0, 1, where=bottom, transform=top, color="0.92", linewidth=0, label="left out by the audit"
-    )
+    grey = {"transform": top, "color": "0.92", "linewidth": 0}
+    axes.fill_between(time_s, 0, 1, where=bottom, label="left out by the audit", **grey)
     axes.plot(time_s, 1e3 * site_heights(robot, names, sent), color=SENT, label="commanded")
     axes.plot(time_s, 1e3 * site_heights(robot, names, measured), color=FITTED, label="measured")
     axes.axhline(1e3 * plane.value, color=NOMINAL, linewidth=0.8, linestyle="--", label="table, as named")
@@ -126,9 +125,8 @@ def convert(folder: Path, joints: tuple[str, ...]) -> pa.Table:
     tables = []
     names = sorted({one.parent.name for file in FILES for one in folder.glob(f"*/{file}")})
     if not names:
-        raise RobotError(
-            f"{folder}: has no folder of a motion, with {' and '.join(FILES)}; name the folder above"
-        )
+        files = " and ".join(FILES)
+        raise RobotError(f"{folder}: has no folder of a motion, with {files}; name the folder above")
     for name in names:
         (time_s, command), (_, position, velocity) = (
             _read(folder / name / FILES[0], len(joints), ["positions"]),

@@ -75,9 +75,8 @@ def write_folder(folder, *changes, added_Nm_kg=0.0):
         q, v, a = np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)
         tau = needed_Nm(mass_g, length_m, q, v, a) - added_Nm_kg * 1e-3 * mass_g
         shown = q + rng.normal(0.0, 1e-5, t.size), tau + rng.normal(0.0, 2e-3, t.size)
-        lines += [
-            f"{one:.9g},{k},{mass_g},{length_m},{x:.9g},{y:.9g}" for one, x, y in zip(t, *shown, strict=True)
-        ]
+        rows = zip(t, *shown, strict=True)
+        lines += [f"{one:.9g},{k},{mass_g},{length_m},{x:.9g},{y:.9g}" for one, x, y in rows]
     (folder / "log.csv").write_text("\n".join(lines))
     return folder / "robot.toml", folder / "log.csv"
 

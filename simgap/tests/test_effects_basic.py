@@ -202,9 +202,8 @@ def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder():
     (joint,) = robot.joints
 
     def law(scale):
-        return scale * exact(
-            lambda t, q, v: joint.kp_Nm_rad * (0.1 - scale * q) - joint.kd_Nms_rad * scale * v
-        )
+        kp, kd = joint.kp_Nm_rad, joint.kd_Nms_rad
+        return scale * exact(lambda t, q, v: kp * (0.1 - scale * q) - kd * scale * v)
 
     scale = pendulum.at_swing(EncoderScale, robot)
     shown, plain = (pendulum.simulated(robot, held(0.1), (scale, [size])) for size in (0.08, 0.0))

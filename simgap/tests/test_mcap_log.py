@@ -116,9 +116,8 @@ def test_a_field_that_is_not_there_is_named(tmp_path, old, new, said):
 
 def test_an_unknown_encoding_and_a_damaged_file_are_refused(tmp_path):
     robot = write_robot(tmp_path, *FIELDS)
-    with pytest.raises(
-        RobotError, match="topic '/joints' is encoded as cdr with omgidl; write json, or a message of ROS"
-    ):
+    said = "topic '/joints' is encoded as cdr with omgidl; write json, or a message of ROS"
+    with pytest.raises(RobotError, match=said):
         load(robot, write_mcap(tmp_path / "run.mcap", encoding="omgidl"))
     path = write_mcap(tmp_path / "run.mcap")
     path.write_bytes(path.read_bytes()[:300])

@@ -82,9 +82,8 @@ def test_a_place_of_another_joint_is_refused_with_the_right_column(tmp_path):
     (tmp_path / "robot.toml").write_text(BY_PLACE.replace("position[0]", "position[2]").replace("[1]", "[0]"))
     three = ("shoulder", "elbow", "finger")
     messages = [(topic, time_ns, joint_state(0, three)) for topic, time_ns, _ in rows()]
-    with pytest.raises(
-        RobotError, match=r"'/joint_states.position\[0\]' is that of 'shoulder' in the messages"
-    ):
+    said = r"'/joint_states.position\[0\]' is that of 'shoulder' in the messages"
+    with pytest.raises(RobotError, match=said):
         load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", messages))
 
 

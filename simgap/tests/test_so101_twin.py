@@ -22,9 +22,8 @@ REACH_rad = {LIFT: 0.3, ELBOW: 0.4}
 def test_base_parameters_of_the_twin_are_found():
     truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, coulomb_Nm={LIFT: 0.39})
     robot = so101()
-    motions = [
-        record(robot, truth, f"smooth {k}", smooth_command(robot, k, 3.0, REACH_rad), k) for k in range(4)
-    ]
+    sent = [smooth_command(robot, k, 3.0, REACH_rad) for k in range(4)]
+    motions = [record(robot, truth, f"smooth {k}", one, k) for k, one in enumerate(sent)]
     joints = tuple(replace(one, is_known=one.name not in truth.gain_ratio) for one in robot.joints)
     unknown = replace(robot, joints=joints)
     raw = SimulationResiduals(unknown, motions, n_threads=1)
@@ -44,9 +43,8 @@ def test_base_parameters_of_the_twin_are_found():
 def test_load_dependent_friction_of_the_lift_is_named_beside_gain_errors():
     truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, friction_per_load={LIFT: 0.7})
     robot = with_locked_joints(so101(), (LIFT, ELBOW))
-    motions = [
-        record(robot, truth, f"smooth {k}", smooth_command(robot, k, 4.0, REACH_rad), k) for k in range(10)
-    ]
+    sent = [smooth_command(robot, k, 4.0, REACH_rad) for k in range(10)]
+    motions = [record(robot, truth, f"smooth {k}", one, k) for k, one in enumerate(sent)]
     result = diagnose(robot, motions[:7], held_out=motions[7:], seed=1)
     (finding,) = result.findings
     assert (finding.place, finding.effect) == (LIFT, "load-dependent friction")

@@ -113,9 +113,8 @@ def test_effects_below_the_limit_are_not_counted_as_missed():
 
 @pytest.mark.parametrize(("of", "rate", "most"), [(36, 0.05, 4), (24, 0.05, 3), (24, 0.10, 5), (24, 0.15, 7)])
 def test_the_counts_of_the_bars_are_those_of_an_exact_test(of, rate, most):
-    verdicts = [
-        check_rate([True] * hits + [False] * (of - hits), rate, True).is_met for hits in (most, most + 1)
-    ]
+    counts = [[True] * hits + [False] * (of - hits) for hits in (most, most + 1)]
+    verdicts = [check_rate(one, rate, True).is_met for one in counts]
     assert verdicts == [True, False]
 
 

@@ -213,9 +213,8 @@ def check_result(case: TrueCase, result: Document) -> None:
     for finding in result["findings"]:
         sizes = {size["name"].removeprefix("ln_") for size in finding["sizes"]}
         for unknown in sizes - true.get((finding["effect"], finding["place"]), sizes):
-            raise BadRequest(
-                f"{case.name}: {finding['effect']} has no {unknown}; remove its result and solve again"
-            )
+            effect = finding["effect"]
+            raise BadRequest(f"{case.name}: {effect} has no {unknown}; remove its result and solve again")
 
 
 def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:

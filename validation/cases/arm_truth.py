@@ -102,9 +102,8 @@ def plan_cases(
     kinds: list[CaseKind] = [kind for kind, count in counts.items() for _ in range(count)]
     kinds += ["single"] * (cases - len(kinds))
     deck = _deal_effects(unknown, kinds.count("out-of-catalogue"), rng)
-    return tuple(
-        PlannedCase(kinds[k], _sample_effects(kinds[k], known, deck, rng)) for k in rng.permutation(cases)
-    )
+    shuffled = [kinds[k] for k in rng.permutation(cases)]
+    return tuple(PlannedCase(kind, _sample_effects(kind, known, deck, rng)) for kind in shuffled)
 
 
 def _deal_effects(

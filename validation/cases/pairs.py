@@ -106,9 +106,8 @@ def draw_typical(made: robot_draw.CaseMotions, rng: np.random.Generator) -> robo
     sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
     kind, size = one.entry.kind, sign * one.entry.typical * one.scale
     families = tuple(sorted(map(str, kind.families)))
-    return robot_draw.DrawnEffect(
-        kind.name, one.place, str(kind.family), size, float(rng.uniform()), 0.0, families
-    )
+    shape = float(rng.uniform())
+    return robot_draw.DrawnEffect(kind.name, one.place, str(kind.family), size, shape, 0.0, families)
 
 
 def describe(made: Comparison) -> Document:

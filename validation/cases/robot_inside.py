@@ -57,9 +57,8 @@ class AccelerationLimit(TrueEffect, name="acceleration limit", family=Family.ACT
         limit, h = 1.0 / self.size, run.step_s
         left = command - self.at
         # the speed from which the limit just stops at the command within whole steps
-        most = math.copysign(
-            math.sqrt(2.0 * limit * abs(left) + (0.5 * limit * h) ** 2) - 0.5 * limit * h, left
-        )
+        root = math.sqrt(2.0 * limit * abs(left) + (0.5 * limit * h) ** 2)
+        most = math.copysign(root - 0.5 * limit * h, left)
         if abs(left) < limit * h * h and abs(self.speed) <= limit * h:
             self.at, self.speed = command, 0.0
             return command
@@ -195,9 +194,8 @@ class TemperatureFriction(TrueEffect, name="temperature-dependent friction", fam
 def add_gear(spec: mujoco.MjSpec, place: str) -> mujoco.MjsJoint:
     """Add the hinge between motor and link, after the motor's; it has the same axis."""
     motor = spec.joint(place)
-    return motor.parent.add_joint(
-        name=place + GEAR, type=mujoco.mjtJoint.mjJNT_HINGE, axis=motor.axis, pos=motor.pos
-    )
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    return motor.parent.add_joint(name=place + GEAR, type=hinge, axis=motor.axis, pos=motor.pos)
 
 
 def scale(values: object, factor: float) -> np.ndarray:

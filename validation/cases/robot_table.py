@@ -121,9 +121,8 @@ def entries_of(robot: Robot) -> tuple[Entry, ...]:
 
 def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[PlacedEntry, ...]:
     """List the effects of a table at all their places."""
-    return tuple(
-        PlacedEntry(entry, place, scale) for entry in entries for place, scale in _places(robot, entry)
-    )
+    placed = ((entry, place, scale) for entry in entries for place, scale in _places(robot, entry))
+    return tuple(PlacedEntry(*one) for one in placed)
 
 
 def _places(robot: Robot, entry: Entry) -> Iterator[tuple[str, float]]:

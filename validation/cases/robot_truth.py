@@ -222,9 +222,8 @@ class _Motion:
         self.times_s = np.arange(-before, steps + 1) * plant.step_s
         share = np.clip(self.times_s / ((self.n - 1) * period_s), 0.0, 1.0)
         self.heat_degC = temperature[0] + share * (temperature[1] - temperature[0])
-        self.held = np.array(
-            [self._hold(row, self._total("command_delay_s", j)) for j, row in enumerate(commands)]
-        )
+        late_s = [self._total("command_delay_s", j) for j in range(len(commands))]
+        self.held = np.array([self._hold(row, late_s[j]) for j, row in enumerate(commands)])
         self.late = [self._total("log_delay_s", j) for j in range(len(joints))]
         self.first = commands[:, 0].tolist()
         self.frictions = self._list("friction_Nm")

@@ -120,9 +120,8 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
         options["progress"](0.5, "half")
         return verdicts.diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
 
-    cut = replace(
-        load(folder / "robot.toml", folder / "log.parquet", held_out=["motion 3"]), losses=("is cut",)
-    )
+    logs = load(folder / "robot.toml", folder / "log.parquet", held_out=["motion 3"])
+    cut = replace(logs, losses=("is cut",))
     monkeypatch.setattr(diagnosis, "load", lambda *_, **__: cut)
     monkeypatch.setattr(diagnosis, "diagnose", find)
     reports = []

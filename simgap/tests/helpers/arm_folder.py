@@ -33,9 +33,8 @@ position = {{ column = "position_{name}", unit = "rad" }}
 def write_arm(folder):
     """Write the model without a table, the robot file, and logs of an arm that meets a table."""
     (folder / "model.xml").write_text(MODEL.format(table="", ball=""))
-    (folder / "robot.toml").write_text(
-        ROBOT + "".join(JOINT.format(name=name) for name in ("shoulder", "elbow"))
-    )
+    joints = "".join(JOINT.format(name=name) for name in ("shoulder", "elbow"))
+    (folder / "robot.toml").write_text(ROBOT + joints)
     write_logs(folder / "log.parquet", slow_logs(planar_arm(table=True), low=-0.5, high=1.0))
 
 

@@ -195,9 +195,8 @@ def _beyond_range(
         return
     question = _ask_counts(robot, joint, largest / allowed) or _ask_unit(robot, joint, largest / allowed)
     if question:
-        text = (
-            f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}: {question}"
-        )
+        ends = f"the position reaches {joint.show(largest)}, the model ends at {joint.show(allowed)}"
+        text = f"{ends}: {question}"
         yield Remark(RemarkKind.UNIT, joint.name, motions, text, largest / allowed)
 
 

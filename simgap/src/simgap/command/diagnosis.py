@@ -181,9 +181,8 @@ def _refuse_any(given: dict[str, bool], why: str) -> None:
 def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
-        check_distinct_files(
-            {"model": robot.path.parent / robot.file.model, "patch": request.patch / MODEL_FILE}
-        )
+        model = robot.path.parent / robot.file.model
+        check_distinct_files({"model": model, "patch": request.patch / MODEL_FILE})
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
     start = {} if request.start is None else read_found(robot, request.start)
@@ -222,9 +221,8 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
 def _diagnose_tracker(
     request: DiagnoseRequest, file: SerialFile, terms: tuple[str, ...], progress: Progress
 ) -> RobotDiagnosis:
-    given = {
-        name: getattr(request, name.replace("-", "_")) for name in ("split", "held-out", "effects", "start")
-    }
+    names = ("split", "held-out", "effects", "start")
+    given = {name: getattr(request, name.replace("-", "_")) for name in names}
     _refuse_any(
         {name: bool(value) for name, value in given.items()},
         "is for logs; of poses, the earlier ones are fitted and the later ones judge",
@@ -233,9 +231,8 @@ def _diagnose_tracker(
         raise BadRequest(f"logs: {len(request.logs)} tables of poses; give one, for one pose of the tracker")
     folder, (table,) = request.robot.parent, request.logs
     if table.name not in file.poses:
-        raise RobotError(
-            f"{request.robot}: poses: has no mapping for {table.name}; has {', '.join(file.poses)}"
-        )
+        known = ", ".join(file.poses)
+        raise RobotError(f"{request.robot}: poses: has no mapping for {table.name}; has {known}")
     path, mapping = folder / file.serial_arm, folder / file.poses[table.name]
     if request.patch is not None:
         check_distinct_files({"serial_arm": path, "patch": request.patch / ARM_FILE})

@@ -109,10 +109,8 @@ def open_table(
     path: Path, columns: Mapping[str, pa.Array | pa.ChunkedArray], wanted: Sequence[str], **known: Any
 ) -> TableLog:
     """Make a log of columns and other fields; RobotError if a wanted one is missing, or one has no rows."""
-    arrays = {
-        name: one.combine_chunks() if isinstance(one, pa.ChunkedArray) else one
-        for name, one in columns.items()
-    }
+    is_chunked = {name: isinstance(one, pa.ChunkedArray) for name, one in columns.items()}
+    arrays = {name: one.combine_chunks() if is_chunked[name] else one for name, one in columns.items()}
     if not arrays or any(len(one) == 0 for one in arrays.values()):
         raise RobotError(f"{path}: has no rows; name a log with samples")
     log = TableLog(path, arrays, **known)

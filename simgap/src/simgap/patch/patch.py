@@ -168,9 +168,8 @@ def _option_changes(robot: Robot) -> Iterator[Change]:
     for joint in robot.joints:
         dof = joint.dof_index
         if tuple(own.dof_solref[dof]) != reference or tuple(own.dof_solimp[dof]) != HARD_IMPEDANCE:
-            yield Change(
-                "joint", robot.mjcf_joint(joint.name), hard, "dry friction that does not creep under load"
-            )
+            reason = "dry friction that does not creep under load"
+            yield Change("joint", robot.mjcf_joint(joint.name), hard, reason)
         if own.jnt_actfrclimited[own.dof_jntid[dof]]:
             free = (("actuatorfrclimited", "false"),)
             yield Change("joint", robot.mjcf_joint(joint.name), free, "the actuator has the torque limit")

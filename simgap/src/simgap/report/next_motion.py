@@ -168,9 +168,8 @@ def draw_bands(one: Curve) -> str:
         middle = _scale(value, low, high, HEIGHT - 28, 24)
         around = _points(np.concatenate([x, x[::-1]]), np.concatenate([top, bottom[::-1]]))
         shapes.append(f'<polygon points="{around}" fill="{colour}" fill-opacity="0.15"/>')
-        shapes.append(
-            f'<polyline points="{_points(x, middle)}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
-        )
+        line = f'<polyline points="{_points(x, middle)}" fill="none" stroke="{colour}"'
+        shapes.append(f'{line} stroke-width="1.5"/>')
     ticks = [
         f'<text x="{MARGIN - 6}" y="{_scale(np.array([at]), low, high, HEIGHT - 28, 24)[0] + 4:.0f}" '
         f'text-anchor="end">{at:.3g}</text>'

@@ -264,9 +264,9 @@ def _remaining_part(diagnosis: Diagnosis) -> list[str]:
         return [heading("What remains"), paragraph("Nothing that differs from noise.")]
     rows = []
     for one in diagnosis.remaining:
-        depends = (
-            (one.depends_on, percent(one.depends_share)) if one.depends_on else ("no logged variable", "")
-        )
+        depends = ("no logged variable", "")
+        if one.depends_on:
+            depends = (one.depends_on, percent(one.depends_share))
         rows.append((one.joint, one.regime, quantity(one.mean_abs, one.unit), *depends))
     about = "No effect of the catalogue explains this part; it is apart from what was named."
     head = ("joint", "regime", "mean error", "depends on", "share of it")

@@ -98,9 +98,8 @@ def thin(one: Trace) -> Trace:
     shown = [*([] if one.measured is None else [one.measured]), one.nominal, one.explained]
     at = extreme_rows(shown)
     measured = None if one.measured is None else one.measured[at]
-    return replace(
-        one, time_s=one.time_s[at], measured=measured, nominal=one.nominal[at], explained=one.explained[at]
-    )
+    kept = replace(one, nominal=one.nominal[at], explained=one.explained[at])
+    return replace(kept, time_s=one.time_s[at], measured=measured)
 
 
 def extreme_rows(series: Iterable[Array]) -> Integers:

@@ -280,17 +280,15 @@ def _values(log: LogFile, columns: TableColumns, quantity: Quantity, order: Inte
             )
         rows.append((value if order is None else value[order]) * unit.factor + unit.offset)
     if len({one.size for one in rows}) > 1:
-        raise RobotError(
-            f"{log.path}: columns {', '.join(columns.columns)}: are not equally long; give a table"
-        )
+        named = ", ".join(columns.columns)
+        raise RobotError(f"{log.path}: columns {named}: are not equally long; give a table")
     return np.array(rows)
 
 
 def _check_stale(path: Path, row: Integers, joint_rad: Array, measured: Array) -> None:
     """Check that measurements change when the arm moves."""
-    is_stale = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
-        np.diff(joint_rad, axis=1) != 0.0, axis=0
-    )
+    stands, moves = np.diff(measured, axis=1) == 0.0, np.diff(joint_rad, axis=1) != 0.0
+    is_stale = np.all(stands, axis=0) & np.any(moves, axis=0)
     run = np.convolve(is_stale, np.ones(MIN_STALE_ROWS - 1, int), "valid") == MIN_STALE_ROWS - 1
     if run.any():
         raise RobotError(

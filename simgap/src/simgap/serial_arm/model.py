@@ -147,9 +147,8 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
 def features(arm: SerialArm, series: chain.PoseSeries, orders: int) -> Array:
     """Compute the factors of all coefficients: torque, last direction, waves, (joints, n, 2 + 2 orders)."""
     q = series.joint_rad
-    ends, axes = chain.forward_kinematics(
-        chain.repeat_pose(chain.IDENTITY, series.count), arm.link_geometry, q
-    )
+    start = chain.repeat_pose(chain.IDENTITY, series.count)
+    ends, axes = chain.forward_kinematics(start, arm.link_geometry, q)
     masses = np.array([one.mass_kg for one in arm.links])
     centres = np.array([one.mass_centre_m for one in arm.links])
     torque = chain.load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
@@ -192,11 +191,8 @@ class SerialModel:
         """List the parameters in the order of the values: base, target, links, coefficients of the joints."""
         tolerance = self.arm.uncertainty
         sizes = (tolerance.angle_rad, tolerance.length_m)
-        found = [
-            _geometry_parameter(place, name, *sizes)
-            for place in ("base", "target")
-            for name in GEOMETRY_NAMES
-        ]
+        places = [(place, name) for place in ("base", "target") for name in GEOMETRY_NAMES]
+        found = [_geometry_parameter(*one, *sizes) for one in places]
         if GEOMETRY in self.terms:
             links = ((one.name, name) for one in self.arm.links for name in GEOMETRY_NAMES)
             found += [_with_prior(_geometry_parameter(*which, *sizes)) for which in links]
@@ -225,9 +221,8 @@ class SerialModel:
         errors = joint_coefficients(self.arm, self.orders)
         errors[:, self._chosen] += rest.reshape(len(self.arm.links), -1)
         links = (_update_link(*changed) for changed in zip(self.arm.links, geometry, errors, strict=True))
-        setup = TrackerSetup(
-            _move_frame(self.setup.X_TB, values[:6]), _move_frame(self.setup.X_FM, values[6:12])
-        )
+        X_TB, X_FM = _move_frame(self.setup.X_TB, values[:6]), _move_frame(self.setup.X_FM, values[6:12])
+        setup = TrackerSetup(X_TB, X_FM)
         return replace(self.arm, links=tuple(links)), setup
 
     def poses(self, values: Array) -> chain.Pose:
@@ -242,9 +237,8 @@ class SerialModel:
         X_B, base = chain.link_transform(chain.repeat_pose(self.setup.X_TB, n), still, values[:6])
         turn = self.series.joint_rad + joint_errors_rad(arm, self.features)
         ends, axes = chain.forward_kinematics(X_B, arm.link_geometry, turn)
-        X_M, target = chain.link_transform(
-            ends[-1] @ chain.repeat_pose(self.setup.X_FM, n), still, values[6:12]
-        )
+        placed = ends[-1] @ chain.repeat_pose(self.setup.X_FM, n)
+        X_M, target = chain.link_transform(placed, still, values[6:12])
         return X_M, [base, target, *axes]
 
     def __call__(self, values: Array) -> Linearisation:

@@ -60,9 +60,8 @@ class CrossValidation:
         self._pull = (prior * scale) ** 2 * fitted.values / scale
         self._H = np.array([self._square(self._J[self.block == k]) for k in range(BLOCKS)])
         self._g = np.array([self._against(self._J, k) for k in range(BLOCKS)])
-        self._factor = [
-            cho_factor(self._H.sum(axis=0) - self._H[k] + np.diag(self._penalty)) for k in range(BLOCKS)
-        ]
+        H = [self._H.sum(axis=0) - own + np.diag(self._penalty) for own in self._H]
+        self._factor = [cho_factor(one) for one in H]
 
     def held_out(self, more: Array | None = None) -> HeldOutErrors:
         """Predict each block from the others.

@@ -122,11 +122,8 @@ def parse_name(name: str, joints: Sequence[str]) -> ColumnName:
     key = "command" if is_command else signal
     if key == "position" and SECONDARY & set(there):
         key = "secondary"
-    if (
-        UNCLEAR & set(own)
-        or signal == "time"
-        or (is_command and signal in ("gain", "enabled", "temperature"))
-    ):
+    is_state = is_command and signal in ("gain", "enabled", "temperature")
+    if UNCLEAR & set(own) or signal == "time" or is_state:
         key = ""
     return ColumnName(name, joint, " ".join(rest), index, signal, is_command, key, unit)
 

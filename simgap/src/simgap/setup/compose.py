@@ -78,9 +78,8 @@ def draft_robot_file(
     if matches.still:
         draft.reasons["joints",] = f"left away, as they never change: {', '.join(matches.still)}"
     by_joint = _without_followers(draft, model, by_joint)
-    draft.content["joints"] = {
-        joint: _head_of_joint(draft, model, joint, own) for joint, own in by_joint.items()
-    }
+    tables = {joint: _head_of_joint(draft, model, joint, own) for joint, own in by_joint.items()}
+    draft.content["joints"] = tables
     of_lerobot = all(any(one.name.startswith(f"{name}[") for one in columns) for name in LEROBOT)
     grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
     write_columns(draft, opened, model, by_joint, unit, grippers)
@@ -221,10 +220,8 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
         if times.repeat:
             draft.content["motion"]["repeat_column"] = times.repeat
         else:
-            draft.ask(
-                "which motions repeat one another? Write repeats or repeat_column; they show the noise",
-                "motion",
-            )
+            question = "which motions repeat one another? Write repeats or repeat_column; they show the noise"
+            draft.ask(question, "motion")
         draft.reasons["motion",] = times.reasons["motion"]
 
 
