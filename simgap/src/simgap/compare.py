@@ -142,7 +142,8 @@ def select_differences(
     model: ResidualModel, base: Sequence[Effect], shown: Sequence[Effect], seed: int, meter: Meter
 ) -> Selection:
     """Select effects that both sets have in common, and differences between the sets, beside one another."""
-    differences = [Difference(one.place, unbound(one)) for one in (*base, *shown)]
+    every = {one.key: one for one in (*shown, *base)}  # the catalogue has some of the base too
+    differences = [Difference(one.place, unbound(one)) for one in every.values()]
     return select_effects(model, base, [*shown, *differences], seed=seed, meter=meter)
 
 

@@ -28,6 +28,11 @@ class Union:
 
     effects: tuple[Effect, ...]
 
+    def __post_init__(self) -> None:
+        """Check that each effect has a key of its own, by which its sizes are found."""
+        keys = [effect.key for effect in self.effects]
+        assert len(set(keys)) == len(keys), f"effects come twice: {sorted(keys)}"
+
     @cached_property
     def sizes(self) -> tuple[Size, ...]:
         """Sizes of all effects, one after the other."""
