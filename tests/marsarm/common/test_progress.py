@@ -133,6 +133,13 @@ def test_a_guessed_share_tells_a_range_from_half_to_twice_what_a_counted_one_tel
     assert guessed == pytest.approx((counted[0] / 2.0, counted[1] * 2.0))
 
 
+def test_the_first_hundredth_of_a_guess_tells_no_time_left() -> None:
+    state = ProgressState(0.0)
+    for share, is_told in ((0.0, False), (0.009, False), (0.02, True)):
+        state.update(share, GUESS, "work", 1.0 + share)
+        assert (state.left_s(2.0) is not None) == is_told
+
+
 def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells() -> None:
     told = []
     for total in (1.0, GUESS):

@@ -184,7 +184,8 @@ class ProgressState:
         """Estimate the least and the most time left; None before there is an estimate.
 
         The least is right if the present step ends now, the most if nothing of it is done. A guessed share
-        divides and multiplies them by GUESS_SPREAD.
+        divides and multiplies them by GUESS_SPREAD; the first STEP of it tells more of the start than of the
+        work.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
         if self.earlier is not None:
@@ -194,7 +195,7 @@ class ProgressState:
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
             return (left_s, left_s) if left_s > 0.0 else None  # the last step takes longer than it did
-        if reached_s <= self.first_s:
+        if reached_s <= self.first_s or (self.is_guess and self.share < first + STEP):
             return None
         spread = GUESS_SPREAD if self.is_guess else 1.0
         rest = (1.0 - self.share) / (self.share - first)
