@@ -9,8 +9,21 @@ from fsw.config import CYCLE_S
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.protect.inputs import CURRENT_GAIN, UPDATE_CYCLES, compute_bounds
-from fsw.protect.resistance import CONTACT, LEAST_UPDATES, monitor_free_move
+from fsw.protect.inputs import CURRENT_GAIN, UPDATE_CYCLES, WIND_UP_UPDATES, compute_bounds
+from fsw.protect.resistance import (
+    CONTACT,
+    LEAST_UPDATES,
+    LEAST_WIND_UP_UPDATES,
+    NOTHING,
+    FreeMove,
+    JointMeans,
+    check_wind_up,
+    compute_load_current,
+    compute_slack,
+    expect_currents,
+    monitor_free_move,
+    update_means,
+)
 from helpers.marks import slow_but
 from tests.fsw.protect.lab import (
     BOUNDS,
@@ -223,3 +236,104 @@ def test_friction_that_grows_with_speed_is_none():
 def test_only_a_free_move_is_monitored(other):
     arm = moving(other.get("move", a_move()), other.get("mode", Mode.FREE_SPACE))
     assert monitor_free_move(BOUNDS, None, arm, (0.0,) * 13, FRESH) == (None, ())
+
+
+OLD = JointMeans(2, 0.1, 0.01, 20, 1e-4, 0.0, 0.01, 1e-4, 1.0)
+FOLLOWS = {"wind_up_updates": 21, "wind_up_share": 1 / 21}
+ANEW = {"wind_up_updates": 0, "wind_up_share": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("was", "rate", "sigmas", "side", "current", "wind_up"),
+    [
+        ({}, 0.02, 2.0, 1.0, True, FOLLOWS),
+        ({"rate_rad_s": -0.01, "last_rate_rad_s": -0.01}, -0.02, -2.0, 1.0, True, FOLLOWS),
+        ({"last_rate_rad_s": -0.01}, 0.02, 2.0, 1.0, False, FOLLOWS),
+        ({}, 0.02, 4.0, 1.0, True, ANEW),
+        ({}, 0.02, -4.0, 1.0, True, FOLLOWS),
+        ({"wind_up_updates": 5}, 0.02, -4.0, 1.0, True, ANEW),
+        ({"last_side": 0.0}, 0.02, 2.0, 0.0, True, ANEW),
+        ({}, 0.02, 2.0, -1.0, True, ANEW),
+        ({"wind_up_updates": WIND_UP_UPDATES}, 0.02, 2.0, 1.0, True,
+         {"wind_up_updates": WIND_UP_UPDATES, "wind_up_share": 1 / WIND_UP_UPDATES}),
+    ],
+)  # fmt: skip
+def test_slow_means_follow_or_begin_anew(was, rate, sigmas, side, current, wind_up):
+    last = OLD._replace(**was)
+    off = sigmas * BOUNDS.wind_up_sigma_rad[last.wind_up_updates]
+    motor, wound = rate / BOUNDS.updates_Hz, last.wind_up_rad + off
+    dragged = {f"gear_{'lowest' if rate > 0 else 'highest'}_rad": WOUND_RAD}
+    loose = {"gear_lowest_rad": WOUND_RAD - 1.0, "gear_highest_rad": WOUND_RAD + 1.0} | dragged
+    arm = moving(
+        motor_rad=np.full(5, motor), resolver_error_rad=np.full(5, wound), side=np.full(5, side), **loose
+    )
+    now = FreeMove(UPDATE_CYCLES, (), (0.7,) * 5, NOTHING, NOTHING, (last,) * 5)
+    mean = {
+        "updates": 3,
+        "friction_A": 0.1 + (0.7 - 0.2 - 0.1) / 3,
+        "rate_rad_s": (2 * last.rate_rad_s + rate) / 3,
+    }
+    expected = JointMeans(
+        **(mean if current else {}),
+        wind_up_updates=wind_up["wind_up_updates"],
+        wind_up_rad=last.wind_up_rad + off * wind_up["wind_up_share"],
+        last_motor_rad=motor,
+        last_rate_rad_s=rate,
+        last_wind_up_rad=wound,
+        last_side=side,
+    )
+    for one in update_means(BOUNDS, now, arm, [0.2] * 5, FRESH):
+        assert one == pytest.approx(expected)
+
+
+def test_a_gear_takes_a_current_only_beyond_its_backlash():
+    gear = CONFIG.half_backlash_rad * np.array([0.5, -0.5, 1.0, 1.0, -1.0]) + [0.0, 0.0, 0.01, 0.02, -0.01]
+    load_A = compute_load_current(BOUNDS, moving(gear_rad=gear))
+    np.testing.assert_allclose(load_A, STIFFNESS / CONSTANT * [0.0, 0.0, -0.01, -0.02, 0.01], atol=1e-12)
+
+
+def test_a_current_is_expected_once_its_mean_is_known():
+    mean = JointMeans(LEAST_UPDATES, 0.1, 0.01, last_rate_rad_s=0.02)
+    means = (mean, mean._replace(last_rate_rad_s=-0.02), mean._replace(updates=LEAST_UPDATES - 1))
+    expected_A, per_A = expect_currents(BOUNDS, means, [0.2, 0.3, 0.4])
+    per = 1.0 / BOUNDS.current_sigma_A[LEAST_UPDATES]
+    assert (expected_A, per_A) == (pytest.approx((0.3, 0.4, 0.5)), (per, -per, 0.0))
+
+
+@pytest.mark.parametrize("side", [0.0, 1.0])
+def test_the_slack_of_a_current_is_that_of_friction_and_of_the_load_on_an_uncertain_side(side):
+    means = (JointMeans(rate_rad_s=0.01, last_rate_rad_s=0.03, last_side=side),) * 5
+    slack_A = 0.04 * np.array(BOUNDS.damping_As_rad) + BOUNDS.steady_A
+    if side == 0.0:
+        slack_A += BOUNDS.load_error_A
+    np.testing.assert_allclose(compute_slack(BOUNDS, means), slack_A)
+
+
+@pytest.mark.parametrize(("more", "rate", "found"), [(1, -1.0, True), (1, 1.0, False), (0, -1.0, False)])
+def test_a_wind_up_is_a_contact_against_the_motion_once_its_mean_is_known(more, rate, found):
+    before = (JointMeans(wind_up_updates=LEAST_WIND_UP_UPDATES + more),) * 5
+    now = tuple(one._replace(last_wind_up_rad=1e-3) for one in before)
+    move = a_move(setpoint_rate_rad_s=np.full(5, rate * 1e-3))
+    (*events,) = check_wind_up(BOUNDS, before, now, moving(move), move)
+    assert bool(events) is found
+    assert all(event.torque_Nm == pytest.approx(1e-3 * STIFFNESS[event.joint]) for event in events)
+
+
+def test_bounds_follow_from_noise_encoders_and_stiffness():
+    quiet = 6.0 * np.sqrt(2.0)
+    jumps = (
+        quiet * MONITORS.current_noise_A + STIFFNESS / CONSTANT * CONFIG.speed_rad_s / 64,
+        quiet * MONITORS.resolver_noise_rad + CONFIG.speed_rad_s / 64,
+    )
+    np.testing.assert_allclose(BOUNDS.reading_step, np.concatenate(jumps))
+    counts = [joint.encoder_counts_per_turn * joint.gear_ratio for joint in JOINTS]
+    np.testing.assert_allclose(BOUNDS.turning_rad_s, 64 * 2 * np.pi / np.array(counts))
+    assert BOUNDS.updates_Hz == 8.0
+    for sigma, noise, fast, most in (
+        (BOUNDS.current_sigma_A, MONITORS.current_noise_A, 1 / 7, 8),
+        (BOUNDS.wind_up_sigma_rad, MONITORS.resolver_noise_rad, 1 / 31, 32),
+    ):
+        updates = np.maximum(np.arange(most + 1), 1)
+        np.testing.assert_allclose(sigma, noise * np.sqrt(fast + 1 / (8 * updates)))
+    for bound, name in ((BOUNDS.load_error_A, "load_error_Nm"), (BOUNDS.damping_As_rad, "damping_Nms_rad")):
+        np.testing.assert_allclose(bound * CONSTANT, [getattr(joint, name) for joint in JOINTS])
