@@ -120,19 +120,6 @@ def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_import_of_mujoco_starts_no_process_that_ctrl_c_would_reach() -> None:
-    code = """
-from marsarm.cli.app import main
-try:
-    main()
-except SystemExit:
-    import mujoco, sys
-    print("glfw.library" in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", code, "--version"], cwd=ROOT, capture_output=True, text=True)
-    assert done.stdout.splitlines()[1:] == ["False"], done.stderr
-
-
 def interrupted_log(path: Path) -> Path:
     """Record a log whose run is interrupted."""
     with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:  # noqa: PT012

@@ -26,8 +26,6 @@ from typer.models import CommandInfo
 
 from simgap.common.options import CLUSTER_HERE
 
-GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
-"""Values of MUJOCO_GL that turn OpenGL off in mujoco."""
 NEW_OBJECTS: Final = 50_000
 """New objects before a search for garbage. With the 700 of Python, searches take a tenth of the start."""
 EXIT_BAD_INPUT: Final = 2
@@ -177,31 +175,11 @@ def run_app(app: typer.Typer, program: str) -> None:
     141 the reader of the output is closed.
     """
     gc.set_threshold(NEW_OBJECTS)
-    _drop_gl_settings()
-    _do_without_glfw()
+    os.environ["MUJOCO_GL"] = "disable"  # pictures are ray cast; OpenGL may be missing, block or crash
     _completion_classes._sanitize_help_text = _join_lines  # typer takes brackets for markup, and wraps
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
     with buffer_stdout():
         _run(app, program)
-
-
-def _drop_gl_settings() -> None:
-    """Remove MUJOCO_GL from the environment, unless it turns OpenGL off.
-
-    A value that mujoco cannot serve stops its import. Pictures do not need the variable.
-    """
-    if os.environ.get("MUJOCO_GL", "").lower().strip() not in GL_OFF:
-        os.environ.pop("MUJOCO_GL", None)
-
-
-def _do_without_glfw() -> None:
-    """Let mujoco do without glfw on Linux, where pictures need no window.
-
-    The import of glfw starts Python once more to look for its library. This takes time, and Ctrl-C would
-    make that process print an error.
-    """
-    if sys.platform == "linux":
-        sys.modules["glfw"] = None  # type: ignore[assignment]
 
 
 def _join_lines(text: str) -> str:
