@@ -37,7 +37,8 @@ def check_targets(position_m: Array, direction: Array, names: tuple[str, str], w
         if wrong.any():
             first = int(np.argmax(wrong))
             numbers = format_numbers(tuple((position_m, direction)[which][:, first].tolist()))
-            raise BadRequest(f"{names[which]}: {numbers} {complaint}")
+            number = f"[{first}]" if wrong.size > 1 else ""
+            raise BadRequest(f"{names[which]}{number}: {numbers} {complaint}")
 
     for which, values in enumerate((position_m, direction)):
         refuse(~np.isfinite(values).all(axis=0), which, "is not three finite numbers")

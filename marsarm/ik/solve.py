@@ -55,8 +55,13 @@ class IkTargets:
 def make_targets(position_m: Array, approach: Array, frame: str = "rnav") -> IkTargets:
     """Build targets in a frame of FRAMES of positions and directions of any length, shape (3, n) each.
 
-    BadRequest, in the words of the user, says that a number is not finite, a point too far, a direction 0.
+    BadRequest, in the words of the user, says that a number is not finite, a point too far, a direction 0, or
+    the shapes differ.
     """
+    position_m, approach = np.asarray(position_m, float), np.asarray(approach, float)
+    if position_m.shape != approach.shape or position_m.ndim != 2 or len(position_m) != 3:
+        shapes = f"{position_m.shape} and {approach.shape}"
+        raise BadRequest(f"position and approach: have the shapes {shapes}; both must have (3, n)")
     if frame not in FRAMES:
         raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")
     what = "the one in which the tool is to point, such as 0 0 1 for down"

@@ -32,7 +32,7 @@ from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.setting import World
 from sim.world import build
-from simgap.common.errors import BadRequest, UserError
+from simgap.common.errors import BadOutput, BadRequest, UserError
 from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, as_guess, part_of
 
@@ -110,9 +110,9 @@ class RunLog:
     A context manager. Without a path it records nothing.
     """
 
-    def __init__(self, path: Path | None, header: Mapping[str, str], params: Params) -> None:
-        """Open the log; BadRequest if it cannot be opened."""
-        self._path, self._last_s = path, 0.0
+    def __init__(self, path: Path | None, header: Mapping[str, str], params: Params, is_kept: bool) -> None:
+        """Open the log, which is for the page alone if it is not kept; BadRequest if it cannot be opened."""
+        self._path, self._is_kept, self._last_s = path, is_kept, 0.0
         self._recorder: Recorder | None = None
         self.events: tuple[tuple[float, LogNotWritten], ...] = ()
         """Time [s] and event; empty if the log is complete, else one."""
@@ -140,7 +140,7 @@ class RunLog:
             return
         with self._note_failure(self._recorder):
             self._recorder.close("" if error is None else describe_interruption(error))
-        if error is not None:
+        if error is not None and self._is_kept:
             error.add_note(f"log {self._path} ends at {self._last_s:.2f} s and says so")
 
     @contextmanager
@@ -200,6 +200,24 @@ def save_pictures(
 
         movie = save_movie(model, iter_poses(), "overview", files.movie)
     return picture, movie
+
+
+@contextmanager
+def choose_log(files: RunFiles) -> Iterator[Path | None]:
+    """Give the log of a run: that which is asked for, or one for the page alone, which is deleted.
+
+    BadOutput if there is no folder for it.
+    """
+    if files.log is not None or files.page is None:
+        yield files.log
+        return
+    try:
+        scratch = TemporaryDirectory()
+    except OSError as error:
+        why = f"needs a folder for a temporary log ({error.strerror}); set TMPDIR, or record with --log"
+        raise BadOutput(f"page {files.page}: {why}") from error
+    with scratch as folder:
+        yield Path(folder) / "run.mcap"
 
 
 def write_page(log: Path, title: str, path: Path | None) -> str | None:
@@ -265,10 +283,9 @@ def execute(
     named = (files.picture, files.movie, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
-    with TemporaryDirectory() as scratch:
-        log_path = files.log or (None if files.page is None else Path(scratch) / "run.mcap")
+    with choose_log(files) as log_path:
         step = SAMPLE_CYCLES if files.log is None else 1  # a log for the page alone is small
-        with RunLog(log_path, header, loop.config.params) as log:
+        with RunLog(log_path, header, loop.config.params, is_kept=files.log is not None) as log:
             for record in run:
                 if record.tick % step == 0 or record.outputs.evrs or record.outputs.tool is not None:
                     log.write(record)
@@ -284,6 +301,8 @@ def execute(
         if loop.failure is not None:
             raise loop.failure
         problem = None if log_path is None else write_page(log_path, title, files.page)
+        if problem is None and files.page is not None:
+            problem = next((f"{files.page} plays to {e.from_s:.2f} s ({e.why})" for _, e in log.events), None)
     result = run.result()
     drawn.best = loop.plant.data.qpos if drawn.best is None else drawn.best
     picture, movie = save_pictures(files, world, arm, drawn, drawing)
@@ -293,7 +312,7 @@ def execute(
         page=files.page if problem is None else None,
         page_problem=problem,
         replaced=replaced,
-        log_problem=next((event.message for _, event in log.events), None),
-        events=log.events,
+        log_problem=next((event.message for _, event in log.events), None) if files.log else None,
+        events=log.events if files.log else (),
     )
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

@@ -121,6 +121,8 @@ def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path
     """Return the file of each topic, after all checks that are possible before writing."""
     if os.path.exists(out) and not os.path.isdir(out):
         raise BadOutput(f"out {out}: is a file; give a folder, new or not")
+    if out.suffix in (".csv", ".parquet") and not os.path.isdir(out):
+        raise BadOutput(f"out {out}: is no name of a folder; give one, such as {out.stem}; --csv writes CSV")
     check_new_path(out, "out")
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
     if os.path.isdir(out):

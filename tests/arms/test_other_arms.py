@@ -187,7 +187,7 @@ def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path
         ("arm", "--build", "small"),
         ("place", "--arm", "small"),
         ("calibrate", "--arm", "small"),
-        ("hardstop", "--arm", "small", "--plan"),
+        ("hardstop", "--arm", "small"),
         ("run", "sampling", "--arm", "small"),
     ],
     ids=lambda words: words[0],

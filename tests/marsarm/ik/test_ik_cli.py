@@ -9,10 +9,11 @@ from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
 from marsarm.ik.request import IkRequest, ModelRequest
-from marsarm.ik.solve import ik_document, solve
+from marsarm.ik.solve import ik_document, make_targets, solve
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.setting import World
+from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 from tests.tools import TOOLS
@@ -88,6 +89,18 @@ def test_a_branch_out_of_limits_says_which_joint_and_by_how_much():
             assert branch["beyond_limit_deg"] > 0.0
             has_angles = branch["output_deg"] is not None
             assert has_angles or (document["compensate"] == "absolute" and "about" in branch["reason"])
+
+
+@pytest.mark.parametrize("position_m", [np.zeros((4, 3)), np.zeros(3), 0.0, [[1.0, 2.0]] * 3], ids=str)
+def test_positions_and_directions_of_other_shapes_are_refused(position_m):
+    with pytest.raises(BadRequest, match=r"have the shapes .* and \(3, 1\); both must have \(3, n\)"):
+        make_targets(position_m, np.ones((3, 1)))
+
+
+def test_of_many_targets_the_wrong_one_is_named():
+    position_m = np.array([[2.0, 0.0, np.nan], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    with pytest.raises(BadRequest, match=r"^position\[2\]: nan 0 0 is not three finite numbers"):
+        make_targets(position_m, np.ones((3, 3)))
 
 
 def test_a_target_that_no_branch_reaches_has_the_status_of_a_refusal(tmp_path):

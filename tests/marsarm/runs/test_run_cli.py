@@ -1,11 +1,15 @@
 """Tests of `marsarm run` and `marsarm run --list` as a user runs them."""
 
 import json
+from pathlib import Path
 
 import pytest
 
+from marsarm.runs.execution import choose_log
+from marsarm.runs.request import RunFiles
 from marsarm.telemetry.read import read_log
 from sim.scenario.file import built_in_scenarios
+from simgap.common.errors import BadOutput
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 
 REFUSED = SHORT_RUN + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
@@ -80,6 +84,19 @@ def test_a_full_disk_does_not_end_the_run_and_an_event_tells(folder):
     log = read_log(folder / "run.mcap")
     assert log.truncated
     assert len(log["/joint"]) == round(64 * said["fields"]["from_s"])
+
+
+def test_only_a_page_without_a_log_needs_a_temporary_folder(monkeypatch):
+    def no_folder():
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("marsarm.runs.execution.TemporaryDirectory", no_folder)
+    page, log = Path("run.html"), Path("run.mcap")
+    for files in (RunFiles(), RunFiles(log=log), RunFiles(page=page, log=log)):
+        with choose_log(files) as path:
+            assert path == files.log
+    with pytest.raises(BadOutput, match=r"page run.html: .*No space left on device\); set TMPDIR"):
+        choose_log(RunFiles(page=page)).__enter__()
 
 
 def test_the_scenarios_are_listed_with_a_line_each(tmp_path):

@@ -88,6 +88,12 @@ def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written):
     assert (folder / "joint.parquet").read_bytes() == written
 
 
+def test_tables_have_a_folder_and_no_name_of_a_file(folder):
+    done = marsarm(folder, "log", "export", "run.mcap", "out.csv")
+    assert done.returncode == 2
+    assert "out out.csv: is no name of a folder" in done.stderr
+
+
 @pytest.mark.parametrize("verb", ["info", "export", "recover"])
 def test_every_verb_has_help_with_an_example(folder, verb):
     ran = marsarm(folder, "log", verb, "--help")
