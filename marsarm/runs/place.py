@@ -1,7 +1,6 @@
 """Placement of an instrument on a surface: check the request, carry it out, report."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,9 +30,6 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,6 @@
 """Execution of a scenario: check the request, run it, apply its checks, report."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
 from marsarm.common.effects import parse_effects
@@ -29,9 +28,6 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import check_unlocked
 from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, as_guess, no_progress
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, slots=True)

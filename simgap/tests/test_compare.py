@@ -94,7 +94,10 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen():
     where, what, far, following = comparison_lines(Comparison(found, (limit,)))
     assert where == "Where: lift."
     assert what.startswith("What: change of gain at lift (gain_ratio -0.1), 95 % sure")
-    assert far.endswith(", the error of lift is 12 mrad; with the changes 2.4 mrad (noise: 2 mrad).")
+    assert far == (
+        "How far: with one model for both, the error of lift is 12 mrad; with the changes 2.4 mrad "
+        "(noise: 2 mrad)."
+    )
     nothing = Comparison(replace(found, findings=(), errors=(LIFT,)), (limit,))
     where, what, _, following = comparison_lines(nothing)
     assert where == "Where: nowhere; one model fits both sets of logs."

@@ -1,5 +1,7 @@
 """Selection, fit and verdict on residuals whose causes are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -143,6 +145,18 @@ def test_a_cause_near_the_noise_is_called_a_cause(seed):
     assert "near: square" in {one.key for one in selection.chosen.effects}
     (found,) = (one for one in find_confidence_sets(selection) if one.effect.key == "near: square")
     assert not explains_too_little(selection.context, found)
+
+
+def test_a_finding_that_removes_less_than_half_where_noise_is_known_is_not_called_a_cause():
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    context, (found,) = selection.context, find_confidence_sets(selection)
+    half, less = replace(found, share=0.5), replace(found, share=0.4)
+    assert [explains_too_little(context, one) for one in (half, less)] == [False, True]
+    told, doubted = (describe_finding(context, selection.chosen, one, [one]) for one in (half, less))
+    assert (told.families, told.effects) == ((Toy.family,), ("near: square",))
+    assert (doubted.places, doubted.families, doubted.effects) == (("near",), (), ())
+    unknown = replace(context, noise_loss=np.zeros_like(context.noise_loss))
+    assert not explains_too_little(unknown, less)
 
 
 @pytest.mark.slow

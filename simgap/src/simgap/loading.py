@@ -245,8 +245,9 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
     """Load the motions of one file, with sentences about what it lacks."""
     assert robot.file is not None
     file = robot.file
-    of = file.joints.items()
-    signals = {(joint, key): one for joint, table in of for key, one in table.columns().items()}
+    signals = {
+        (joint, key): one for joint, table in file.joints.items() for key, one in table.columns().items()
+    }
     wanted = [name for one, _ in signals.values() for name in (one.column, one.time_column)]
     gains = {joint: table.gain_column for joint, table in file.joints.items() if table.gain_column}
     conditions = {name: table.column for name, table in file.conditions.items() if table.column}
@@ -267,8 +268,10 @@ def _load_file(robot: Robot, path: Path) -> tuple[list[Motion], list[str]]:
         f"there is no {key} of {', '.join(columns)}: {', '.join(columns.values())} never has a number"
         for key, columns in absent.items()
     ]
-    of = file.joints.items()
-    unwrapped = {name: unwrap_counters(one, found[name], robot.range_rad(name)) for name, one in of}
+    unwrapped = {
+        joint: unwrap_counters(table, found[joint], robot.range_rad(joint))
+        for joint, table in file.joints.items()
+    }
     gain = {joint: rows.gains(column) for joint, column in gains.items()}
     repeats = rows.labels(file.motion.repeat_column)
     valued = {name: rows.values(column) for name, column in conditions.items()}

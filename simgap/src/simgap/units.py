@@ -47,8 +47,8 @@ SHARES: Final = {"fraction": 1.0, "percent": 100.0}
 """Units of an angle that is logged as a share of a range -> value of the whole range."""
 _DEG, _TURN = math.pi / 180, 2 * math.pi
 UNITS: Final = {
-    name: Unit(quantity, factor, -273.15 if name == "K" else 0.0)
-    for quantity, factors in {
+    name: Unit(kind, factor)
+    for kind, factors in {
         Quantity.ANGLE: {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEG, "turn": _TURN, "count": _TURN}
         | {name: 1.0 / whole for name, whole in SHARES.items()},
         Quantity.LENGTH: {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
@@ -57,7 +57,7 @@ UNITS: Final = {
         Quantity.TORQUE: {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3},
         Quantity.CURRENT: {"A": 1.0, "mA": 1e-3},
         Quantity.VOLTAGE: {"V": 1.0, "mV": 1e-3},
-        Quantity.TEMPERATURE: {"degC": 1.0, "K": 1.0},
+        Quantity.TEMPERATURE: {"degC": 1.0},
         Quantity.TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
         Quantity.FLAG: {"flag": 1.0},
         Quantity.LINEAR_SPEED: {"m/s": 1.0, "mm/s": 1e-3},
@@ -72,7 +72,7 @@ UNITS: Final = {
         Quantity.RATIO: {"1": 1.0, "%": 1e-2},
     }.items()
     for name, factor in factors.items()
-}
+} | {"K": Unit(Quantity.TEMPERATURE, 1.0, -273.15)}
 """Every unit that a robot file or a mapping of a table may name.
 
 Temperatures are in degC; all other quantities are in SI units.

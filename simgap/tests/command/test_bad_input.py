@@ -148,7 +148,7 @@ BOTH = {
     "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
     "pipe.toml log.parquet": "is not a regular file",
     "pipe_model.toml log.parquet": "is not a regular file",
-    "zero_byte.toml log.parquet": "cannot be read (embedded null",
+    "zero_byte.toml log.parquet": "is no name of a file; give the path of an MJCF file",
     "bytes_model.toml log.parquet": "is not text in UTF-8",
     # robot
     "shared_position.toml log.parquet": "elbow.position.column: is that of joints.shoulder.position too",
@@ -160,7 +160,10 @@ BOTH = {
     "empty_split.toml log.parquet": "default: is missing",
 }
 """Part of the sentence, by arguments of both verbs."""
-CHECK = {"robot.toml": "logs: none is given; name at least one log file"}
+CHECK = {
+    "robot.toml": "logs: none is given; name at least one log file",
+    "held log.parquet": "; or name a robot file, which ends in .toml",
+}
 """Part of the sentence, by arguments of `check`."""
 UNITS = {
     f"{robot}.toml {name}_{factor}.parquet": word

@@ -67,7 +67,8 @@ def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     done = run_simgap(folder, "check", "robot.toml", "degrees.parquet")
     assert done.returncode == 3
     words = " ".join(done.stdout.split())
-    assert "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.017" in words
+    said = "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"
+    assert said in words
 
 
 def test_radians_that_are_read_as_degrees_at_every_joint_are_a_question(folder):

@@ -10,8 +10,11 @@ from simgap.loading import load
 from simgap.robot import Robot
 
 ROBOTS = ("so101", "kr300", "pendulum", "ur10")
-LOADED = {"so101": {"shoulder_lift", "elbow_flex", "wrist_flex"}, "pendulum": {"servo"}}
-LOADED["kr300"] = {"a2", "a3", "a4", "a5"}
+LOADED = {
+    "so101": {"shoulder_lift", "elbow_flex", "wrist_flex"},
+    "kr300": {"a2", "a3", "a4", "a5"},
+    "pendulum": {"servo"},
+}
 """Joints that gravity moves against their friction."""
 LOGS = {
     "so101": ("so101/so101.parquet",),

@@ -83,7 +83,7 @@ def test_an_arm_without_links_is_none_and_one_without_gravity_in_its_file_stands
         (('order = "XYZ"', 'form = "matrice"'), "rotation.form: should be 'euler', 'rotation vector', 'quat"),
         (
             ('rz"]\nunit = "deg"\norder = "XYZ"', 'rz", "w"]\norder = "wzyx"\nform = "quaternion"'),
-            "order: should be wxyz or xyzw, not",
+            "rotation: order: should be wxyz or xyzw, not 'wzyx'",
         ),
         (('rz"]\nunit = "deg"\norder = "XYZ"', 'rz"]\norder = "XYZ"'), "unit: '' is no unit of angle"),
         (("[position]", "[place]"), "place: is not known"),

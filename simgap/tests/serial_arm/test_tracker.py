@@ -18,8 +18,11 @@ from simgap.serial_arm.tracker import diagnose_tracker, fit_tracker
 COUNT = 500
 WAVES = (0.0, 3e-4, 0.0, 0.0, 0.0, 0.0)
 FLAT = (0.0,) * 6
-THREE = {"joint0": {"hysteresis_rad": 2e-4}, "joint1": {"compliance_rad_per_Nm": 4e-5}}
-THREE["joint2"] = {"sin_rad": WAVES}
+THREE = {
+    "joint0": {"hysteresis_rad": 2e-4},
+    "joint1": {"compliance_rad_per_Nm": 4e-5},
+    "joint2": {"sin_rad": WAVES},
+}
 
 
 def built_with(**effects):

@@ -56,8 +56,10 @@ def audit(robot: Robot, logs: Logs) -> Audit:
         contact, is_below = find_plane(robot, motions, rest, free, np.asarray(held.any(axis=1)))
     remarks += [*cut_offs, *contact, *find_saturation(robot, motions), *find_collisions(robot, motions, rest)]
     ranked = sorted(remarks, key=lambda one: list(RemarkKind).index(one.kind))
-    held_words = "command is cut off or the joint is too weak"
-    reasons = {held_words: held, "contact with a plane": is_below[:, None] & chain}
+    reasons = {
+        "command is cut off or the joint is too weak": held,
+        "contact with a plane": is_below[:, None] & chain,
+    }
     usable, refused = _refuse(motions, rest, faulty, reasons)
     return Audit(rates, tuple(ranked), refused, usable, tuple(_find_untested(robot, motions)))
 

@@ -14,7 +14,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import ReportTable
 from simgap.files.columns import ColumnInfo
-from simgap.files.log_file import open_whole
+from simgap.files.log_file import SUFFIXES, open_whole
 from simgap.files.table_log import TableLog
 from simgap.setup.compose import draft_robot_file
 from simgap.setup.draft import list_questions, robot_file_text
@@ -99,7 +99,12 @@ def list_logs(request: CheckRequest, progress: Progress = no_progress) -> tuple[
     found = []
     for number, path in enumerate(paths):
         progress(number, len(paths), f"reading {path.name}")
-        found.append(_describe(path))
+        try:
+            found.append(_describe(path))
+        except RobotError as error:
+            if path is request.robot and request.logs and path.suffix.lower() not in SUFFIXES:
+                raise RobotError(f"{error}; or name a robot file, which ends in .toml") from error
+            raise
     return tuple(found)
 
 

@@ -158,8 +158,8 @@ def make_app(program: str, about: str) -> VerbApp:
             print(f"{program} {version(program)}")
             raise typer.Exit
 
-    about = "Print the version and exit."
-    option = typer.Option("--version", help=about, callback=print_version, is_eager=True)
+    help_text = "Print the version and exit."
+    option = typer.Option("--version", help=help_text, callback=print_version, is_eager=True)
 
     @app.callback()
     def options_without_verb(_: Annotated[bool, option] = False) -> None:

@@ -71,7 +71,7 @@ def read_bytes(path: Path, most: int, what: str) -> bytes:
     except OSError as error:
         raise RobotError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:  # a null byte in the name
-        raise RobotError(f"{str(path)!r}: cannot be read ({error})") from error
+        raise RobotError(f"{str(path)!r}: is no name of a file; give the path of {what}") from error
 
 
 FILMS: Final = (".mp4", ".png", ".jpg")

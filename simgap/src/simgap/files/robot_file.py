@@ -33,8 +33,11 @@ SIGNALS = {
 """Signals of a joint beside its command, with the quantities that they may have. A mode is the signal that is
 commanded."""
 
-TOPIC_FIELDS = {"position": ("position", "rad"), "velocity": ("velocity", "rad/s")}
-TOPIC_FIELDS["torque"] = ("effort", "N m")
+TOPIC_FIELDS = {
+    "position": ("position", "rad"),
+    "velocity": ("velocity", "rad/s"),
+    "torque": ("effort", "N m"),
+}
 """Signal or mode -> field of a JointState with it, and its unit."""
 
 

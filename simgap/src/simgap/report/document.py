@@ -79,7 +79,6 @@ def _base(one: Base) -> dict[str, Any]:
 
 COMPARISON = "comparison 1"
 """Name and version of the document."""
-NOTHING = "What: nothing changed that these logs show."
 
 
 def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
@@ -88,7 +87,8 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     small = "Not seen: smaller changes; the limits of each joint follow."
     limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
-        where, what = "Where: nowhere; one model fits both sets of logs.", NOTHING
+        where = "Where: nowhere; one model fits both sets of logs."
+        what = "What: nothing changed that these logs show."
         return where, what, f"How far: {_how_far(made)}", limits
     asked = following if "record" in following else limits
     return where, what, f"How far: {_how_far(made)}", asked

@@ -97,8 +97,10 @@ def _percent(one: Values, lowest: float, reason: str) -> UnitGuess:
     low, high = one.range_rad if math.isfinite(one.range_rad[1]) else (-math.pi, math.pi)
     start = low if lowest == 0.0 else (low + high) / 2.0
     keys = {"at_0_rad": round(start, 6) + 0.0, "at_1_rad": round(high, 6)}
-    asked = f"is {lowest:g}..100 % the range of the model? at_0_rad and at_1_rad are the positions at 0 and"
-    return UnitGuess("percent", reason, keys, f"{asked} 100 %")
+    asked = (
+        f"is {lowest:g}..100 % the range of the model? at_0_rad and at_1_rad are the positions at 0 and 100 %"
+    )
+    return UnitGuess("percent", reason, keys, asked)
 
 
 def _guess_hinges(values: Mapping[str, Values]) -> dict[str, UnitGuess]:
