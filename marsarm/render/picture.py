@@ -21,6 +21,7 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_path, check_output
 
 FRAMES_PER_S: Final = 16
+NO_PILLOW: Final = "no {}: Pillow is missing; pip install pillow"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +39,9 @@ def save_picture(
 ) -> PictureResult:
     """Save the view of a camera after mj_forward as PNG; BadRequest if path, camera or size are wrong."""
     check_output(path, (".png",), "picture")
-    opened, hint = _open_camera(model, camera, size)
+    opened = _open_camera(model, camera, size)
     if opened is None:
-        return PictureResult(None, hint)
+        return PictureResult(None, NO_PILLOW.format("picture"))
     import PIL.Image
 
     try:
@@ -63,9 +64,9 @@ def save_movie(
     BadRequest says that path, camera or size are wrong, or there is no pose.
     """
     check_output(path, (".gif",), "movie")
-    opened, hint = _open_camera(model, camera, size)
+    opened = _open_camera(model, camera, size)
     if opened is None:
-        return PictureResult(None, hint)
+        return PictureResult(None, NO_PILLOW.format("movie"))
     data = mujoco.MjData(model)
     frames = []
     for qpos in poses:
@@ -103,16 +104,12 @@ def _replace(path: Path) -> AbstractContextManager[Path]:
     return atomic_path(Path(os.path.realpath(path)))
 
 
-def _open_camera(
-    model: mujoco.MjModel, camera: str, size: tuple[int, int]
-) -> tuple[RayCamera | None, str | None]:
-    """Open a camera of the model; without Pillow, return None and what to install."""
+def _open_camera(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> RayCamera | None:
+    """Open a camera of the model; None without Pillow."""
     camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
     if camera_id < 0:
         names = ", ".join(model.camera(number).name for number in range(model.ncam)) or "none"
         raise BadRequest(f"picture: there is no camera {camera!r}; the model has: {names}")
     if min(size) < 1:
         raise BadRequest(f"picture: size {size[0]} x {size[1]} must be positive, in pixels")
-    if importlib.util.find_spec("PIL") is None:
-        return None, "no picture: Pillow is missing; pip install pillow"
-    return RayCamera(model, camera_id, size), None
+    return RayCamera(model, camera_id, size) if importlib.util.find_spec("PIL") else None

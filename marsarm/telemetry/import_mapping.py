@@ -23,7 +23,7 @@ from sim.params import BadParams
 from simgap.common.errors import RobotError
 from simgap.common.toml import Record
 from simgap.files.robot_file import CsvTable, TimeTable
-from simgap.units import UNITS, Quantity, Unit, find_unit
+from simgap.units import COUNTS, SHARES, UNITS, Quantity, Unit, find_unit
 
 SENSORS: Final = "/sensors"
 TOPICS: Final = (SENSORS, "/drive")
@@ -101,6 +101,8 @@ class MappingFile(Record):
 class MappedChannel:
     """Field of a message, and the column or constant of each of its numbers, in the unit of the log."""
 
+    where: str
+    """Place of the channel in the mapping, for errors."""
     name: str
     field: Field
     columns: tuple[str, ...]
@@ -165,6 +167,8 @@ def map_channels(path: Path, tables: Mapping[str, ChannelTable]) -> dict[str, li
 
 
 def _map_channel(where: str, name: str, table: ChannelTable) -> MappedChannel:
+    if name == CYCLE:
+        raise RobotError(f"{where}: it counts the cycles; remove it")
     if name not in known_channels():
         near = get_close_matches(name, known_channels(), 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -176,12 +180,14 @@ def _map_channel(where: str, name: str, table: ChannelTable) -> MappedChannel:
         raise RobotError(f"{where}.columns: one is there twice; each number has a column of its own")
     if columns and len(columns) != size:
         raise RobotError(f"{where}.columns: {len(columns)} given; {name} takes {size}")
+    value = 0.0 if table.value is None else table.value
     factor, offset, constant = (
         _number_each(f"{where}.{key}", given, size)
-        for key, given in (("factor", table.factor), ("offset", table.offset), ("value", table.value or 0.0))
+        for key, given in (("factor", table.factor), ("offset", table.offset), ("value", value))
     )
     unit = _conversion(where, name, field, table.unit)
     return MappedChannel(
+        where=where,
         name=name,
         field=field,
         columns=columns,
@@ -204,11 +210,13 @@ def _conversion(where: str, name: str, field: Field, unit: str) -> Unit:
     kept = "bool" if field.kind == "|b1" else unit_of(field.name) or ""
     if unit == kept or (not unit and kept in PLAIN_UNITS):
         return Unit(Quantity.RATIO, 1.0)
-    if kept == "count":
-        raise RobotError(f"{where}.unit: {unit!r} does not fit; {name} is kept in count, write that")
+    if kept in PLAIN_UNITS:
+        raise RobotError(f"{where}.unit: {unit!r} does not fit; {name} is kept in {kept}, write that")
+    if not unit:
+        raise RobotError(f"{where}.unit: is missing; {name} is kept in {kept}")
     base = UNITS[kept]
     try:
-        found = find_unit(unit, base.quantity)
+        found = find_unit(unit, base.quantity, without=(*COUNTS, *SHARES))  # nothing tells their range
     except ValueError as error:
         raise RobotError(f"{where}.unit: {error}; {name} is kept in {kept}") from error
     return Unit(found.quantity, found.factor / base.factor, (found.offset - base.offset) / base.factor)

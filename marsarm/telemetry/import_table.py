@@ -233,8 +233,10 @@ def _values(rows: TopicRows, one: MappedChannel) -> NDArray[Any]:
         is_bad, why = _misfits(one, read, values)
         if is_bad.any():
             row = int(np.argmax(is_bad))
-            name = one.columns[k] if one.columns else ""
-            raise rows.error_at(f"{read[row]:.17g} {why}, for {one.name}", row, name)
+            said = f"{read[row]:.17g} {why}"
+            if not one.columns:
+                raise RobotError(f"{one.where}.value: {said}")
+            raise rows.error_at(f"{said}, for {one.name}", row, one.columns[k])
         parts.append(np.rint(values).astype(kind) if kind.kind == "i" else values.astype(kind))
     return np.stack(parts, axis=1).reshape(rows.row.size, *(one.field.shape or ()))
 

@@ -42,7 +42,8 @@ from simgap.common.errors import RobotError
 from simgap.common.files import read_bytes
 
 NO_MCAP: Final = (
-    "not an MCAP file; `marsarm run --log run.mcap` writes one, `marsarm log import` makes one of a table"
+    "not an MCAP file; `marsarm run --log run.mcap` writes one; `marsarm log import` makes one of a table, "
+    "for diagnose, export or Python, not for view or replay"
 )
 
 MAX_UNPACKED_BYTES: Final = 1 << 33

@@ -133,6 +133,8 @@ class ViewReport:
     page: Path
     page_bytes: int
     run: WatchedRun
+    is_replaced: bool
+    """True if the page is in place of an older one."""
 
 
 def view(request: ViewRequest, progress: Progress) -> ViewReport:
@@ -143,7 +145,8 @@ def view(request: ViewRequest, progress: Progress) -> ViewReport:
     run = watch_log(request.log)
     run = replace(run, title=run.title or request.log.name, facts=(("log", request.log.name), *run.facts))
     progress(0.5, GUESS, "drawing")
-    return ViewReport(request, page, save_page(run, page), run)
+    is_replaced = page.exists()
+    return ViewReport(request, page, save_page(run, page), run, is_replaced)
 
 
 def view_document(report: ViewReport) -> dict[str, Any]:
@@ -165,8 +168,9 @@ def view_parts(report: ViewReport) -> list[str]:
     """Say where the page is, and what it does not show."""
     times_s = report.run.frames.samples.time_s
     what = f"{pluralize(len(times_s), 'frame')} of {times_s[-1] - times_s[0]:.1f} s"
+    older = ", in place of an older one" if report.is_replaced else ""
     return [
-        f"page      {report.page}, {report.page_bytes / 1e6:.1f} MB, {what}",
+        f"page      {report.page}{older}, {report.page_bytes / 1e6:.1f} MB, {what}",
         *(f"note      {note}" for note in report.run.notes),
     ]
 

@@ -188,6 +188,8 @@ def load_arm(name: str) -> ArmModel:
     folder = arm_folder(name)
     path = folder / FILE_NAME
     if not has_description(name):
+        if name and os.path.isdir(folder):
+            raise BadArm(f"arm {name!r}: this folder has no {FILE_NAME}")
         known = ", ".join(arm_names())
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME

@@ -159,7 +159,7 @@ def test_bad_rows_are_refused_in_one_sentence(tmp_path, robot, changes, said):
 
 def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
     robot = write_robot(tmp_path, ('column = "m2"', 'column = "m_2"'))
-    said = "has no column 'm_2', which the robot file names; did you mean 'm2'"
+    said = "has no column 'm_2', which robot file or mapping names; did you mean 'm2'"
     for write in (write_parquet, write_csv, write_npz):
         with pytest.raises(RobotError, match=said):
             load(robot, write(tmp_path))

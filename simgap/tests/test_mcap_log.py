@@ -94,12 +94,16 @@ def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("/joints.position[0]", "/joint.position[0]", "has no column '/joint', which the robot file names"),
+        (
+            "/joints.position[0]",
+            "/joint.position[0]",
+            "has no column '/joint', which robot file or mapping names",
+        ),
         ("/joints.position[0]", "/joints.place[0]", "'/joints.place[0]': there is no 'place' in a message"),
         (
             "/joints.position[0]",
             "/joints.position[7]",
-            "has no column '/joints.position[7]', which the robot file names; did you mean",
+            "has no column '/joints.position[7]', which robot file or mapping names; did you mean",
         ),
         ("/joints.position[0]", "/joints.name[0]", "'/joints.name[a]' has str; name a number in it"),
         ("/joints.position[0]", "/joints.position 0", "there is no 'position 0' in a message, which has"),

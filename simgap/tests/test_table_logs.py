@@ -87,7 +87,9 @@ def test_arrays_of_several_dimensions_are_read_by_place(tmp_path):
     change = [('column = "q1"', 'column = "both[0]"'), ('column = "c1"', 'column = "both[1]"')]
     slow, _ = load(write_robot(tmp_path, *change), write_npz(tmp_path, both=both)).motions
     np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
-    with pytest.raises(RobotError, match=r"no column 'both\[5\]', which the robot file names; did you mean"):
+    with pytest.raises(
+        RobotError, match=r"no column 'both\[5\]', which robot file or mapping names; did you mean"
+    ):
         open_log(tmp_path / "log.npz", ["both[5]"], [], CsvTable())
 
 

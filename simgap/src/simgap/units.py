@@ -1,6 +1,7 @@
 """Units of logged values, and their conversion to SI units."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
@@ -79,12 +80,11 @@ Temperatures are in degC; all other quantities are in SI units.
 """
 
 
-def find_unit(name: str, *quantities: Quantity) -> Unit:
+def find_unit(name: str, *quantities: Quantity, without: Collection[str] = ()) -> Unit:
     """Return the unit with this name; ValueError, with those that there are, if it is of other quantities."""
-    unit = UNITS.get(name)
-    if unit is not None and unit.quantity in quantities:
-        return unit
-    fitting = [key for key, one in UNITS.items() if one.quantity in quantities]
+    fitting = [key for key, one in UNITS.items() if one.quantity in quantities and key not in without]
+    if name in fitting:
+        return UNITS[name]
     near = get_close_matches(name, fitting, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"write one of {', '.join(fitting)}"
     raise ValueError(f"{name!r} is no unit of {' or '.join(quantities)}; {hint}")

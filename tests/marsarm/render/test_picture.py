@@ -156,5 +156,7 @@ def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     result = save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
     assert result.path is None
-    assert "pip install pillow" in result.hint
+    assert result.hint == "no picture: Pillow is missing; pip install pillow"
+    movie = save_movie(model, [], "front", tmp_path / "scene.gif", SIZE)
+    assert movie.hint == "no movie: Pillow is missing; pip install pillow"
     assert list(tmp_path.iterdir()) == []

@@ -219,6 +219,20 @@ WRONG = {
         "did you mean '/drive.vibrate'",
     ),
     "an unknown key": (STEPS + "gain = 2\n", A, "brake_release.gain: is not known; remove it"),
+    "the cycle": (STEPS + channel("/sensors.cycle", "value = 0"), A, "it counts the cycles"),
+    "an empty constant": (STEPS.replace("value = 0\n", "value = []\n", 1), A, "value: 0 given"),
+    "no flag in the mapping": (
+        STEPS.replace('vibrate"]\nvalue = 0', 'vibrate"]\nvalue = 0.5'),
+        A,
+        "m.toml: channels./drive.vibrate.value: 0.5 is neither true nor false",
+    ),
+    "a count of an angle": (
+        STEPS + channel("/sensors.resolver_rad", 'value = 1\nunit = "count"'),
+        A,
+        "'count' is no unit of angle; write one of rad, mrad, urad, deg, turn; /sensors",
+    ),
+    "a count of a speed": (SPEED.replace("rad/s", "count/s"), A, "no unit of angular speed"),
+    "a unit of a flag": (drive("vibrate", 'columns = "a"\nunit = "deg"'), A, "kept in bool, write that"),
     "neither": (drive("vibrate", 'unit = "bool"'), A, "give columns, or value"),
     "no columns": (drive("vibrate", "value = 0"), A, "all of /drive is constant"),
     "too few columns": (
@@ -229,10 +243,10 @@ WRONG = {
     "too few factors": (STEPS.replace(FIVE, f"{FIVE}\nfactor = [1, 2]"), A, "factor: 2 given"),
     "twice": (STEPS.replace("a5", "a4"), A, "is there twice"),
     "a part": (channel("/drive.vibrate", 'columns = "a"'), A, "/drive lacks /drive.setpoint_count"),
-    "no unit": (SPEED.replace('"rad/s"', '""'), A, "is kept in rad/s"),
+    "no unit": (SPEED.replace('"rad/s"', '""'), A, "unit: is missing; /drive.setpoint_rate_rad_s"),
     "another unit": (SPEED.replace("rad/s", "N"), A, "no unit of angular speed"),
     "a unit of counts": (STEPS.replace(FIVE, f'{FIVE}\nunit = "rad"'), A, "is kept in count"),
-    "a column": (STEPS.replace("a5", "b"), A, "has no column 'b'"),
+    "a column": (STEPS.replace("a5", "b"), A, "has no column 'b', which robot file or mapping names"),
     "no whole number": (STEPS, {"a": [0.5] * 4}, "row 1, column 'a': 0.5 is no whole number"),
     "a large count": (STEPS, {"a": [0.0, 1e17, 0.0, 0.0]}, "row 2, column 'a'"),
     "no flag": (FLAG, {"a": [0, 1, 2, 1]}, "row 3, column 'a': 2 is neither true nor false"),
@@ -250,6 +264,13 @@ def test_a_wrong_mapping_or_column_is_refused(
     with pytest.raises(RobotError) as caught:
         mapped(mapping, **columns)
     assert why in str(caught.value)
+
+
+def test_nan_in_csv_is_an_empty_cell(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("t,a,a2,a3,a4,a5\n0,1,1,1,1,1\n0.015625,1,nan,1,1,1\n")
+    (tmp_path / "m.toml").write_text(f'[time]\ncolumn = "t"\n{SPEED}')
+    with pytest.raises(RobotError, match="row 2, column 'a2': has no value"):
+        convert_table(tmp_path / "t.csv", tmp_path / "m.toml")
 
 
 TIMES = {

@@ -16,7 +16,7 @@ def test_a_page_is_written_and_reported(log, tmp_path):
     assert document["html_bytes"] == (tmp_path / "run.html").stat().st_size
     assert document["has_truth"]
     table = marsarm(tmp_path, "view", str(log), "--html", "run.html")
-    assert "page      run.html" in table.stdout
+    assert "page      run.html, in place of an older one" in table.stdout
     assert table.stderr == ""
 
 
@@ -25,6 +25,7 @@ def test_without_a_name_the_page_has_that_of_the_log_and_is_opened(log, tmp_path
         monkeypatch.delenv(name, raising=False)
     ran = marsarm(tmp_path, "view", str(log))
     assert (ran.returncode, [one.name for one in tmp_path.iterdir()]) == (0, [f"{log.stem}.html"])
+    assert "older" not in ran.stdout
     assert "run.html: there is no display here; open it in any browser" in ran.stderr
 
 

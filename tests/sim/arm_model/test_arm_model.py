@@ -174,6 +174,8 @@ def test_flight_parameters_of_an_arm_replace_those_of_all_arms(tmp_path):
 
 def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path):
     with pytest.raises(BadArm, match=f"there are {', '.join(NAMES)}"):
+        load_arm("other")
+    with pytest.raises(BadArm, match=r"this folder has no arm\.toml"):
         load_arm(str(tmp_path))
 
 

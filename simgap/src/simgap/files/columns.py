@@ -91,7 +91,7 @@ def place_in_list(step: str, names: Sequence[str] | None) -> int | None:
 def missing_column(path: Path, name: str, there: Sequence[str]) -> RobotError:
     """Return the error for a column that is not there; it names the nearest, or those that there are."""
     hint = hint_at(name, there, "it has")
-    return RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+    return RobotError(f"{path}: has no column {name!r}, which robot file or mapping names; {hint}")
 
 
 def hint_at(name: str, there: Sequence[str], words: str) -> str:
