@@ -120,7 +120,7 @@ class LengthDifference:
     """First tick with a message in only one run."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ChannelDifference:
     """Channel whose values differ; an array is one channel, compared component by component."""
 
@@ -139,6 +139,8 @@ class ChannelDifference:
     greatest_tick: int
     component: tuple[int, ...]
     """Index of the component with the greatest difference."""
+    profile: NDArray[np.float64]
+    """Greatest difference of any component at each compared tick, shape (compared,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,6 +261,7 @@ def _channel_difference(
         greatest=float(profile[worst]),
         greatest_tick=int(ticks[worst]),
         component=_index(int(difference[worst].argmax()), shape),
+        profile=profile,
     )
 
 

@@ -176,7 +176,9 @@ def _evr_document(evr: EvrEntry | None) -> dict[str, Any] | None:
 
 
 def _channel_document(one: ChannelDifference) -> dict[str, Any]:
-    return asdict(one) | {"at_first": _sides(*one.at_first)}
+    document = asdict(one) | {"at_first": _sides(*one.at_first)}
+    del document["profile"]  # a number for each tick
+    return document
 
 
 def replay_parts(report: ReplayReport) -> list[str]:
