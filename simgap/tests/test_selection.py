@@ -11,9 +11,11 @@ from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, draw_toy
 from simgap import assemble
 from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
 from simgap.selection.chance import FALSE_ALARM
-from simgap.selection.context import simulate_models
-from simgap.selection.fit import Hypothesis, Union
+from simgap.selection.checkpoint import Meter
+from simgap.selection.context import simulate_models, start_context
+from simgap.selection.fit import Hypothesis, Union, gather_residuals, scale_residuals
 from simgap.selection.fitting import Fitting
+from simgap.selection.joint_fits import TOO_WIDE, add_effects, fit_base
 from simgap.selection.screening import adjust
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
@@ -125,6 +127,19 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set():
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
     (one_set,) = find_confidence_sets(selection)
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+
+
+def test_a_fit_is_repeated_in_the_scales_of_what_it_leaves() -> None:
+    model = draw_toy(1, {"near: square": 1.0})
+    context, base = fit_base(start_context(model, BASE, CATALOGUE, 1, Meter()))
+    square = next(one for one in CATALOGUE if one.key == "near: square")
+    sizes, columns = base.sizes.copy(), context.union.columns([square])
+    sizes[columns] = 0.5  # so that much is left before the fit
+    near = base.fits[0]
+    start = replace(near, sizes=sizes, columns=columns, jacobian=np.full((near.rows.size, 1), np.nan))
+    context, fitted = add_effects(context, base, base, [square], [start])
+    left = gather_residuals(fitted.fits, model.joint_of.size)
+    assert np.all(context.scales < TOO_WIDE * scale_residuals(model, left))
 
 
 def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it():

@@ -29,6 +29,8 @@ from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, scale_r
 from simgap.selection.screening import expect_round, group_effects, share_simulations
 from simgap.selection.sharing import ALL_JOINTS
 
+TOO_WIDE: Final = 2.0
+"""Scale of a joint over that of its residuals for which a fit is repeated: the joint counts a quarter."""
 MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 
@@ -121,18 +123,27 @@ def add_effects(
 ) -> tuple[Context, FittedModel]:
     """Add effects to the present model, and refit it in the scales of its new residuals.
 
-    A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
+    A scale from before an effect was found is so wide that the loss is a sum of squares, and a joint with it
+    counts little beside others. So the fit is repeated while a scale is TOO_WIDE. Blocks are cut anew.
     """
     sizes, model = merge_sizes(context, present.sizes, found), context.model
     (together,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
     if isinstance(model, Blocks):  # what was explained is no memory of the noise
         model = cut_into_blocks(model.whole, together)
         context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    scales = scale_residuals(model, together)
-    context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
+    scales, fits, more = (
+        scale_residuals(model, together),
+        (*present.fits, *found),
+        (*present.effects, *effects),
+    )
+    while True:
+        context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
+        fits = resume_step(fit_joints, context, more, sizes, fits)
+        sizes, together = fits[0].sizes, gather_residuals(fits, model.joint_of.size)
+        scales = scale_residuals(model, together)
+        if model.noise_std or np.all(context.scales < TOO_WIDE * scales):
+            break
     context = replace(context, base_left_out=cross_validate(context, base.fits))
-    more = (*present.effects, *effects)
-    fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
     left_out = resume_step(cross_validate, context, fits)
     return context, FittedModel(more, fits[0].sizes, fits, left_out)
 
