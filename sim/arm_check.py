@@ -5,7 +5,7 @@ whole arm on Mars. The calibration of the paper used an arm without a turret on 
 gravity torque at each hardstop as later on Mars.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -97,10 +97,9 @@ def calibration_poses(params: Params) -> list[Array]:
     return poses
 
 
-def sweep_poses(params: Params, spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
-    """Sample all motions of the hardstop initialisation: output angles [rad], shape (5, n)."""
-    legs = pairwise(calibration_poses(params))
-    return np.concatenate([sample_leg(start, end, spacing_rad) for start, end in legs], axis=1)
+def sweep_poses(poses: Iterable[Array], spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
+    """Sample the way over poses: output angles [rad], shape (5, n)."""
+    return np.concatenate([sample_leg(*leg, spacing_rad) for leg in pairwise(poses)], axis=1)
 
 
 def sample_leg(start_rad: Array, end_rad: Array, spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
@@ -234,7 +233,7 @@ def _describe(gap: Gap) -> str:
 def _find_stow_problem(params: Params, space: ClearanceModel) -> Iterator[str]:
     """Yield which parts come too near between the stowed and the ready pose."""
     poses = np.array([params.poses.stowed_rad, *params.poses.unstow_via_rad, params.poses.ready_rad])
-    gap = space.clearance(np.concatenate([sample_leg(*leg) for leg in pairwise(poses)], axis=1)).least
+    gap = space.clearance(sweep_poses(poses)).least
     if gap.distance_m < HARDSTOP_CLEARANCE_M:
         yield f"cannot be stowed: {_describe(gap)}; change poses.stowed_rad, unstow_via_rad or ready_rad"
 

@@ -24,7 +24,7 @@ from fsw.motion.paths import (
 )
 from fsw.motion.plan import Compensation, Plan, plan_poses
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
-from sim.arm_check import sweep_poses
+from sim.arm_check import calibration_poses, sweep_poses
 from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
 from sim.setting import World
 from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, find_violation, in_limits
@@ -161,7 +161,7 @@ def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
 
 
 def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
-    poses_rad = sweep_poses(PARAMS, 0.1)
+    poses_rad = sweep_poses(calibration_poses(PARAMS), 0.1)
     space = ClearanceModel(PARAMS, World())
     ours = compute_clearances(
         GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, MAX_CLEARANCE_M
