@@ -8,6 +8,7 @@ import pytest
 from helpers.real_robots import exchange_commands, load_real, robot_path
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
+from simgap.compare import compare
 from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
 from simgap.loading import load
@@ -171,3 +172,13 @@ def test_positions_that_are_stamped_20_ms_later_may_be_a_delay_and_nothing_else_
 
 def delayed(log):
     return replace(log, position=Signal(log.position.time_s + 0.02, log.position.value))
+
+
+def test_a_delay_of_20_ms_in_half_of_the_logs_is_what_changed(real_data):
+    robot, logs = load_real(real_data, "pendulum")
+    # four motions for each of four gains: either half has two of each gain and of each motion
+    halves = [[one for k, one in enumerate(logs.motions) if (k // 4 + k) % 2 == half] for half in (0, 1)]
+    late = [replace(one, joints={key: delayed(log) for key, log in one.joints.items()}) for one in halves[1]]
+    (change,) = compare(robot, halves[0], late, seed=1).found.findings
+    assert change.effect == "change of command delay"
+    assert change.interval[0][0] < 0.02 < change.interval[0][1]

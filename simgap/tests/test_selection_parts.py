@@ -136,6 +136,17 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth, low, high):
     assert low <= np.exp(find_log_chance(context, fits[:1], [square], without)) <= high
 
 
+@pytest.mark.parametrize("n_motions", [3, 10])
+def test_effects_are_not_due_to_chance_together_if_one_of_them_is_not(n_motions):
+    effects = CATALOGUE[:3]
+    toy = draw_toy(1, {effects[0].key: 0.1}, n_motions)
+    context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
+    fits = fit_joints(context, effects, base.sizes)[:1]
+    without = gather_residuals(base.fits, toy.joint_of.size)
+    together, alone = (find_log_chance(context, fits, of, without) for of in (effects, effects[:1]))
+    assert together <= alone + np.log(4.0) < np.log(0.05)
+
+
 def test_of_effects_that_are_needed_together_alone_the_last_stays(monkeypatch):
     found = select_effects(draw_toy(1, {"near: sine": 0.1, "near: step": 0.1}), BASE, CATALOGUE, seed=1)
     monkeypatch.setattr(elimination, "find_need", lambda *of: (len(of[-1]) > 1, 0.0))

@@ -85,16 +85,22 @@ def find_log_chance(
 ) -> float:
     """Return the logarithm of the probability of effects so strong, beside all others, if none is present.
 
-    It is that of a Wald test, or of a decrease of known noise. For each effect it is multiplied by the number
-    of distinct ones that compete (Bonferroni). The noise counts as stationary where repeats show it.
+    It is that of a decrease of known noise, or of Wald tests. For each effect it is multiplied by the number
+    of distinct ones that compete (Bonferroni). The noise counts as stationary where repeats show it. Several
+    are not due to chance together if one of them is not (Roy 1953): few motions leave a test of all together
+    no freedom.
     """
-    own, std = context.union.columns(effects), context.model.noise_std
-    log_choices = len(effects) * float(np.log(max(context.n_distinct, 1.0)))
+    union, std = context.union, context.model.noise_std
+    log_choices = float(np.log(max(context.n_distinct, 1.0)))
     if std:
         rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
-        log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
-    else:
-        is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
-        chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
-        log_p = float(np.log(max(chance, np.finfo(float).tiny)))
-    return min(0.0, log_choices + log_p)
+        log_p = known_noise_log_p(without[rows] / std, after / std, len(union.columns(effects)))
+        return min(0.0, len(effects) * log_choices + log_p)
+    is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
+    tests = [effects, *([one] for one in effects)] if len(effects) > 1 else [effects]
+    least = 0.0
+    for tested in tests:
+        chance = refit_p(fits, union.columns(tested), without, context.model, context.scales, is_stationary)
+        log_p = float(np.log(len(tests) * max(chance, np.finfo(float).tiny)))
+        least = min(least, len(tested) * log_choices + log_p)
+    return least
