@@ -186,8 +186,8 @@ def layout_parts(layout: ArmLayout) -> list[ReportTable]:
     ]
 
 
-def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:
-    """Save arm, rover and frames as PNG; return why there is no picture, or None; BadOutput if it cannot."""
+def save_layout_picture(layout: ArmLayout, path: Path) -> None:
+    """Save arm, rover and frames as PNG; BadOutput if that fails."""
 
     def draw(figure: Any) -> None:
         figure.suptitle(
@@ -203,7 +203,7 @@ def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:
         _draw_turret(turret, layout)
         side.legend(loc="lower left")
 
-    return svg.save_png(path, (14.0, 5.2), draw)
+    svg.save_png(path, (14.0, 5.2), draw)
 
 
 def _draw_arm(axes: Any, layout: ArmLayout, vertical: int) -> None:

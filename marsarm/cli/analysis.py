@@ -134,10 +134,9 @@ def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
         models = [load_arm(name) for name in arm_names()]
         return shown({"arms": [describe_arm(model) for model in models]}, [arms_table(models)])
     layout, picture = show_arm(request), request.picture
-    problem = None if picture is None else save_layout_picture(layout, picture)
-    lines = file_lines({"picture": picture and (problem or picture)})
-    document = {**layout_document(layout), "picture_problem": problem}
-    return shown(document, [*layout_parts(layout), *lines])
+    if picture is not None:
+        save_layout_picture(layout, picture)
+    return shown(layout_document(layout), [*layout_parts(layout), *file_lines({"picture": picture})])
 
 
 @verb
