@@ -161,7 +161,6 @@ CASES = {
     "hardstop --joint knee": "there are azimuth",
     "place --tool hammer": "cannot be placed",
     "hardstop --scene moon": "scene: 'moon' is not known",
-    "ik --position 2 0 0 --approach 0 0 1 --frame world": "frame: 'world' is not known",
     "budget --case best": "is not known",
     "budget --tool spoon": "tool: 'spoon' is not known; there are drill",
     "monte-carlo --case venus": "case: 'venus' is not known; there are accuracy",
