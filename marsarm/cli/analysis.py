@@ -124,7 +124,7 @@ def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
     )
     from simgap.common.report import file_lines
 
-    if request.build or request.check:
+    if request.build:
         built = build_arms(request)
         arms = [{**describe_arm(one.model), "files": [*one.texts]} for one in built]
         return shown({"arms": arms}, [f"{one.model.name}  {path}" for one in built for path in one.texts])
