@@ -65,16 +65,15 @@ site: $(VENV)/tests
 	@$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs . build/site
 	@$(call say,the first page is build/site/index.html)
 
-# All seven speak before any of them stops the target.
+# All six speak before any of them stops the target.
 lint: $(VENV)/tests
-	@$(call say,ruff; mypy; import-linter; docstrings and sizes; links; files made from arm.toml; requirements)
+	@$(call say,ruff; mypy; import-linter; docstrings and sizes; links; requirements)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
 	$(BIN)/python .ci/links.py || failed=1; \
-	$(BIN)/marsarm arm --check >/dev/null || failed=1; \
 	$(BIN)/python -m validation requirements --brief || failed=1; \
 	exit $$failed
 

@@ -4,14 +4,13 @@ Each arm is measured at equilibria of the equations or by flight software in the
 noise-free equilibrium of the sampled arm.
 """
 
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.calibration import verify
-from marsarm.calibration.calibrate import calibrate, calibrated_params, rms_m, save_parameter_file
+from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign import CampaignPlan, earth_reference, run_campaign
 from marsarm.calibration.campaign_data import BadData, Campaign
 from marsarm.calibration.execution import check_data, check_fit
@@ -35,8 +34,8 @@ def measure(arm: BuiltArm, seed: int, closed_loop: bool) -> tuple[Campaign, Arra
     return run_campaign(arm, reference, plan, no_progress), verify.zero_errors_rad(arm, reference)
 
 
-def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
-    """Measure an arm, calibrate it, into a folder if given, and compare the result with the truth."""
+def run(seed: int, closed_loop: bool) -> dict[str, Any]:
+    """Measure an arm, calibrate it, and compare the result with the truth."""
     arm, nominal = arm_named(f"as-built:{seed}"), nominal_params()
     campaign, zero_error_rad = measure(arm, seed, closed_loop)
     check_data(nominal, campaign)
@@ -46,9 +45,6 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
         check_fit(found)
     except BadData as error:
         refused = str(error)
-    if files is not None:
-        params = calibrated_params(found, verify.register_tools(arm, seed))
-        save_parameter_file(found, params, files / f"{seed}.toml")
     before, held = found.before[:, found.held_out_poses], found.held_out_error
     comparison = verify.compare_with_truth(arm, found, zero_error_rad)
     state = residual_model(nominal, campaign, with_backlash=False).errors(found.best.values)
@@ -78,16 +74,13 @@ def run(seed: int, closed_loop: bool, files: Path | None) -> dict[str, Any]:
 
 
 def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Document:
-    """Calibrate as-built arms, and check the results; the folder takes their parameter files, SEED.toml.
+    """Calibrate as-built arms, and check the results.
 
     Measuring in the closed loop takes three minutes an arm, not ten seconds.
     """
     if arms < 1:
         raise BadRequest("set: arms are 1 or more")
-    files = context.out and context.out.absolute()  # a worker may be in another folder
-    if files is not None:
-        files.mkdir(exist_ok=True)
-    results = context.each(run, ((context.seed + k, closed_loop, files) for k in range(arms)), "arms")
+    results = context.each(run, ((context.seed + k, closed_loop) for k in range(arms)), "arms")
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {

@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,7 +39,7 @@ from marsarm.common.rates import (
     estimate_coverage,
     quantile_interval,
 )
-from marsarm.common.requests import load_params, select_arm
+from marsarm.common.requests import select_arm
 from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
@@ -133,7 +132,6 @@ class Checkpoint:
         return BadRequest(f"results {self._path}: {why}; {NEW_FILE}")
 
 
-SEED_FIELD: Final = "{seed}"
 MEASURED: Final = ("output_rad", "error", "backlash_position")
 """Arrays of a placement in the results."""
 
@@ -155,8 +153,6 @@ class ArmJob:
     arm: int
     params: Params
     """Parameters of flight software; for a calibrated arm, those before its calibration."""
-    params_sha256: str
-    """Their digest."""
 
 
 def run_job(job: ArmJob) -> dict[str, Any]:
@@ -164,13 +160,12 @@ def run_job(job: ArmJob) -> dict[str, Any]:
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
     built = None if job.built == "sampled" else f"{job.built}:{job.seed + job.arm}"
-    key = {"arm": job.arm, "params_sha256": job.params_sha256}
     try:
         found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
-        return {**key, "failed": str(error)}
+        return {"arm": job.arm, "failed": str(error)}
     return {
-        **key,
+        "arm": job.arm,
         "tool": found[0].tool,
         "places": [{name: getattr(m, name).tolist() for name in MEASURED} for m in found],
     }
@@ -179,16 +174,10 @@ def run_job(job: ArmJob) -> dict[str, Any]:
 def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Run all jobs without a record; return all records in order. BadRequest if one has other parameters."""
-    wanted = {job.arm: job.params_sha256 for job in jobs}
-    known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
-    for record in known:
-        if record["params_sha256"] != wanted[record["arm"]]:
-            raise BadRequest(
-                f"results: arm {record['arm']} in it was run with other parameters; give the path of a new "
-                "file"
-            )
-    records = {record["arm"]: record for record in known}
+    """Run all jobs without a record; return all records in order."""
+    wanted = {job.arm for job in jobs}
+    known = () if results is None else results.done
+    records = {record["arm"]: record for record in known if record["arm"] in wanted}
     missing = [job for job in jobs if job.arm not in records]
     progress(len(records), len(jobs), "arms")
     for record in runner(run_job, missing):
@@ -201,8 +190,8 @@ def run_jobs(
 
 def check_arm_record(record: dict[str, Any]) -> None:
     """Check that a record describes an arm; KeyError, TypeError or ValueError if not."""
-    if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
-        raise TypeError("arm and params_sha256 are a number and a digest")
+    if not isinstance(record["arm"], int):
+        raise TypeError("arm is a number")
     list(read_measurements(record))
 
 
@@ -280,31 +269,30 @@ class MonteCarloReport:
     three_sigma: Mapping[str, AccuracyEstimate] | None
     """Accuracy of each of COMPONENTS; None if there are too few arms or placements."""
     params_sha256: str
-    """Digest of the flight parameters; if every arm has its own, digest of their digests."""
 
 
 def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress) -> MonteCarloReport:
     """Simulate and measure arms of a case, beside the budget; BadRequest if the request is wrong."""
     model = load_error_model()
     _check(request, model)
-    jobs = _jobs(request)
+    params = select_arm("nominal", request.params, request.mismatch).params
+    params_sha256 = digest(params)
+    case = (request.case, request.built, request.places, request.move_model, request.seed)
+    jobs = [ArmJob(*case, arm, params) for arm in range(request.arms)]
     runner = select_runner(request.workers, request.cluster)
     file = (
         None
         if request.results is None
-        else Checkpoint(request.results, _results_header(request, jobs), check_arm_record)
+        else Checkpoint(request.results, _results_header(request, params_sha256), check_arm_record)
     )
     with nullcontext() if file is None else file:
         records = run_jobs(jobs, runner, file, progress)
     failed = {record["arm"]: record["failed"] for record in records if "failed" in record}
     trials = tuple(tuple(read_measurements(record)) for record in records if "failed" not in record)
     gravity = World().gravity_N_m_s2
-    found = (
-        check_coverage(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
-    )
-    digests = [job.params_sha256 for job in jobs]
-    whole = digests[0] if len(set(digests)) == 1 else sha256("".join(digests).encode()).hexdigest()
-    return MonteCarloReport(request, model, trials, failed, found, _estimate_three_sigma(trials), whole)
+    found = check_coverage(model, request.case, configure(params), gravity, trials) if trials else None
+    three_sigma = _estimate_three_sigma(trials)
+    return MonteCarloReport(request, model, trials, failed, found, three_sigma, params_sha256)
 
 
 def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
@@ -313,36 +301,12 @@ def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)}")
 
 
-def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
-    arms = range(request.arms)
-    if _has_arm_files(request.params):
-        numbers = [request.seed + arm for arm in arms]
-        names = [
-            "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
-        ]
-        paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
-        loaded = (load_params(name, path, request.mismatch) for name, path in zip(names, paths, strict=True))
-        with_digests = [(params, digest(params)) for params in loaded]
-    else:
-        params = select_arm("nominal", request.params, request.mismatch).params
-        with_digests = [(params, digest(params))] * len(arms)
-    return [
-        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, *own)
-        for arm, own in zip(arms, with_digests, strict=True)
-    ]
-
-
-def _has_arm_files(params: Path | None) -> bool:
-    """Return whether every arm has a parameter file of its own."""
-    return params is not None and SEED_FIELD in str(params)
-
-
-def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
+def _results_header(request: MonteCarloRequest, params_sha256: str) -> dict[str, Any]:
     """Collect all inputs of the results except the number of arms, so that arms can be added later."""
     same = ("case", "built", "places", "move_model", "seed")
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
-        "params": str(request.params) if _has_arm_files(request.params) else jobs[0].params_sha256,
+        "params": params_sha256,
         "sources": sources_sha256(),
     }
 

@@ -63,15 +63,7 @@ class MonteCarloRequest:
     ] = 0
     workers: WorkersOption = None
     cluster: ClusterOption = None
-    params: Annotated[
-        Path | None,
-        Option(
-            "TOML file of flight parameters that replace nominal ones; {seed} in its name stands for the "
-            "seed of an arm.",
-            "FILE.toml",
-            is_read=True,
-        ),
-    ] = None
+    params: ParamsOption = None
     mismatch: MismatchOption = False
     results: Annotated[
         Path | None,

@@ -46,15 +46,13 @@ class ArmFiles:
 
 
 def build_arms(request: ArmRequest) -> tuple[ArmFiles, ...]:
-    """Make the files of one arm or all, and write changed ones; BadRequest if one is wrong, or is stale."""
+    """Make the files of one arm or all, and write changed ones; BadRequest if an arm is wrong."""
     try:
         names = arm_names() if request.arm is None else (request.arm,)
-        found = tuple(_make_files(name) for name in names)
+        found = tuple(make_files(name) for name in names)
     except (BadArm, BadParams) as error:
         raise BadRequest(str(error)) from error
     stale = {path: one.texts[path] for one in found for path in one.stale}
-    if request.check and stale:
-        raise BadRequest(f"{next(iter(stale))}: is not what arm.toml says; run `marsarm arm --build`")
     for path in stale:
         check_output(path, (path.suffix,), "file")
     for path, text in stale.items():
@@ -63,7 +61,8 @@ def build_arms(request: ArmRequest) -> tuple[ArmFiles, ...]:
     return found
 
 
-def _make_files(name: str) -> ArmFiles:
+def make_files(name: str) -> ArmFiles:
+    """Make the files of an arm, unwritten; BadArm or BadParams if it cannot be used."""
     model, folder = load_arm(name), arm_folder(name)
     check_arm(model)
     comments = [f"Flight parameters of the drawing of {model.description.title}.", MADE_FROM, "SI units."]
@@ -186,8 +185,8 @@ def layout_parts(layout: ArmLayout) -> list[ReportTable]:
     ]
 
 
-def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:
-    """Save arm, rover and frames as PNG; return why there is no picture, or None; BadOutput if it cannot."""
+def save_layout_picture(layout: ArmLayout, path: Path) -> None:
+    """Save arm, rover and frames as PNG; BadOutput if that fails."""
 
     def draw(figure: Any) -> None:
         figure.suptitle(
@@ -203,7 +202,7 @@ def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:
         _draw_turret(turret, layout)
         side.legend(loc="lower left")
 
-    return svg.save_png(path, (14.0, 5.2), draw)
+    svg.save_png(path, (14.0, 5.2), draw)
 
 
 def _draw_arm(axes: Any, layout: ArmLayout, vertical: int) -> None:

@@ -124,7 +124,7 @@ def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
     )
     from simgap.common.report import file_lines
 
-    if request.build or request.check:
+    if request.build:
         built = build_arms(request)
         arms = [{**describe_arm(one.model), "files": [*one.texts]} for one in built]
         return shown({"arms": arms}, [f"{one.model.name}  {path}" for one in built for path in one.texts])
@@ -134,10 +134,9 @@ def arm(request: "marsarm.common.options.ArmRequest") -> VerbResult:
         models = [load_arm(name) for name in arm_names()]
         return shown({"arms": [describe_arm(model) for model in models]}, [arms_table(models)])
     layout, picture = show_arm(request), request.picture
-    problem = None if picture is None else save_layout_picture(layout, picture)
-    lines = file_lines({"picture": picture and (problem or picture)})
-    document = {**layout_document(layout), "picture_problem": problem}
-    return shown(document, [*layout_parts(layout), *lines])
+    if picture is not None:
+        save_layout_picture(layout, picture)
+    return shown(layout_document(layout), [*layout_parts(layout), *file_lines({"picture": picture})])
 
 
 @verb

@@ -56,16 +56,14 @@ def hardstop(request: "marsarm.runs.request.HardstopRequest", progress: Progress
 
     Flight software begins without any zero. Errors are relative to the true hardstop of the arm.
 
-    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
+    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40
     """
-    from marsarm.runs.hardstop import hardstop, save_hardstop_figure
+    from marsarm.runs.hardstop import hardstop
     from marsarm.runs.report import hardstop_document, hardstop_parts
 
     report = hardstop(request, progress)
-    problem = None if request.picture is None else save_hardstop_figure(report.result, request.picture)
     is_done = report.result.outcome == "done"
-    document = hardstop_document(report, problem)
-    return shown(document, hardstop_parts(report, problem), is_done)
+    return shown(hardstop_document(report), hardstop_parts(report), is_done)
 
 
 @verb
@@ -74,7 +72,7 @@ def run(
 ) -> VerbResult:
     """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
-    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
+    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --page sol46.html
     """
     from marsarm.runs.report import run_document, run_parts, scenarios_document, scenarios_parts
 

@@ -53,7 +53,6 @@ class ArmRequest:
     build: Annotated[bool, Option("Write arm.xml and flight.toml where they are not those of arm.toml.")] = (
         False
     )
-    check: Annotated[bool, Option("Write nothing; say whether these files are those of arm.toml.")] = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,15 +63,15 @@ def sample_workspace(
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
 
 
-def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> str | None:
-    """Save the plot as PNG, BadOutput if that fails; return why there is none, without matplotlib."""
+def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> None:
+    """Save the plot as PNG; BadOutput if that fails."""
 
     def draw(figure: Any) -> None:
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
         figure.suptitle(_title(samples, counted, model), fontsize=11)
         _draw_maps(figure, samples, model)
 
-    return save_figure(path, (14, 5.5), 110, draw)
+    save_figure(path, (14, 5.5), draw)
 
 
 def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
@@ -159,8 +159,6 @@ class ReachReport:
     request: ReachRequest
     model: IkModel
     tally: Tally
-    picture_problem: str | None
-    """Reason why a requested picture is missing."""
 
 
 def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachReport:
@@ -169,11 +167,10 @@ def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachRepor
     model = build_ik_model(request.model)
     run = select_runner(request.workers, request.cluster)
     samples, counted = sample_workspace(model, request.samples, request.seed, run, progress)
-    problem = None
     if request.picture is not None:
         progress(1, 1, "drawing")
-        problem = save_reach_figure(samples, counted, model, request.picture)
-    return ReachReport(request, model, counted, problem)
+        save_reach_figure(samples, counted, model, request.picture)
+    return ReachReport(request, model, counted)
 
 
 def reach_document(report: ReachReport) -> dict[str, Any]:
@@ -183,13 +180,11 @@ def reach_document(report: ReachReport) -> dict[str, Any]:
         **tally_document(report.tally),
         **model_document(report.model),
         "seed": request.seed,
-        "picture": None if report.picture_problem else request.picture,
-        "picture_problem": report.picture_problem,
+        "picture": request.picture,
     }
 
 
 def reach_parts(report: ReachReport) -> list[str | ReportTable]:
     """Show a reach map: counts, and the path of the picture."""
     title = f"{report.model.description}: {report.tally.targets} random targets of the workspace"
-    picture = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture
-    return [tally_table(title, report.tally), *file_lines({"picture": picture})]
+    return [tally_table(title, report.tally), *file_lines({"picture": report.request.picture})]

@@ -46,16 +46,8 @@ class IkRequest:
     """Request for one target."""
 
     model: ModelRequest = ModelRequest()
-    frame: Annotated[
-        str,
-        Option(
-            "Frame of position and approach. rnav: from the ground below the rover, as for place; rmech: "
-            "parallel to it, from the rover's mechanical frame.",
-            "rnav|rmech",
-        ),
-    ] = "rnav"
     position_m: Annotated[
-        Vector | None, Option("Position of the tool's origin, in metres.", "X Y Z", "--position")
+        Vector | None, Option("Position of the tool's origin, RNAV, in metres.", "X Y Z", "--position")
     ] = None
     approach: Annotated[Vector | None, Option("Direction of the tool, of any length.", "AX AY AZ")] = None
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 VERDICT_NAMES: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)
-FRAMES: Final = ("rnav", "rmech")
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""
 BATCH_SIZE: Final = 8192
@@ -52,8 +51,8 @@ class IkTargets:
         return IkTargets(self.p_RoTo_R_m[:, these], self.approach_R[:, these])
 
 
-def make_targets(position_m: Array, approach: Array, frame: str = "rnav") -> IkTargets:
-    """Build targets in a frame of FRAMES of positions and directions of any length, shape (3, n) each.
+def make_targets(position_m: Array, approach: Array) -> IkTargets:
+    """Build targets of positions in RNAV and directions of any length, shape (3, n) each.
 
     BadRequest, in the words of the user, says that a number is not finite, a point too far, a direction 0, or
     the shapes differ.
@@ -62,12 +61,10 @@ def make_targets(position_m: Array, approach: Array, frame: str = "rnav") -> IkT
     if position_m.shape != approach.shape or position_m.ndim != 2 or len(position_m) != 3:
         shapes = f"{position_m.shape} and {approach.shape}"
         raise BadRequest(f"position and approach: have the shapes {shapes}; both must have (3, n)")
-    if frame not in FRAMES:
-        raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")
     what = "the one in which the tool is to point, such as 0 0 1 for down"
     unit = check_targets(position_m, approach, ("position", "approach"), what)
     unit = unit / np.linalg.norm(unit, axis=0)
-    return IkTargets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
+    return IkTargets(p_R_from_N(position_m.T).T, unit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +178,7 @@ def _one_target(request: IkRequest) -> IkTargets:
             "position and approach: give both, such as --position 2.1 0 -0.3 --approach 0.5 0 0.85"
         )
     position, approach = (np.array(vector)[:, None] for vector in (request.position_m, request.approach))
-    return make_targets(position, approach, request.frame)
+    return make_targets(position, approach)
 
 
 def ik_document(report: IkReport) -> dict[str, Any]:
@@ -190,7 +187,6 @@ def ik_document(report: IkReport) -> dict[str, Any]:
     return {
         "valid": sum(branch["verdict"] == "valid" for branch in branches),
         **model_document(report.model),
-        "frame": report.request.frame,
         "position_m": report.request.position_m or (),
         "approach": report.request.approach or (),
         "joints": JOINT_NAMES,

@@ -1,4 +1,4 @@
-"""Figures drawn with matplotlib, which may not be installed: as SVG inside a page, or as PNG for documents.
+"""Figures drawn with matplotlib: as SVG inside a page, or as PNG for documents.
 
 Functions that draw use the names of colours below. In an SVG they stand for the variables of the style sheet,
 so that one figure serves a light and a dark page. In a PNG they have the values of the light page.
@@ -92,7 +92,7 @@ def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str
     return _embed(written.getvalue(), alt)
 
 
-def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], None]) -> str | None:
+def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], None]) -> None:
     """Draw a figure of a page, and save it in the colours of the light page; else as `save_figure`."""
 
     def draw_in_colours(figure: Any) -> None:
@@ -106,7 +106,7 @@ def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], N
         figure.set_facecolor(PAPER)
         draw(figure)
 
-    return save_figure(path, size_inch, 110, draw_in_colours)
+    save_figure(path, size_inch, draw_in_colours)
 
 
 def _name_colours(values: Mapping[str, str]) -> None:
@@ -140,15 +140,10 @@ def _embed(svg: str, alt: str) -> str:
     return f'<svg viewBox="{view_box[1]}" role="img" aria-label="{label}"><title>{label}</title>{body}'
 
 
-def save_figure(
-    path: Path, size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]
-) -> str | None:
-    """Draw a figure as PNG, BadOutput if that fails; return why there is none, without matplotlib."""
+def save_figure(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], None]) -> None:
+    """Draw a figure as PNG of 110 dots an inch; BadOutput if the file cannot be written."""
     os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
-    try:
-        import matplotlib
-    except ImportError as error:
-        return f"matplotlib is missing ({error}); pip install matplotlib"
+    import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -157,7 +152,6 @@ def save_figure(
         FigureCanvasAgg(figure)
         draw(figure)
         image = BytesIO()
-        figure.savefig(image, format="png", dpi=dpi, facecolor=figure.get_facecolor())
+        figure.savefig(image, format="png", dpi=110, facecolor=figure.get_facecolor())
     with atomic_write(path, "picture") as file:
         file.write(image.getvalue())
-    return None

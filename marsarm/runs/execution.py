@@ -1,26 +1,26 @@
-"""Execution of a run in the closed loop: find the hardstops, record every cycle, draw the picture and movie.
+"""Execution of a run in the closed loop: find the hardstops, record every cycle, draw the picture.
 
-A run continues if its log, picture or movie cannot be written.
+A run continues if its log or picture cannot be written.
 """
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Final, Generic, Protocol, Self, TypeVar
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.params import Params, digest
-from marsarm.render.picture import PictureResult, save_movie, save_picture
+from fsw.kinematics.transforms import Array
+from marsarm.render.rays import RayCamera
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles
 from marsarm.telemetry.format import SAMPLE_CYCLES, LogNotWritable
@@ -33,21 +33,17 @@ from sim.record import CycleRecord
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadOutput, BadRequest, UserError
+from simgap.common.files import atomic_path
 from simgap.common.interruption import describe_interruption
-from simgap.common.progress import Progress, as_guess, part_of
+from simgap.common.progress import Progress, part_of
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
-"""Cycles between two frames of a movie, and between two reports of the progress."""
+"""Cycles between two reports of the progress."""
 INITIALISATION_SHARE: Final = 0.45
 """Share of the initialisation in the time of a placement or scenario, for the progress: 5.5 s of 13 s."""
 DRAWING_SHARE: Final = 0.1
 """Share of picture and page: 1.3 s of 13 s."""
-MOVIE_BEGINS: Final = 0.1
-"""Share of a run after which its movie is drawn: 13 s of 130 s."""
-PICTURE_SIZE = (1280, 720)
-
-Qpos = NDArray[np.float64]
-"""Positions of the model as in MuJoCo's qpos, shape (nq,), in metres and radians."""
+PICTURE_SIZE: Final = (1280, 720)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +61,9 @@ class LogNotWritten(Evr):
 class Artifacts:
     """Files that a run wrote."""
 
-    picture: PictureResult | None = None
-    movie: PictureResult | None = None
+    picture: Path | None = None
+    picture_problem: str | None = None
+    """Reason why there is no picture."""
     page: Path | None = None
     page_problem: str | None = None
     """Reason why there is no page."""
@@ -78,11 +75,6 @@ class Artifacts:
     """Time [s] and event of each event of the ground."""
 
 
-def progress_before_movie(files: RunFiles, progress: Progress) -> Progress:
-    """Return the progress of a run; with a movie it is a guess, because the time to draw is one."""
-    return progress if files.movie is None else part_of(as_guess(progress), 0.0, MOVIE_BEGINS)
-
-
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationResult:
     """Find the hardstop of every joint until one fails; return the last result, or raise what ended a run."""
     initialising = part_of(progress, 0.0, INITIALISATION_SHARE)
@@ -92,16 +84,6 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> InitialisationRe
             raise last.failure
         initialising(number, len(HARDSTOP_ORDER), "initialising")
     return last
-
-
-@dataclass(slots=True)
-class DrawnPoses:
-    """Poses of a run, which are drawn after it."""
-
-    poses: list[Qpos] = field(default_factory=list)
-    """Poses for the movie, at regular intervals; none without a movie."""
-    best: Qpos | None = None
-    """Pose for the picture."""
 
 
 class RunLog:
@@ -175,31 +157,24 @@ class Run(Protocol[Result_co]):
         """Return the result; valid after the last cycle."""
 
 
-def save_pictures(
-    files: RunFiles, world: World, arm: ArmModel, drawn: DrawnPoses, progress: Progress
-) -> tuple[PictureResult | None, PictureResult | None]:
-    """Draw the picture and the movie of a run, each None if it is not wanted."""
-    if files.picture is None and files.movie is None:
-        return None, None
+def draw_picture(path: Path, world: World, arm: ArmModel, qpos: Array) -> str | None:
+    """Draw a pose of the model of a run, (nq,), as PNG; return the reason why there is none, None else."""
+    import PIL.Image  # a run without a picture does not wait for it
+
     spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
-    picture = movie = None
-    if files.picture is not None:
-        data = mujoco.MjData(model)
-        data.qpos[:] = drawn.best
-        mujoco.mj_forward(model, data)
-        camera = "turret" if world.surface is None else "target"
-        picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
-    if files.movie is not None:
-
-        def iter_poses() -> Iterator[Qpos]:
-            for k, pose in enumerate(drawn.poses):
-                progress(k, len(drawn.poses), "drawing")
-                yield pose
-
-        movie = save_movie(model, iter_poses(), "overview", files.movie)
-    return picture, movie
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    camera = "turret" if world.surface is None else "target"
+    image = RayCamera(model, model.camera(camera).id, PICTURE_SIZE).take(data)
+    try:
+        with atomic_path(Path(os.path.realpath(path))) as part:  # a link stays a link
+            PIL.Image.fromarray(image).save(part, "PNG")
+    except OSError as error:
+        return f"no picture: {path} cannot be written ({error.strerror or error})"
+    return None
 
 
 @contextmanager
@@ -264,7 +239,7 @@ def execute(
     arm: ArmModel,
     title: str,
 ) -> Execution[Result]:
-    """Carry out a run: record every cycle, then write page, picture and movie.
+    """Carry out a run: record every cycle, then write page and picture.
 
     Args:
         progress_at: Function that returns the amount done at a cycle, and the total amount or GUESS.
@@ -273,14 +248,8 @@ def execute(
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
-    share = 1.0 - DRAWING_SHARE
-    running = part_of(progress_before_movie(files, progress), INITIALISATION_SHARE, share)
-    if files.movie is None:
-        drawing = part_of(progress, share, 1.0)
-    else:
-        drawing = part_of(as_guess(progress), MOVIE_BEGINS, 1.0)
-    drawn = DrawnPoses()
-    named = (files.picture, files.movie, files.page, files.log)
+    running, qpos = part_of(progress, INITIALISATION_SHARE, 1.0 - DRAWING_SHARE), None
+    named = (files.picture, files.page, files.log)
     replaced = frozenset(path for path in named if path is not None and path.exists())
     started = time.perf_counter()
     with choose_log(files) as log_path:
@@ -293,10 +262,8 @@ def execute(
                 if record.tick % FRAME_CYCLES == 0:
                     activity = record.outputs.joint.mode.name.lower().replace("_", " ")
                     running(*progress_at(record), activity)
-                    if files.movie is not None:
-                        drawn.poses.append(loop.plant.data.qpos.copy())
                 if is_for_picture(record):
-                    drawn.best = loop.plant.data.qpos.copy()
+                    qpos = loop.plant.data.qpos.copy()
         wall_s = time.perf_counter() - started
         if loop.failure is not None:
             raise loop.failure
@@ -304,11 +271,11 @@ def execute(
         if problem is None and files.page is not None:
             problem = next((f"{files.page} plays to {e.from_s:.2f} s ({e.why})" for _, e in log.events), None)
     result = run.result()
-    drawn.best = loop.plant.data.qpos if drawn.best is None else drawn.best
-    picture, movie = save_pictures(files, world, arm, drawn, drawing)
+    qpos = loop.plant.data.qpos if qpos is None else qpos
+    undrawn = None if files.picture is None else draw_picture(files.picture, world, arm, qpos)
     artifacts = Artifacts(
-        picture,
-        movie,
+        picture=files.picture if undrawn is None else None,
+        picture_problem=undrawn,
         page=files.page if problem is None else None,
         page_problem=problem,
         replaced=replaced,

@@ -15,7 +15,6 @@ from marsarm.runs.execution import (
     execute,
     execution_not_begun,
     initialise,
-    progress_before_movie,
 )
 from marsarm.runs.request import PlaceRequest
 from marsarm.telemetry.recorder import run_header
@@ -92,7 +91,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     """Carry out a placement; BadRequest if the request is wrong; nothing moved and nothing was written."""
     job = prepare_placement(request)
     check_unlocked(request.files.log, "log")
-    last = initialise(job.arm, request.seed, progress_before_movie(request.files, progress))
+    last = initialise(job.arm, request.seed, progress)
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))

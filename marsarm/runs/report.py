@@ -77,8 +77,8 @@ def _execution_document(execution: "Execution[Any]", files: "RunFiles") -> dict[
         "evrs": [evr_document(*one) for one in (*execution.result.evrs, *artifacts.events)],
         "log": files.log,
         "log_problem": artifacts.log_problem,
-        "picture": artifacts.picture and artifacts.picture.path,
-        "movie": artifacts.movie and artifacts.movie.path,
+        "picture": artifacts.picture,
+        "picture_problem": artifacts.picture_problem,
         "page": artifacts.page,
         "page_problem": artifacts.page_problem,
     }
@@ -88,11 +88,6 @@ def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str
     """List duration, warnings and files of a run, or the reasons why there are no files."""
     result, artifacts = execution.result, execution.artifacts
     speed = f"{execution.realtime_factor:.0f} times real time"
-    drawn = {
-        name: _file_text(one.path, artifacts) + (f"  ({one.hint})" if one.hint else "")
-        for name, one in (("picture", artifacts.picture), ("movie", artifacts.movie))
-        if one is not None
-    }
     return [
         f"duration  {result.duration_s:.1f} s of Mars time, {speed}",
         *(
@@ -102,18 +97,16 @@ def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str
         ),
         *file_lines(
             {
-                **drawn,
-                "page": files.page and (artifacts.page_problem or _file_text(artifacts.page, artifacts)),
-                "log": files.log and (artifacts.log_problem or _file_text(files.log, artifacts)),
+                "picture": artifacts.picture_problem or _file_text(artifacts.picture, artifacts),
+                "page": artifacts.page_problem or _file_text(artifacts.page, artifacts),
+                "log": artifacts.log_problem or _file_text(files.log, artifacts),
             }
         ),
     ]
 
 
-def _file_text(path: Path | None, artifacts: "Artifacts") -> str:
-    if path is None:
-        return "none"
-    return f"{path}, in place of an older one" if path in artifacts.replaced else str(path)
+def _file_text(path: Path | None, artifacts: "Artifacts") -> Path | str | None:
+    return f"{path}, in place of an older one" if path in artifacts.replaced else path
 
 
 def evr_document(time_s: float, evr: Evr) -> dict[str, Any]:
@@ -204,8 +197,8 @@ def _in_display_unit(check: "CheckResult") -> tuple[float, float, float, str]:
     return factor * check.value, factor * check.low, factor * check.high, unit
 
 
-def hardstop_document(report: "HardstopReport", picture_problem: str | None = None) -> dict[str, Any]:
-    """Collect the run; `picture_problem` is the reason why there is no picture."""
+def hardstop_document(report: "HardstopReport") -> dict[str, Any]:
+    """Collect the run."""
     request, result = report.request, report.result
     same = ("arm", "scene", "turret", "seed")
     return {
@@ -217,12 +210,10 @@ def hardstop_document(report: "HardstopReport", picture_problem: str | None = No
         "max_current_ratio": float(result.max_current_ratio.max()),
         "duration_s": result.duration_s,
         "evrs": [evr_document(*one) for one in result.evrs],
-        "picture": None if picture_problem is not None else request.picture,
-        "picture_problem": picture_problem,
     }
 
 
-def hardstop_parts(report: "HardstopReport", picture_problem: str | None = None) -> list[str | ReportTable]:
+def hardstop_parts(report: "HardstopReport") -> list[str | ReportTable]:
     """Show the hardstop errors, and the events of calibration and warnings."""
     request, result = report.request, report.result
     head = ("joint", "zero error mrad", "without wind-up mrad", "half backlash error mrad", "load N m")
@@ -233,12 +224,10 @@ def hardstop_parts(report: "HardstopReport", picture_problem: str | None = None)
         for time_s, evr in result.evrs
         if isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO
     ]
-    picture = None if request.picture is None else picture_problem or request.picture
     return [
         ReportTable((*head, "most on stop N m"), rows, title),
         "errors are against the true hardstop of this arm, which flight software cannot see",
         *events,
-        *file_lines({"picture": picture}),
     ]
 
 

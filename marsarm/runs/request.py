@@ -33,14 +33,6 @@ class RunFiles:
             help_without="Draw no picture.",
         ),
     ] = None
-    movie: Annotated[
-        Path | None,
-        Option(
-            "Draw the whole run; it takes minutes.",
-            "FILE.gif",
-            suffixes=(".gif",),
-        ),
-    ] = None
     page: Annotated[
         Path | None, Option("Write a page that plays the run.", "FILE.html", suffixes=(".html",))
     ] = None
@@ -139,6 +131,3 @@ class HardstopRequest:
     params: ParamsOption = None
     mismatch: MismatchOption = False
     effects: EffectsOption = ()
-    picture: Annotated[
-        Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
-    ] = None

@@ -11,7 +11,6 @@ from marsarm.runs.execution import (
     execute,
     execution_not_begun,
     initialise,
-    progress_before_movie,
 )
 from marsarm.runs.request import RunRequest
 from marsarm.telemetry.recorder import run_header
@@ -53,12 +52,11 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     # flight software takes the friction of this day from the initialisation
     ambient = default_ambient(arm.effects, scenario.temperature_C)
     on_this_day = replace(arm, effects=(*ambient, *arm.effects))
-    before_movie = progress_before_movie(request.files, progress)
-    last = initialise(on_this_day, request.seed, as_guess(before_movie))
+    last = initialise(on_this_day, request.seed, as_guess(progress))
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
-    before_movie(INITIALISATION_SHARE, GUESS, "teaching")
+    progress(INITIALISATION_SHARE, GUESS, "teaching")
     try:
         arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:

@@ -115,19 +115,7 @@ def test_an_interval_without_an_end_is_null_in_the_document(report):
     json.dumps(document, allow_nan=False)
 
 
-def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
-    for seed in (7, 8):
-        (tmp_path / f"{seed}.toml").write_text(f'arm_name = "as-built:{seed}"\n')
-    wanted = replace(
-        STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
-    )
-    assert len(run_monte_carlo(wanted).trials) == 2
-    (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
-    with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
-        run_monte_carlo(wanted)
-
-
-@pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
+@pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "places": [{}]}', "[]"])
 def test_a_line_that_is_no_result_is_named(tmp_path, line):
     wanted = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
     run_monte_carlo(wanted)
@@ -137,20 +125,13 @@ def test_a_line_that_is_no_result_is_named(tmp_path, line):
         run_monte_carlo(wanted)
 
 
-def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
-    own = tmp_path / "7.toml"
-    own.write_text('arm_name = "as-built:7"\n')
-    wanted = replace(
-        STATICS,
-        built="as-built",
-        arms=1,
-        seed=7,
-        params=tmp_path / "{seed}.toml",
-        results=tmp_path / "r.jsonl",
-    )
+def test_results_of_other_parameters_are_not_mixed_in(tmp_path):
+    own = tmp_path / "own.toml"
+    wanted = replace(STATICS, arms=1, params=own, results=tmp_path / "r.jsonl")
+    own.write_text("[joints.elbow]\nspeed_rad_s = 0.01\n")
     run_monte_carlo(wanted)
-    own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
-    with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
+    own.write_text("[joints.elbow]\nspeed_rad_s = 0.02\n")
+    with pytest.raises(BadRequest, match="of another request"):
         run_monte_carlo(wanted)
 
 

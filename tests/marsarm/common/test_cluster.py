@@ -12,7 +12,6 @@ from importlib.util import find_spec
 
 import pytest
 
-from fsw.dictionary.params import digest
 from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import pool
@@ -65,9 +64,7 @@ def start_two_nodes() -> Iterator[LoopbackCluster]:
 
 def list_arms(count: int, seed: int) -> list[ArmJob]:
     """List jobs of the Monte Carlo of the error budget, one place each."""
-    params = nominal_params()
-    own = (params, digest(params))
-    return [ArmJob("mars", "sampled", 1, "statics", seed, arm, *own) for arm in range(count)]
+    return [ArmJob("mars", "sampled", 1, "statics", seed, arm, nominal_params()) for arm in range(count)]
 
 
 def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], None] = lambda _: None) -> str:

@@ -1,7 +1,5 @@
 """Reach map of the primary workspace, and its picture."""
 
-import sys
-
 import numpy as np
 import PIL.Image
 import pytest
@@ -65,12 +63,3 @@ def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
     with PIL.Image.open(tmp_path / "reach.png") as picture:
         assert picture.size == (1540, 605)
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
-
-
-def test_without_matplotlib_there_is_a_message_and_no_picture(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    report = reach(ReachRequest(samples=50, picture=tmp_path / "reach.png"))
-    document = to_json(reach_document(report))
-    assert document["picture"] is None
-    assert "pip install matplotlib" in document["picture_problem"]
-    assert list(tmp_path.iterdir()) == []

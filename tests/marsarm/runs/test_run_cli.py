@@ -3,12 +3,16 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from marsarm.runs.execution import choose_log
+from marsarm.runs.execution import choose_log, draw_picture
 from marsarm.runs.request import RunFiles
 from marsarm.telemetry.read import read_log
+from sim.arm_model.load import default_arm
 from sim.scenario.file import built_in_scenarios
+from sim.setting import World
+from sim.world import build
 from simgap.common.errors import BadOutput
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
 
@@ -26,7 +30,7 @@ def folder(tmp_path):
 
 @pytest.mark.usefixtures("is_initialised")
 def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(folder):
-    words = ("--arm", "calibrated:1", "--tilt", "3", "-4", "--log", "run.mcap", "--movie", "run.gif")
+    words = ("--arm", "calibrated:1", "--tilt", "3", "-4", "--log", "run.mcap")
     files = ("--picture", "run.png", "--page", "run.html")
     done = marsarm(folder, "run", "short.toml", "--json", *files, *words)
     assert done.returncode == 0, done.stderr
@@ -49,7 +53,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
     log = read_log(folder / "run.mcap")
     assert len(log["/joint"]) == len(log["/truth"]) == round(report["duration_s"] * 64)
     assert [entry.name for entry in log.evrs] == [evr["name"] for evr in report["evrs"]]
-    for name in ("run.gif", "run.png", "run.html"):
+    for name in ("run.png", "run.html"):
         assert (folder / name).stat().st_size > 5_000
 
 
@@ -69,6 +73,14 @@ def test_a_run_that_is_refused_faults_or_misses_a_check_ends_with_status_3(folde
     assert f"arm nominal: {outcome}, NOT passed" in words
     assert said in words
     assert [path.name for path in folder.iterdir() if path.suffix != ".toml"] == []
+
+
+def test_a_picture_is_written_whole_or_not_at_all(tmp_path):
+    path, model = tmp_path / "scene.png", default_arm()
+    with largest_file(1000):
+        problem = draw_picture(path, World(), model, np.zeros(build(World(), model).compile().nq))
+    assert problem == f"no picture: {path} cannot be written (File too large)"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
