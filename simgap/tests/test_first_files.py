@@ -35,29 +35,33 @@ def make(folder, log, model=MODEL, unit=""):
     return tomllib.loads(path.read_text())["joints"], " ".join(list_questions(draft)), remarks
 
 
-def test_a_reversed_joint_is_asked(tmp_path):
+def test_a_reversed_joint_is_turned_with_its_velocity(tmp_path):
     turned = {"position_elbow": -run().position[:, 1], "velocity_elbow": -run().velocity[:, 1]}
-    _, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**turned)))
-    assert "the position runs against its command: is factor = -1 missing at one of them?" in asked
+    joints, asked, remarks = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**turned)))
+    assert "the position runs against its command, so it is turned here" in asked
+    factors = [joints["elbow"][key].get("factor", 1.0) for key in ("position", "velocity", "command")]
+    assert factors == [-1.0, -1.0, 1.0]
+    assert remarks == ()
 
 
 @pytest.mark.parametrize("size", [50.0, 1.0])
-def test_the_side_of_the_torques_is_asked_by_the_gear_and_by_their_size(tmp_path, size):
+def test_the_gear_of_the_actuator_is_taken_by_the_size_of_the_torques(tmp_path, size):
     geared = MOTORS.replace("<motor ", '<motor gear="50" ')
     torques = {f"torque_{joint}": run().torque[:, j] / size for j, joint in enumerate(JOINTS)}
     joints, asked, _ = make(tmp_path, write_columns(tmp_path / "log.csv", **by_name(**torques)), geared)
-    assert "is the torque that of the motor, before the gear of the actuator (50)?" in asked
-    assert ("are they those of the motors, before their gears?" in asked) == (size > 1.0)
+    assert (joints["lift"]["torque"].get("side"), joints["lift"].get("gear_ratio")) == (
+        ("motor", 50.0) if size > 1.0 else (None, None)
+    )
+    assert ("is the torque that of the motor" in asked) == (size == 1.0)
     assert "kp_Nm_rad" not in joints["lift"]
 
 
-def test_a_gain_of_the_model_is_asked_and_one_that_it_lacks_is_a_guess(tmp_path):
+def test_a_gain_of_the_model_is_asked_where_the_logs_contradict_it(tmp_path):
     log = write_columns(tmp_path / "log.csv", **by_name())
     _, asked, _ = make(tmp_path, log)
-    assert "is 20 N m/rad, the gain of the model, that of the robot" in asked
-    joints, asked, _ = make(tmp_path, log, MOTORS)
-    assert joints["lift"]["kp_Nm_rad"] > 0.0
-    assert "what is the gain of the servo" in asked
+    assert "gain of the model" not in asked
+    _, asked, _ = make(tmp_path, log, MODEL.replace('kp="20"', 'kp="500"'))
+    assert "is 500 N m/rad, the gain of the model, that of the robot; the logs look like" in asked
 
 
 @pytest.mark.parametrize("is_folder", [True, False])

@@ -12,7 +12,7 @@ import numpy as np
 
 from simgap.checks.audit import audit
 from simgap.checks.rates import pause_windows_s
-from simgap.checks.records import REFUSED, RemarkKind
+from simgap.checks.records import REFUSED, Remark, RemarkKind
 from simgap.common.errors import RobotError
 from simgap.common.progress import GUESS, Progress
 from simgap.common.toml import parse_record
@@ -84,20 +84,42 @@ def draft_robot_file(
     grippers = [one for one in by_joint if of_lerobot and set(split_words(one)) & GRIPPERS]
     write_columns(draft, opened, model, by_joint, unit, grippers)
     _leave_out(draft, model)
-    compares_positions = gains.guess_gains(draft, model, path)
+    unknown = gains.set_unknown_gains(draft, model, path)
     progress(0.5, GUESS, "comparing signals")
     robot, logs = _cut_at_pauses(draft, path, log_paths)
     settle_speeds(draft, robot, logs, by_joint)
-    if compares_positions:
-        gains.ask_about_gains(draft, robot)
+    if unknown is not None:
+        sags = gains.sag_gains(robot, logs)
+        gains.ask_about_gains(draft, robot, gains.loop_gains(robot, logs.motions) | sags)
+        for joint in unknown:
+            gains.estimate_gain(draft, robot, logs, joint, sags.get(joint))
     gains.ask_about_torques(draft, robot, logs)
     progress(0.75, GUESS, "checking the logs")
     robot, logs = _read(draft, path, log_paths)
     for one in audit(robot, logs).remarks:
-        if one.kind in (*REFUSED, RemarkKind.PAUSE):
+        if "runs against" in one.text:
+            _turn(draft, robot, one)
+        elif one.kind in (*REFUSED, RemarkKind.PAUSE):
             draft.ask(f"the check says: {one.kind}: {one.text}", "joints", *filter(None, [one.joint]))
     parse_record(RobotFile, draft.content, path)
     return draft
+
+
+def _turn(draft: Draft, robot: Robot, remark: Remark) -> None:
+    """Turn a position round that runs against its command, with its velocity, or a velocity alone."""
+    table, joint = draft.joint(remark.joint), remark.joint
+    key = "velocity" if remark.text.startswith("the velocity") else "position"
+    turned = ("velocity",) if key == "velocity" else ("position", "velocity", "secondary")
+    for one in (table[name] for name in turned if name in table):
+        if "at_1_rad" in one:
+            low, high = robot.range_rad(joint)
+            start, end = one["at_0_rad"], one["at_1_rad"]
+            is_middle = abs(start - (low + high) / 2.0) < 1e-3  # of -100..100, where 0 stays
+            one["at_0_rad"], one["at_1_rad"] = (start, 2.0 * start - end) if is_middle else (end, start)
+        else:
+            one["factor"] = -one.get("factor", 1.0)
+    said = remark.text.partition(":")[0]
+    draft.ask(f"{said}, so it is turned here; or is the other one to be turned?", "joints", joint, key)
 
 
 def _named_records(
