@@ -54,6 +54,19 @@ class HardstopResult:
     """Modelled torque at the hardstop."""
 
 
+@dataclass(frozen=True, slots=True)
+class HomingSample:
+    """Homing joint in one cycle; angles and speeds are those of the motor, output side."""
+
+    time_s: float
+    joint: Joint
+    stage: HomingStage
+    angle_rad: float
+    speed_rad_s: float
+    current_A: float
+    limit_A: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialisationResult:
     """Outcome of a hardstop initialisation."""
@@ -63,6 +76,7 @@ class InitialisationResult:
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
     stops: tuple[HardstopResult, ...]
+    samples: tuple[HomingSample, ...]
     reference: Reference
     """Reference in the memory of flight software afterwards."""
     max_torque_Nm: Array
@@ -82,8 +96,7 @@ class InitialisationRun:
         self._outcome = Outcome.SOFTWARE_ERROR
         self._evrs: list[tuple[float, Evr]] = []
         self._stops: list[HardstopResult] = []
-        self._stalled_rad = np.full(len(Joint), np.inf)
-        """Motor angle nearest to the hardstop while each joint moves slowly towards it."""
+        self._samples: list[HomingSample] = []
         self._torque_Nm = np.zeros(len(Joint))
         self._current_share = np.zeros(len(Joint))
 
@@ -101,16 +114,27 @@ class InitialisationRun:
             self._evrs.append((time_s, evr))
             if isinstance(evr, JointCalibrated):
                 self._stops.append(self._hardstop_result(evr))
-        homing = None if state.move is None else state.move.homing
-        if homing is not None and homing.stage is HomingStage.FINE:
-            at = homing.joint
-            self._stalled_rad[at] = min(self._stalled_rad[at], state.joints.motor_rad[at])
+        if state.move is not None and state.move.homing is not None:
+            homing = state.move.homing
+            j = homing.joint
+            self._samples.append(
+                HomingSample(
+                    time_s,
+                    j,
+                    homing.stage,
+                    float(state.joints.motor_rad[j]),
+                    float(state.joints.motor_rate_rad_s[j]),
+                    float(record.sensors.current_A[j]),
+                    float(record.outputs.drive.current_limit_A[j]),
+                )
+            )
 
     def _hardstop_result(self, evr: JointCalibrated) -> HardstopResult:
         plant, state, config, j = self.loop.plant, self.loop.state, self.loop.config, evr.joint
         drawn_rad = config.params.joints.in_order()[j].hardstop_rad
         zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
-        uncorrected = drawn_rad - float(self._stalled_rad[j]) - float(config.half_backlash_rad[j])
+        stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is HomingStage.FINE)
+        uncorrected = drawn_rad - stalled_rad - float(config.half_backlash_rad[j])
         return HardstopResult(
             joint=j,
             zero_error_rad=zero_error,
@@ -134,6 +158,7 @@ class InitialisationRun:
             duration_s=self.loop.plant.data.time,
             evrs=tuple(self._evrs),
             stops=tuple(self._stops),
+            samples=tuple(self._samples),
             reference=self.loop.state.joints.reference,
             max_torque_Nm=self._torque_Nm,
             max_current_ratio=self._current_share,

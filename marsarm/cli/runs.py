@@ -56,12 +56,14 @@ def hardstop(request: "marsarm.runs.request.HardstopRequest", progress: Progress
 
     Flight software begins without any zero. Errors are relative to the true hardstop of the arm.
 
-    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40
+    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """
-    from marsarm.runs.hardstop import hardstop
+    from marsarm.runs.hardstop import hardstop, save_hardstop_figure
     from marsarm.runs.report import hardstop_document, hardstop_parts
 
     report = hardstop(request, progress)
+    if request.picture is not None:
+        save_hardstop_figure(report.result, request.picture)
     is_done = report.result.outcome == "done"
     return shown(hardstop_document(report), hardstop_parts(report), is_done)
 

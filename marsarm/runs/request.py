@@ -131,3 +131,6 @@ class HardstopRequest:
     params: ParamsOption = None
     mismatch: MismatchOption = False
     effects: EffectsOption = ()
+    picture: Annotated[
+        Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
+    ] = None

@@ -2,6 +2,7 @@
 
 import json
 
+import PIL.Image
 import pytest
 
 from fsw.dictionary.enums import Joint
@@ -9,12 +10,15 @@ from sim.arms import nominal_params
 from tests.marsarm.command import marsarm
 
 
-def test_one_joint_is_found_and_people_see_a_table_and_what_was_said(tmp_path):
-    done = marsarm(tmp_path, "hardstop", "--joint", "turret", "--arm", "as-built:5", "--temperature", "-55")
+def test_one_joint_is_found_and_drawn_and_people_see_a_table_and_what_was_said(tmp_path):
+    words = ("--arm", "as-built:5", "--temperature", "-55", "--picture", "turret.png")
+    done = marsarm(tmp_path, "hardstop", "--joint", "turret", *words)
     assert done.returncode == 0, done.stderr
     assert "TURRET calibrated" in done.stdout
     assert "zero error" in done.stdout
-    assert not list(tmp_path.iterdir())
+    with PIL.Image.open(tmp_path / "turret.png") as image:
+        assert image.width > 1000
+    assert [path.name for path in tmp_path.iterdir()] == ["turret.png"]
 
 
 @pytest.mark.slow
