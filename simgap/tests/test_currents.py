@@ -26,17 +26,17 @@ CURRENT = 'current = { column = "m2", unit = "mA" }\ntorque_constant_Nm_A = 2.5'
 
 
 @cache
-def six_motions():
-    return [simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}") for seed in range(6)]
+def motion(seed):
+    return simulated(arm(), seed, noise_rad=1e-5, name=f"m{seed}")
 
 
-def guessed(constant_Nm_A, true_Nm_A, is_known):
+def guessed(constant_Nm_A, true_Nm_A, is_known, count):
     """Return the arm and its logs, in which torques are known as currents."""
     robot = arm()
     guess = {"torque_constant_Nm_A": constant_Nm_A, "torque_constant_is_known": is_known}
     robot = replace(robot, joints=tuple(replace(one, **guess) for one in robot.joints))
     motions = []
-    for one in six_motions():
+    for one in map(motion, range(count)):
         joints = {
             name: replace(log, torque=None, current=Signal(log.torque.time_s, log.torque.value / true_Nm_A))
             for name, log in one.joints.items()
@@ -84,7 +84,7 @@ def test_a_guess_without_a_current_in_place_of_a_torque_or_without_a_number_is_r
 
 def test_the_scale_of_a_current_is_a_base_parameter_only_if_it_is_a_guess():
     for is_known in (True, False):
-        robot, motions = guessed(10.0, 10.0, is_known)
+        robot, motions = guessed(10.0, 10.0, is_known, 1)
         logs = Logs(tuple(motions))
         found = [one for one in base_effects(robot, logs) if isinstance(one, CurrentScale)]
         assert [one.place for one in found] == ([] if is_known else ["shoulder", "elbow"])
@@ -93,7 +93,7 @@ def test_the_scale_of_a_current_is_a_base_parameter_only_if_it_is_a_guess():
 
 @pytest.mark.slow
 def test_a_wrong_scale_of_a_current_is_found():
-    robot, motions = guessed(10.0, 10.8, False)
+    robot, motions = guessed(10.0, 10.8, False, 6)
     result = diagnose(robot, motions)
     scale = {one.place: one for one in result.base if one.name == "torque_constant_Nm_A"}
     for place in ("shoulder", "elbow"):

@@ -63,11 +63,11 @@ def test_an_as_built_arm_touches_too_and_its_error_is_told():
     assert 0 < contact.total_m < 0.06
 
 
-STRAIGHT = (10, 31, 34)
 TURNS = (1, 8, 24)
 
 
-@pytest.mark.parametrize("index", slow_but(STRAIGHT, 10))
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [10, 31, 34])
 def test_an_obstacle_in_a_straight_move_is_reported_below_50_newtons(index):
     met = meet(0, index)
     assert met.reported, met.report
@@ -88,8 +88,8 @@ def test_an_obstacle_in_a_turn_is_reported_with_joint_and_torque(index):
 
 
 def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused():
-    found = campaign(Context(101), 1500)
+    found = campaign(Context(101), 1000)
     assert found["bugs"] == []
-    assert found["cycles"] == 1500
+    assert found["cycles"] == 1000
     assert found["accepted"]
-    assert sum(found["refused"].values()) > 300
+    assert sum(found["refused"].values()) > 200

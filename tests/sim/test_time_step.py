@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from helpers.marks import slow_but
 from sim.effects.environment import Ambient
 from sim.mujoco_settings import REFERENCE_STEP_S, apply_settings
 from sim.plant import Plant
@@ -33,6 +32,7 @@ def modes(time_step_s: float | None) -> lab.Array:
     return np.array([(abs(r) / (2 * np.pi), -r.real / abs(r)) for r in slowest])
 
 
+@pytest.mark.slow
 def test_the_first_three_modes_have_their_frequency_and_damping() -> None:
     own, reference = modes(None), modes(REFERENCE_STEP_S)
     np.testing.assert_allclose(own[:, 0], reference[:, 0], rtol=0.02)
@@ -68,13 +68,14 @@ def to_and_fro(joint: Joint, rate_rad_s: float, time_step_s: float | None) -> Wa
     return Way(motor, current, output)
 
 
-JOINTS = pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.WRIST], Joint.AZIMUTH))
+JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
 
 
 def rms(values: lab.Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@pytest.mark.slow
 @JOINTS
 def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) -> None:
     """Tolerances are half an encoder count, and the noise of the current sensor."""
@@ -117,7 +118,7 @@ def test_a_motor_that_draws_less_than_its_limit_is_not_limited() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
+@JOINTS
 def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: Joint) -> None:
     """Compare the swing of the output about its mean motion, at a tenth of a degree per second."""
     swings = []

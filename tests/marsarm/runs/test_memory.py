@@ -3,6 +3,8 @@
 import gc
 import tracemalloc
 
+import pytest
+
 from fsw.dictionary.commands import MoveJoint, Process
 from fsw.dictionary.enums import Joint
 from marsarm.runs.execution import FRAME_CYCLES, execute
@@ -21,6 +23,7 @@ FIRST, LAST = FRAME_CYCLES, 4 * FRAME_CYCLES
 """Cycles in the first command and in the second."""
 
 
+@pytest.mark.slow
 def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
     """No line keeps as many more blocks as there are cycles; caches of NumPy keep a few, never the same."""
     commands = (Process("portion", GRAVITY_T, 6.0), MoveJoint(Joint.TURRET, 1.4))

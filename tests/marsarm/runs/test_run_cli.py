@@ -21,6 +21,11 @@ MISSED = SHORT_RUN + '\n[[check]]\ntype = "stowed"\n'
 CUT = SHORT_RUN + '\n[[fault]]\ntype = "POWER_LOSS"\nduring = 1\nafter_s = 1\n'
 
 
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch):
+    monkeypatch.setattr("marsarm.runs.execution.PICTURE_SIZE", (320, 200))
+
+
 @pytest.fixture
 def folder(tmp_path):
     for name, text in (("short", SHORT_RUN), ("refused", REFUSED), ("missed", MISSED), ("cut", CUT)):
