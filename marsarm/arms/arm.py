@@ -200,7 +200,7 @@ def save_layout_picture(layout: ArmLayout, path: Path) -> None:
         above.set(title="From above, RMECH", xlabel="x forward [m]", ylabel="y right [m]")
         above.invert_yaxis()
         _draw_turret(turret, layout)
-        side.legend(loc="lower left")
+        side.legend(loc="upper right")
 
     svg.save_png(path, (14.0, 5.2), draw)
 
@@ -241,5 +241,5 @@ def _draw_triad(axes: Any, X: Pose, name: str, is_above: bool) -> None:
     """Draw the axes and the name of a frame; R (2, 3) and p (2,) are in the plane of the picture."""
     for k, (_, colour) in enumerate(AXES):
         axes.plot(*np.array([X.p, X.p + TRIAD_M * X.R[:, k]]).T, color=colour, linewidth=2.0)
-    shift = (6, 7) if is_above else (6, -15)
+    shift = (6, 7) if is_above else (-26, -26)
     axes.annotate(name, X.p, xytext=shift, textcoords="offset points", color=svg.INK, fontsize=9)
