@@ -129,9 +129,11 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     chosen = dict(sorted(chosen.items(), key=lambda one: rank.get(one[0], len(rank))))
     kinds = {kind for _, kind in chosen}
     named = {joint if len(kinds) == 1 else f"{joint}, {kind}": own for (joint, kind), own in chosen.items()}
+    is_fitted = any(one.motion in diagnosis.fitted_motions for one in traces)
+    motions = "motions" if is_fitted else "motions that took no part, those"
     return [
         heading("Before and after"),
-        paragraph("Of each joint, the motions with the largest, middle and smallest error are shown."),
+        paragraph(f"Of each joint, the {motions} with the largest, middle and smallest error are shown."),
         *draw_traces(named),
     ]
 
