@@ -6,7 +6,8 @@ import tomllib
 import numpy as np
 import pytest
 
-from helpers.first_logs import JOINTS, MODEL, MOTORS, run, write_columns, write_lerobot, write_model
+from helpers.first_logs import JOINTS, MODEL, MOTORS, RATE_HZ, run, write_columns, write_model
+from helpers.robot_folder import write_lerobot
 from simgap.checks.audit import audit
 from simgap.common.progress import no_progress
 from simgap.loading import load
@@ -66,7 +67,10 @@ def test_a_gain_of_the_model_is_asked_where_the_logs_contradict_it(tmp_path):
 
 @pytest.mark.parametrize("is_folder", [True, False])
 def test_grippers_of_lerobot_are_percent_whatever_the_others_are(tmp_path, is_folder):
-    folder = write_lerobot(tmp_path / "set", np.array([180.0 / np.pi, 20.0]), ("lift", "gripper"))
+    one, scale = run(), (180.0 / np.pi, 20.0)
+    halves = [one.motion == motion for motion in (0, 1)]
+    episodes = [(scale * one.command[own], scale * one.position[own]) for own in halves]
+    folder = write_lerobot(tmp_path / "set", ("lift.pos", "gripper.pos"), episodes, RATE_HZ, fps=RATE_HZ)
     log = folder if is_folder else folder / "data" / "chunk-000" / "episode_000000.parquet"
     joints, asked, _ = make(tmp_path, log, MODEL.replace('"elbow"', '"gripper"'))
     assert joints["lift"]["position"] == {"column": "observation.state[lift.pos]", "unit": "deg"}

@@ -3,11 +3,9 @@
 import json
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from helpers.robot_folder import write_csv, write_npz, write_parquet
+from helpers.robot_folder import write_csv, write_lerobot, write_npz, write_parquet
 from simgap.common.errors import RobotError
 from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import list_columns, open_log
@@ -42,18 +40,13 @@ def test_fields_may_have_any_names_and_empty_arrays_are_passed_over(tmp_path):
 
 
 def test_a_list_has_the_names_of_the_information_file(tmp_path):
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
-    info = {"total_frames": 4, "features": {"action": {"names": ["pan.pos", "lift.pos"]}}}
-    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
-    columns = {"action": [[1.0, 2.0]] * 4, "timestamp": [0.0, 0.1, 0.0, 0.1], "episode_index": [0, 0, 1, 1]}
-    path = tmp_path / "data" / "chunk-000" / "file-000.parquet"
-    pq.write_table(pa.table(columns), path)
-    for log in (tmp_path, path):
+    folder = write_lerobot(tmp_path / "set", ("pan.pos", "lift.pos"), [(np.ones((2, 2)),) * 2] * 2, 10.0)
+    for log in (folder, folder / "data" / "chunk-000" / "episode_000000.parquet"):
         names = [one.name for one in list_columns(log)]
-        assert names == ["action[pan.pos]", "action[lift.pos]", "timestamp", "episode_index"]
-    assert list_columns(tmp_path)[0].rate_Hz == pytest.approx(10.0)
-    assert list_columns(tmp_path)[2].unit == "s"
+        assert names[:3] == ["action[pan.pos]", "action[lift.pos]", "observation.state[pan.pos]"]
+        assert names[4:] == ["timestamp", "episode_index"]
+    assert list_columns(folder)[0].rate_Hz == pytest.approx(10.0)
+    assert list_columns(folder)[4].unit == "s"
 
 
 def test_a_log_without_columns_is_refused(tmp_path):

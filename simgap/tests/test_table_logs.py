@@ -4,11 +4,9 @@ import gzip
 import json
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from helpers.robot_folder import COLUMNS, write_csv, write_npz, write_robot
+from helpers.robot_folder import COLUMNS, write_csv, write_lerobot, write_npz, write_robot
 from simgap.common.errors import RobotError
 from simgap.files.log_file import list_columns, open_log, open_whole
 from simgap.files.robot_file import CsvTable
@@ -33,28 +31,15 @@ def opened(path, text, *names):
     return open_log(path, names, [], CsvTable())
 
 
-def write_lerobot(folder, episodes=2, names=("shoulder.pos", "elbow.pos"), **info):
-    """Write a data set with one file an episode."""
-    (folder / "meta").mkdir(parents=True)
-    (folder / "data" / "chunk-000").mkdir(parents=True)
-    features = {name: {"names": list(names)} for name in ("action", "observation.state")}
-    features["action"]["names"] = {"motors": list(names)}  # as earlier versions write
-    text = {"codebase_version": "v2.1", "total_frames": episodes * N, "features": features} | info
-    (folder / "meta" / "info.json").write_text(json.dumps(text))
-    for one in range(episodes):
-        state = [[10.0 * one + k, -float(k)] for k in range(N)]
-        table = {
-            "action": [[25.0 * k, 0.0] for k in range(N)],
-            "observation.state": pa.array(state, pa.list_(pa.float32(), 2)),
-            "timestamp": pa.array([0.02 * k for k in range(N)], pa.float32()),
-            "episode_index": [one] * N,
-        }
-        pq.write_table(pa.table(table), folder / "data" / "chunk-000" / f"episode_{one:06d}.parquet")
-    return folder
+def write_set(folder, names=("shoulder.pos", "elbow.pos"), **info):
+    """Write a data set of two episodes."""
+    action = [[25.0 * k, 0.0] for k in range(N)]
+    episodes = [(action, [[10.0 * one + k, -float(k)] for k in range(N)]) for one in range(2)]
+    return write_lerobot(folder, names, episodes, **info)
 
 
 def test_episodes_of_a_data_set_are_motions_with_times_of_their_own(tmp_path):
-    first, second = load(write_robot(tmp_path, *BY_LIST), write_lerobot(tmp_path / "set")).motions
+    first, second = load(write_robot(tmp_path, *BY_LIST), write_set(tmp_path / "set")).motions
     assert (first.name, second.name) == ("0", "1")
     shoulder = second.joints["shoulder"]
     np.testing.assert_allclose(shoulder.position.time_s, 0.02 * np.arange(N), atol=1e-7)
@@ -64,19 +49,19 @@ def test_episodes_of_a_data_set_are_motions_with_times_of_their_own(tmp_path):
 
 
 def test_a_data_file_that_is_missing_is_told(tmp_path):
-    logs = load(write_robot(tmp_path, *BY_LIST), write_lerobot(tmp_path / "set", total_frames=99))
+    logs = load(write_robot(tmp_path, *BY_LIST), write_set(tmp_path / "set", total_frames=99))
     assert "has 8 rows, its meta/info.json says 99: data files are missing" in logs.losses[0]
 
 
 def test_a_name_that_no_list_has_is_refused_with_those_that_it_has(tmp_path):
-    folder = write_lerobot(tmp_path / "set", names=("a.pos", "b.pos"))
+    folder = write_set(tmp_path / "set", names=("a.pos", "b.pos"))
     with pytest.raises(RobotError, match=r"has no column 'action\[shoulder.pos\]'.* did you mean|it has"):
         load(write_robot(tmp_path, *BY_LIST), folder)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", ""])
 def test_a_damaged_information_file_is_refused(tmp_path, text):
-    folder = write_lerobot(tmp_path / "set")
+    folder = write_set(tmp_path / "set")
     (folder / "meta" / "info.json").write_text(text)
     with pytest.raises(RobotError, match=r"info\.json: "):
         load(write_robot(tmp_path, *BY_LIST), folder)

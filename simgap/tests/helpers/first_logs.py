@@ -1,13 +1,10 @@
 """Logs of an arm with two servos, as other programs write them, for first robot files."""
 
-import json
 from dataclasses import dataclass
 from functools import cache
 
 import mujoco
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from simgap.arrays import Array
 
@@ -86,25 +83,3 @@ def write_columns(path, **columns):
     lines = [",".join(flat), *rows]
     path.write_text("\n".join(lines) + "\n")
     return path
-
-
-def write_lerobot(folder, scale=1.0, names=JOINTS):
-    """Write a LeRobot data set, its values in rad times a scale; return its folder."""
-    one = run()
-    (folder / "meta").mkdir(parents=True)
-    (folder / "data" / "chunk-000").mkdir(parents=True)
-    named = {"dtype": "float32", "shape": [2], "names": [f"{name}.pos" for name in names]}
-    info = {"codebase_version": "v2.1", "fps": RATE_HZ, "total_frames": one.time_s.size}
-    info["features"] = {"action": named, "observation.state": named}
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    for episode in (0, 1):
-        own = one.motion == episode
-        columns = {
-            "action": list(scale * one.command[own]),
-            "observation.state": list(scale * one.position[own]),
-            "timestamp": one.time_s[own],
-            "frame_index": np.arange(own.sum()),
-            "episode_index": np.full(own.sum(), episode),
-        }
-        pq.write_table(pa.table(columns), folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet")
-    return folder

@@ -1,5 +1,7 @@
 """A small robot in a folder: model, robot file, and logs in every format."""
 
+import json
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -96,3 +98,23 @@ def write_npz(folder, **changes):
     """Write the columns as arrays."""
     np.savez(folder / "log.npz", **({name: np.array(one) for name, one in COLUMNS.items()} | changes))
     return folder / "log.npz"
+
+
+def write_lerobot(folder, names, episodes, rate_Hz=50.0, **info):
+    """Write a LeRobot data set with a file for each episode: actions and states, (n, joints) each."""
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    features = {name: {"names": list(names)} for name in ("action", "observation.state")}
+    features["action"]["names"] = {"motors": list(names)}  # as earlier versions write
+    total = sum(len(action) for action, _ in episodes)
+    text = {"codebase_version": "v2.1", "total_frames": total, "features": features} | info
+    (folder / "meta" / "info.json").write_text(json.dumps(text))
+    for k, (action, state) in enumerate(episodes):
+        table = {
+            "action": list(action),
+            "observation.state": pa.array(list(state), pa.list_(pa.float32(), len(names))),
+            "timestamp": pa.array(np.arange(len(action)) / rate_Hz, pa.float32()),
+            "episode_index": [k] * len(action),
+        }
+        pq.write_table(pa.table(table), folder / "data" / "chunk-000" / f"episode_{k:06d}.parquet")
+    return folder
