@@ -89,6 +89,12 @@ def test_a_spring_may_be_weaker_than_that_of_the_model_but_does_not_push_away():
     assert stiffness.low == -0.1
 
 
+def test_a_spring_tells_where_it_is_slack():
+    spring = pendulum.at_swing(forces.Spring, level(), low_rad=0.2, high_rad=0.6)
+    told = spring.describe(np.array([2.0, 0.4]))
+    assert told == "stiffness_Nm_rad = 2, offset_Nm = 0.4 (slack at 0.6 rad)"
+
+
 @pytest.mark.parametrize(
     ("kind", "size", "motor_Nm", "more_kgm2"),
     [

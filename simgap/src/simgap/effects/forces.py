@@ -188,10 +188,18 @@ class Spring(JointEffect):
             self.size_of("offset_Nm", -0.5 * torque, 0.5 * torque, 0.05 * torque),
         )
 
+    @property
+    def _middle_rad(self) -> float:
+        return 0.5 * (self.scales.low_rad + self.scales.high_rad)
+
+    def describe(self, size: Array) -> str:
+        """Return the position at which the spring is slack too, which can be looked at."""
+        slack = f" (slack at {self._middle_rad + size[1] / size[0]:.4g} {self.joint.unit})" if size[0] else ""
+        return JointEffect.describe(self, size) + slack
+
     def torque_Nm(self, size: Array, state: State) -> Array:
         """Return the torque of the spring."""
-        middle = 0.5 * (self.scales.low_rad + self.scales.high_rad)
-        return np.asarray(size[:, 1] - size[:, 0] * (state.q_rad[:, self.index] - middle))
+        return np.asarray(size[:, 1] - size[:, 0] * (state.q_rad[:, self.index] - self._middle_rad))
 
 
 @dataclass(frozen=True, slots=True)
