@@ -2,18 +2,77 @@
 
 import json
 import tomllib
+from functools import cache
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
-from helpers.first_logs import JOINTS, MODEL, MOTORS, RATE_HZ, run, write_columns, write_model
 from helpers.robot_folder import write_lerobot
+from simgap.arrays import Array
 from simgap.checks.audit import audit
 from simgap.common.progress import no_progress
 from simgap.loading import load
 from simgap.robot import Robot
 from simgap.setup.compose import draft_robot_file
 from simgap.setup.draft import list_questions, robot_file_text
+
+MODEL = """<mujoco model="two servos">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="upper" pos="0 0 0.6">
+      <joint name="lift" axis="0 1 0" damping="0.1" frictionloss="0.05" armature="0.02" range="-2 1.5"/>
+      <inertial pos="0.12 0 0" mass="0.3" diaginertia="0.002 0.002 0.002"/>
+      <body name="lower" pos="0.25 0 0">
+        <joint name="elbow" axis="0 1 0" damping="0.1" frictionloss="0.05" armature="0.02" range="-2.5 2.5"/>
+        <inertial pos="0.12 0 0" mass="0.3" diaginertia="0.002 0.002 0.002"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="lift" joint="lift" kp="20" kv="1" forcerange="-20 20"/>
+    <position name="elbow" joint="elbow" kp="20" kv="1" forcerange="-20 20"/>
+  </actuator>
+</mujoco>
+"""
+MOTORS = MODEL.replace(' kp="20" kv="1"', "").replace("<position ", "<motor ")
+JOINTS = ("lift", "elbow")
+RATE_HZ = 100.0
+
+
+@cache
+def run():
+    """Simulate two motions of four seconds; arrays have a row a sample, and a column a joint."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    rows: list[tuple[float, ...]] = []
+    for motion, speeds in enumerate(((2.0, 3.1), (4.3, 1.7))):
+        data = mujoco.MjData(model)
+        for k in range(2000):
+            data.ctrl[:] = 0.6 * np.sin(np.multiply(speeds, k // 5 / RATE_HZ)) * (1.0, -0.8)
+            mujoco.mj_step1(model, data)
+            if k % 5 == 0:
+                torque = 20.0 * (data.ctrl - data.qpos) - data.qvel
+                rows.append((k // 5 / RATE_HZ, motion, *data.ctrl, *data.qpos, *data.qvel, *torque))
+            mujoco.mj_step2(model, data)
+    table = np.array(rows)
+    signals = dict(
+        zip(("command", "position", "velocity", "torque"), np.split(table[:, 2:], 4, axis=1), strict=True)
+    )
+    clock_s = np.arange(len(rows)) / RATE_HZ  # which does not restart
+    return SimpleNamespace(time_s=table[:, 0], clock_s=clock_s, motion=table[:, 1], **signals)
+
+
+def write_columns(path, **columns):
+    """Write columns as CSV; arrays of two joints are columns with the number of the joint at `{}`."""
+    flat: dict[str, Array] = {}
+    for name, values in columns.items():
+        flat |= {name: values} if values.ndim == 1 else {name.format(j): values[:, j] for j in (0, 1)}
+    rows = (",".join(f"{one:.6f}" for one in row) for row in zip(*flat.values(), strict=True))
+    lines = [",".join(flat), *rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
 def by_name(**changes):
@@ -29,7 +88,8 @@ def by_name(**changes):
 def make(folder, log, model=MODEL, unit=""):
     """Write a first robot file; return its joints, its questions, and the remarks of the check."""
     path = folder / "robot.toml"
-    draft = draft_robot_file(write_model(folder, model), (log,), path, unit, no_progress)
+    (folder / "model.xml").write_text(model)
+    draft = draft_robot_file(folder / "model.xml", (log,), path, unit, no_progress)
     path.write_text(robot_file_text(draft, "a test"))
     robot = Robot.from_toml(path)
     remarks = audit(robot, load(robot, log)).remarks
