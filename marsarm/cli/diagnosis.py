@@ -107,19 +107,15 @@ def diagnose(request: "marsarm.diagnosis.arm.request.DiagnoseRequest", progress:
 
     Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
     """
-    from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
+    from marsarm.diagnosis.arm.diagnose_logs import diagnose as diagnose_logs
     from marsarm.diagnosis.arm.output_files import save_diagnosis_files
     from sim.plant import PlantDiverged
     from simgap.command.diagnosis import all_lines
     from simgap.report.document import to_document
 
-    job = prepare_diagnosis(request)
     try:
-        result = diagnose_logs(job, progress)
+        result = diagnose_logs(request, progress)
     except PlantDiverged as error:
         raise BadRequest(str(error)) from error
-
     lines = all_lines(result.diagnosis)
-    return shown(
-        to_document(result.diagnosis), lines, save=lambda: save_diagnosis_files(result, request, job)
-    )
+    return shown(to_document(result.diagnosis), lines, save=lambda: save_diagnosis_files(result, request))

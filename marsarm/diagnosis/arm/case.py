@@ -4,8 +4,8 @@
 (`case_simulator`). It diagnoses the residual, and tests the findings on held-out motion.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -119,13 +119,17 @@ def _screw_rows(keys: Sequence[str]) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class CaseDiagnosis:
-    """Diagnosis of a case, with traces for its page."""
+    """Diagnosis of a case, with what its files need."""
 
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Features of the fitted motions, measured and predicted without and with the findings."""
     model: DiagnosisModel | None = None
     """Model of the features that were fitted."""
+    params: Params | None = None
+    """Flight parameters of the arm; None where no request named its logs."""
+    digests: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of logs and parameters."""
 
 
 def diagnose_case(

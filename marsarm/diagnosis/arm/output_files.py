@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.dictionary.params import Params, digest
+from fsw.dictionary.params import Params
+from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm.case import CaseDiagnosis
-from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, drawing, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from sim.effects.catalogue import effect_name, has_flight_parameter
@@ -15,7 +15,7 @@ from sim.effects.effect import Effect
 from sim.params import BadParams, check_params, params_toml
 from sim.scenario.effects import effect_file_text, effect_text
 from simgap import Diagnosis, to_document
-from simgap.common.files import atomic_write, file_sha256, json_sha256
+from simgap.common.files import atomic_write, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
 from simgap.common.report import file_lines
@@ -86,25 +86,25 @@ def save_new_params(diagnosis: Diagnosis, base: Params, drawing: Params, path: P
         file.write(params_toml(drawing, params, comments).encode())
 
 
-def save_diagnosis_files(
-    result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob
-) -> tuple[str, ...]:
+def save_diagnosis_files(result: CaseDiagnosis, request: DiagnoseRequest) -> tuple[str, ...]:
     """Write the files of a request; return a line about each, and a reason if it has no content.
 
-    The checked request has the logs and the flight parameters. BadOutput if a file cannot be written.
+    BadOutput if a file cannot be written.
     """
 
     def save_page(path: Path) -> None:
-        save_diagnosis_page(result.diagnosis, result.traces, path, _origin(result, request, job))
+        digests = {**result.digests, "result": json_sha256(to_document(result.diagnosis))}
+        origin = Origin(command_text("marsarm diagnose", request), digests)
+        save_diagnosis_page(result.diagnosis, result.traces, path, origin)
+
+    def save_params(path: Path) -> None:
+        assert result.params is not None
+        save_new_params(result.diagnosis, result.params, select_arm(request.arm, None).model.params, path)
 
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", request.report, save_page),
         ("patch", request.patch, lambda path: save_patch(result.diagnosis, path)),
-        (
-            "new-params",
-            request.new_params,
-            lambda path: save_new_params(result.diagnosis, flight_params(job), drawing(job).params, path),
-        ),
+        ("new-params", request.new_params, save_params),
     )
     lines: list[str] = []
     for what, path, save in savers:
@@ -116,12 +116,3 @@ def save_diagnosis_files(
         except NothingToWrite as why:
             lines.append(f"{what} {path}: not written: {why}")
     return tuple(lines)
-
-
-def _origin(result: CaseDiagnosis, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
-    digests = {
-        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
-        for kind, paths in (("logs", job.logs), ("held-out logs", job.held_out))
-        if paths
-    } | {"parameters": digest(flight_params(job)), "result": json_sha256(to_document(result.diagnosis))}
-    return Origin(command_text("marsarm diagnose", request), digests)

@@ -65,15 +65,16 @@ class Named:
 
 def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
     first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
-    diagnose_logs._check_held_out([first], [other])  # type: ignore[list-item]
+    paths = [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")]
+    diagnose_logs._check_sessions(paths[:2], [first], [other])  # type: ignore[list-item]
     with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
-        diagnose_logs._check_held_out([first], [other, again])  # type: ignore[list-item]
+        diagnose_logs._check_sessions(paths, [first], [other, again])  # type: ignore[list-item]
 
 
 def test_a_session_is_given_once() -> None:
     paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
     with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
-        diagnose_logs._check_sessions(paths, [same, same])  # type: ignore[list-item]
+        diagnose_logs._check_sessions(paths, [same], [same])  # type: ignore[list-item]
 
 
 def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path: Path) -> None:
