@@ -11,9 +11,8 @@ sigma, so that their prior has unit covariance too. They are eliminated by the S
 Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from typing import Final
 
@@ -209,10 +208,6 @@ class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
     sensitivities: Sensitivities
-    families: tuple[StrEnum, ...]
-    """Family of every hypothesis."""
-    locations: tuple[str, ...]
-    """Location of every hypothesis: its place without axis or direction."""
     equations: NormalEquations
     label: Ints
     """Equivalence class of every hypothesis, shape (h,)."""
@@ -246,21 +241,12 @@ class DiagnosisModel:
         return tuple(int(one) for one in (self.label == self.label[hypothesis]).nonzero()[0])
 
 
-def build_model(
-    sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
-) -> DiagnosisModel:
+def build_model(sensitivities: Sensitivities, left_out_effect: str = "") -> DiagnosisModel:
     """Build the diagnosis model from the sensitivities of a campaign."""
     equations = form_normal_equations(sensitivities)
     label = equivalence_classes(equations)
-    return DiagnosisModel(
-        sensitivities,
-        tuple(families),
-        tuple(locations),
-        equations,
-        label,
-        *detection_limits(equations, label),
-        group_features(equations),
-    )
+    limits, groups = detection_limits(equations, label), group_features(equations)
+    return DiagnosisModel(sensitivities, equations, label, *limits, groups, left_out_effect)
 
 
 def alias_cosines(equations: NormalEquations) -> Array:

@@ -19,7 +19,6 @@ from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
-from marsarm.diagnosis.arm.simulator import catalogue_effect
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference
@@ -40,6 +39,7 @@ from validation.cases.arm_score import (
     score,
 )
 from validation.cases.arm_truth import (
+    EFFECTS_FOLDER,
     PlannedCase,
     SealedEffect,
     TrueCase,
@@ -96,7 +96,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         known = blind_case.list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         every = list_uncatalogued().values()
-        outside = [blind_case.DetectableEffect(one.hypothesis, 1.0, None) for one in every]
+        outside = [blind_case.DetectableEffect(one, 1.0, None) for one in every]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [], self.arm)
 
     def record(self, path: Path, case: TrueCase) -> None:
@@ -186,19 +186,17 @@ def draw_truth(
 def _true_case(number: int, plan: PlannedCase, seed: int, arm: str) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
     specs = tuple(effect_text(effect) for effect in blind_case.sample_background(rng, arm))
-    effects = tuple(_true_effect(one, plan.kind == "out-of-catalogue") for one in plan.effects)
+    effects = tuple(map(_true_effect, plan.effects))
     return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
 
-def _true_effect(one: blind_case.SampledEffect, outside: bool) -> SealedEffect:
+def _true_effect(one: blind_case.SampledEffect) -> SealedEffect:
     hypothesis = one.source.hypothesis
-    name = hypothesis.effect, hypothesis.place
-    if outside:
-        spec = list_uncatalogued()[name].spec(one.values)
-    else:
-        spec = effect_text(catalogue_effect(hypothesis.key, one.values))
-    values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
-    return SealedEffect(*name, values, one.times_limit, spec)
+    # without the folder, in which effects outside the catalogue are found again
+    spec = effect_text(one.switch_on()).removeprefix(f"{EFFECTS_FOLDER}/")
+    pairs = zip(hypothesis.parameters, hypothesis.values(one.departures).tolist(), strict=True)
+    values = {parameter.name: value for parameter, value in pairs}
+    return SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, spec)
 
 
 def check_result(case: TrueCase, result: Document) -> None:

@@ -121,10 +121,11 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     """Return the JSON document; an infinite limit is None."""
     names = ("class", "limit", "family_wise_limit", "family", "location")
     numbers = (one.tolist() for one in (model.label, model.limits, model.family_wise_limits))
-    rows = zip(*numbers, map(str, model.families), model.locations, strict=True)
+    every = model.sensitivities.hypotheses
+    rows = zip(*numbers, [str(one.family) for one in every], [one.location for one in every], strict=True)
     document: list[dict[str, Any]] = to_json([
         {"name": one.effect, "place": one.place} | dict(zip(names, row, strict=True))
-        for one, row in zip(model.sensitivities.hypotheses, rows, strict=True)
+        for one, row in zip(every, rows, strict=True)
     ])  # fmt: skip
     return document
 

@@ -25,25 +25,27 @@ import sim
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
+from marsarm.diagnosis.arm.arm_effects import list_nuisances
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
+    Column,
     OneSidedStep,
     adapt_step,
     find_borrowed_slopes,
     group_columns,
     list_columns,
-    perturb_both_sides,
     simulate_side,
     step_error,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator, list_hypotheses
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,
+    Hypothesis,
     Ints,
     Sensitivities,
     fit_parabola,
@@ -119,10 +121,13 @@ def compute_sensitivities(
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(arm, names, paths, others)
+    drawing = arm_named(arm).model
+    hypotheses = [*list_hypotheses({name: catalogue()[name] for name in names}, drawing.params.tool_names)]
+    known = hypotheses, [*list_nuisances(drawing)]
     if path.exists():
-        return load_sensitivities(path)
+        return load_sensitivities(path, *known)
     check_cache_folder(kept_in)
-    steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
+    steps = load_sensitivities(kept_in / _cache_name(arm, names, others), *known).reach if others else None
     found = _difference_all(_Campaign(paths, names, arm), run, as_guess(progress), steps)
     save_sensitivities(path, found)
     return found
@@ -143,15 +148,17 @@ def _difference_all(
     """
     simulator = _simulator(campaign)
     columns = list_columns(simulator)
-    borrowed = find_borrowed_slopes(simulator, columns)
-    shares = {k: 1.0 for k, one in enumerate(columns) if k not in borrowed or one.hypothesis is not None}
+    borrowed = find_borrowed_slopes(columns)
+    shares = {
+        k: 1.0 for k, one in enumerate(columns) if k not in borrowed or isinstance(one.source, Hypothesis)
+    }
     steps = part_of(progress, 0.0, STEPS_SHARE)
     if given is None:
         up = _choose_steps(campaign, run, steps, shares)
     else:
         up = _simulate(campaign, shares | dict(enumerate(given.tolist())), 0, True, run, steps)
     shares = {k: one.share for k, one in up.items()}
-    two_sided = {k: by for k, by in shares.items() if len(perturb_both_sides(simulator, columns[k], by)) > 1}
+    two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, part_of(progress, STEPS_SHARE, SIDES_SHARE))
     (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
     found = [_assemble(first, up, down)]
@@ -192,7 +199,7 @@ def _simulate(
 ) -> dict[int, OneSidedStep]:
     """Simulate one side of columns with these steps in a part of the features."""
     simulator, _ = _part(campaign, is_first)
-    at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
+    at_once = group_columns(list_columns(simulator), sorted(shares))
     nominal = _nominal_features(campaign, is_first)
     jobs = [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_first) for of in at_once]
     steps: dict[int, OneSidedStep] = {}
@@ -213,7 +220,7 @@ def _choose_steps(
     """
     simulator, _ = _part(campaign, True)
     columns = list_columns(simulator)
-    fixed = find_borrowed_slopes(simulator, columns)
+    fixed = find_borrowed_slopes(columns)
     last: dict[int, OneSidedStep] = {}
     begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
     wanted = {k: by for k, by in first.items() if k - begin not in numerical}
@@ -227,8 +234,7 @@ def _choose_steps(
         chosen = last | chosen | {k: last[k] for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
         better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
-        ends = {k: perturb_both_sides(simulator, columns[k], share)[0] for k, share in better.items()}
-        wanted = {k: share for k, share in better.items() if ends[k].size != last[k].size}
+        wanted = {k: by for k, by in better.items() if columns[k].sides(by)[0][1] != last[k].size}
         if not wanted:
             break
     left = {k: by for k, by in first.items() if k not in chosen}
@@ -238,7 +244,7 @@ def _choose_steps(
 
 def _list_numerical(simulator: ArmSimulator) -> list[int]:
     """List the indices of the nuisances of numerics."""
-    return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
+    return [k for k, one in enumerate(simulator.nuisances) if one.only_place]
 
 
 def _assemble(
@@ -256,9 +262,9 @@ def _assemble(
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, factor) in find_borrowed_slopes(simulator, columns).items():
+    for k, (other, factor) in find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
-    owner = [column.hypothesis for column in columns if column.hypothesis is not None]
+    owner = [k for k, one in enumerate(simulator.hypotheses) for _ in one.parameters]
     sized = len(owner)
     nuisance = _restrict_nuisances(simulator, slope[:, sized:])
     return Sensitivities(
@@ -280,12 +286,12 @@ def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
     """
     cut = column.copy()
     rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
-    effects, numerical = simulator.nuisance_effects, _list_numerical(simulator)
-    stepped = next(k for k in numerical if effects[k].effect(1.0) == STEP_NUMERICS)
-    for k in numerical:
+    places = [one.place for one in simulator.feature_set.list_features()]
+    numerical = [(k, Column(simulator.nuisances[k])) for k in _list_numerical(simulator)]
+    stepped = next(k for k, one in numerical if one.sides(1.0)[0][0] == STEP_NUMERICS)
+    for k, _ in numerical:
         cut[rests, k] = column[rests, stepped]
-        own = effects[k].only_place
-        cut[[simulator.layout.places[place] != own for place in simulator.layout.place], k] = 0.0
+        cut[[place != simulator.nuisances[k].only_place for place in places], k] = 0.0
     return cut
 
 

@@ -16,7 +16,6 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
-from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
@@ -72,8 +71,7 @@ def load_campaign_model(
     """
     share = len(logs) / (len(logs) + len(held_out))
     fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
-    families = [family_of(catalogue()[one.effect]) for one in fitted.hypotheses]
-    made = build_model(fitted, families, [locate(one.effect, one.place) for one in fitted.hypotheses])
+    made = build_model(fitted)
     if not held_out:
         return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
@@ -163,7 +161,7 @@ def diagnose_case(
     diagnosis = replace(
         found.diagnosis,
         robot=arm.feature_set.arm.name,
-        fitted_motions=tuple(dict.fromkeys(arm.feature_set.list_sessions())),
+        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in arm.feature_set.list_features())),
         remarks=tuple(f"{one}." for one in remarks),
     )
     if campaign.held_out is not None and held_out:
@@ -177,10 +175,10 @@ def diagnose_case(
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without any fit and with the findings."""
     nominal, _, explained = found.residuals
-    all_features = case.arm.feature_set.list_features()
-    sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
-    measured = measure_features(case.arm.feature_set)[case.at]
-    is_moving = np.array([all_features[k].key.startswith("motion ") for k in case.at])
+    every = case.arm.feature_set.list_features()
+    features, measured = [every[k] for k in case.at], measure_features(case.arm.feature_set)[case.at]
+    sessions = np.array([one.recording.name for one in features])
+    is_moving = np.array([one.key.startswith("motion ") for one in features])
     layout = case.layout
     for channel in np.unique(layout.channel[is_moving]):
         for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
@@ -216,8 +214,7 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
     ):
         return campaign
     layout = replace(found.layout, sigma=higher)
-    made = build_model(replace(found, layout=layout), campaign.families, campaign.locations)
-    return replace(made, left_out_effect=campaign.left_out_effect)
+    return build_model(replace(found, layout=layout), campaign.left_out_effect)
 
 
 def _judge_held_out(
@@ -239,7 +236,7 @@ def _judge_held_out(
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
-    change = case.simulate(found.values)
+    change = case.simulate(found.departures)
     if not np.all(np.isfinite(change)):
         return ()
     held = sensitivities.select(case.rows)

@@ -17,9 +17,9 @@ from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campai
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import LogsRequest
-from marsarm.diagnosis.arm.simulator import list_candidates
+from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.arm_model.load import ArmModel
-from sim.effects.catalogue import catalogue, effect_name
+from sim.effects.catalogue import catalogue
 from sim.scenario.records import shorten
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder, file_sha256, json_sha256
@@ -103,7 +103,7 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
 
 def _parse_effects(names: str) -> tuple[str, ...]:
     """Return the names in the order of the catalogue."""
-    known = {effect_name(one.kind) for one in list_candidates(None)}
+    known = {one.effect for one in list_hypotheses(None)}
     wanted = {name.strip() for name in names.split(",")}
     problems = [
         f"catalogue: {shorten(name)!r} is no effect that a diagnosis can identify; "

@@ -106,14 +106,6 @@ class FeatureSet:
             *(one.feature for one in self.touches),
         )
 
-    def list_sessions(self) -> tuple[str, ...]:
-        """List the name of the recording of each feature."""
-        return (
-            *(one.recording.name for one in self.motions for _ in one.features),
-            *(one.turning_points.recording.name for one in self.rests for _ in one.features),
-            *(one.turning_points.recording.name for one in self.touches),
-        )
-
 
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests of all recordings, and motions of those without tracker poses."""
@@ -144,7 +136,7 @@ def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
         switches = one.sensors["switch_closed"]
         closed = np.flatnonzero(switches[touch] & ~switches[0])
         tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
-        feature = Feature(TOUCH, "surface", "touch", one.block, (one.temperature_C, *still), "touch")
+        feature = Feature(one, TOUCH, "surface", "touch", (one.temperature_C, *still), "touch")
         yield TouchFeature(find_turning_points(one, touch), tool, feature)
 
 
@@ -271,14 +263,13 @@ def _list_rest_features(
             angle = float(turning_points.motor_rad[joint, k])
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
-            features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
+            features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
-        for r, _ in tracked:
-            features.append(
-                Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
-            )
+        for r, k in tracked:
+            sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
+            features.append(Feature(recording, channel, "turret", "pose", condition, key, sigma=sigma))
     rest_features = RestFeatures(turning_points, nominal, tracked, tuple(features))
     differences = np.abs(
         [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
@@ -345,8 +336,7 @@ class NoiseFloor:
 def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
     """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
     features, values = feature_set.list_features(), measure_features(feature_set)
-    sigma = np.array([ASSUMED_SIGMA[feature.channel] for feature in features])
-    sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
+    sigma = np.array([ASSUMED_SIGMA[one.channel] if one.sigma is None else one.sigma for one in features])
     known: dict[tuple[str, str], int] = {}
     pairs: list[tuple[int, int]] = []
     for k, feature in enumerate(features):
@@ -374,14 +364,3 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
             f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
     return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
-
-
-def _tracker_sigma(feature_set: FeatureSet) -> Array:
-    """Return the standard deviations of tracker poses by the tracker; NaN elsewhere."""
-    found = [np.full(len(one.features), np.nan) for one in feature_set.motions]
-    for posed in feature_set.rests:
-        seen = [k for _, k in posed.tracked_rests]
-        screws = posed.turning_points.recording.tracker_poses.sigma[:, seen].ravel()
-        others = np.full(len(posed.features) - screws.size, np.nan)
-        found.append(np.concatenate([others, screws]))
-    return np.concatenate([*found, np.full(len(feature_set.touches), np.nan)])

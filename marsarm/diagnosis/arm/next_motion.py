@@ -20,8 +20,7 @@ from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, ma
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener
-from marsarm.diagnosis.problem import Hypothesis, Ints, Sensitivities
-from marsarm.diagnosis.selection import FeatureEffect
+from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
 from sim.initialisation import true_reference
 from simgap.common.files import cache_folder
 from simgap.common.options import command_text
@@ -65,8 +64,7 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     assert case.model is not None
     assert case.params is not None
     group = choose_rivals(case.diagnosis.rivals)
-    acting = [one for rival in group for one in rival.effects if isinstance(one, FeatureEffect)]
-    kinds = tuple(dict.fromkeys(one.hypothesis.effect for one in acting))
+    kinds = tuple(dict.fromkeys(one.name for rival in group for one in rival.effects))
     places = {rival.effect.partition(".")[0].partition(":")[0] for rival in group}
     motions = {one.name: one for one in list_motions(places)}
     arm = replace(select_arm(request.arm, None), effects=(), params=case.params)
@@ -94,8 +92,8 @@ def propose_motion(
     RobotError if no finding has a rival.
     """
     group = choose_rivals(rivals)
-    settings = [_settings(one) for one in group]
-    changes = np.array([planned.change({h: h.values(a) for h, a in own.items()}) for own in settings])
+    settings = [_departures(one) for one in group]
+    changes = np.array([planned.change(own) for own in settings])
     white = build_whitener(planned)(changes.T).T
     new = [_slopes(planned, own) for own in settings]
     old = [_slopes(model.sensitivities, own) for own in settings]
@@ -114,17 +112,16 @@ def propose_motion(
     return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
 
 
-def _settings(rival: Rival) -> dict[Hypothesis, Array]:
-    """Return the departures of the effects of a rival in typical sizes."""
+def _departures(rival: Rival) -> Departures:
     pairs = zip(rival.effects, rival.sizes, strict=True)
-    return {one.hypothesis: np.array(size) for one, size in pairs if isinstance(one, FeatureEffect)}
+    return {one: np.array(size) for one, size in pairs if isinstance(one, Hypothesis)}
 
 
-def _sizes(settings: Mapping[Hypothesis, Array]) -> Array:
+def _sizes(settings: Departures) -> Array:
     return np.concatenate([*settings.values()])
 
 
-def _slopes(sensitivities: Sensitivities, settings: Mapping[Hypothesis, Array]) -> Array:
+def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     """Return whitened changes by shared nuisances, in their sigmas, and by effects, in typical sizes."""
     shared = sensitivities.shared_nuisances
     sigma = np.array([sensitivities.nuisances[k].sigma for k in shared])

@@ -24,7 +24,7 @@ def kept(made):
 
 def test_what_is_kept_comes_back(kept, tmp_path):
     save_sensitivities(tmp_path / "s.npz", kept)
-    again = load_sensitivities(tmp_path / "s.npz")
+    again = load_sensitivities(tmp_path / "s.npz", kept.hypotheses, kept.nuisances)
     assert _plain(again) == _plain(kept)
     assert [path.name for path in tmp_path.iterdir()] == ["s.npz"]
 
@@ -43,10 +43,10 @@ def test_a_file_that_was_damaged_or_is_something_else_is_refused(kept, tmp_path,
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(BadRequest, match=r"s\.npz: no sensitivities .*remove it"):
-        load_sensitivities(path)
+        load_sensitivities(path, (), ())
     np.savez(path, a=np.zeros(3))
     with pytest.raises(BadRequest, match="no sensitivities"):
-        load_sensitivities(path)
+        load_sensitivities(path, (), ())
 
 
 def test_a_robot_that_cannot_be_simulated_has_no_sensitivities(made):

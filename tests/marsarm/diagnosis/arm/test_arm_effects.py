@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, family_of
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import _read_params
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from marsarm.diagnosis.arm.simulator import list_candidates
+from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects
@@ -70,5 +70,6 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
 def test_every_candidate_has_one_family() -> None:
     count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
     assert set(count.values()) == {1}
-    assert {one.kind for one in list_candidates(None)} == set(count)
-    assert {family_of(one.kind) for one in list_candidates(None)} == set(FAMILIES)
+    every = [*list_hypotheses(None)]
+    assert {one.entry.kind for one in every if one.entry is not None} == set(count)
+    assert {one.family for one in every} == set(FAMILIES)

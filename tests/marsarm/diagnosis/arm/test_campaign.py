@@ -37,13 +37,12 @@ from marsarm.diagnosis.arm.finite_differences import (
     find_borrowed_slopes,
     group_columns,
     list_columns,
-    perturb_both_sides,
     simulate_side,
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_simulator, make_effect
-from marsarm.diagnosis.problem import Sensitivities
+from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_simulator
+from marsarm.diagnosis.problem import Hypothesis, Sensitivities
 from sim.arms import nominal_params
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
@@ -119,7 +118,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     """Rests and touches are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout) for one in (arm, arm.with_patch(patch)))
+    before, after = (build_case_simulator(one, arm.layout) for one in (arm, replace(arm, patch=patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([
         feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)
@@ -152,7 +151,7 @@ def test_no_tick_after_the_last_bin_influences_a_feature(touch: MotionFeatures) 
 def remembering() -> Effect:
     """Return the out-of-catalogue effect of a sensor with memory."""
     found = list_uncatalogued()["remanent-core", "elbow"]
-    return make_effect(found.catalogue_entry, np.array([0.1]))
+    return found.switch_on(np.array([0.1 / found.parameters[0].typical]))
 
 
 def test_what_only_reads_is_read_as_avionics_do_without_another_step(touch: MotionFeatures) -> None:
@@ -215,16 +214,14 @@ def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(
 def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet, kind: str) -> None:
     simulator = simulator_of(motions, kind)
     nominal, columns = simulator.predict_effects(()), list_columns(simulator)
-    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    ((*at_once,),) = group_columns(simulator, columns, wanted)
+    wanted = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
+    ((*at_once,),) = group_columns(columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
     sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
     for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
-        (one,) = hypothesis.parameters
-        there = {hypothesis: np.array([one.neutral + side.size * one.typical])}
-        alone = simulator.predict_effects(simulator.effects(there)) - nominal
+        alone = simulator.predict_effects([hypothesis.switch_on(np.array([side.size]))]) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
         *most, begin = np.sort(np.abs(off))
@@ -236,9 +233,9 @@ def test_effects_at_one_joint_are_not_simulated_at_once(campaign: FeatureSet) ->
     """Asymmetric friction has two directions at each joint; together they would be plain friction."""
     simulator = simulator_of(campaign, "asymmetric-friction")
     columns = list_columns(simulator)
-    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    for group in group_columns(simulator, columns, wanted):
-        places = [simulator.hypotheses[columns[k].hypothesis or 0].place.split(".")[0] for k in group]
+    wanted = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
+    for group in group_columns(columns, wanted):
+        places = [one.location for k in group if isinstance(one := columns[k].source, Hypothesis)]
         assert len(set(places)) == len(places) == len(Joint)
 
 
@@ -249,13 +246,13 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(motions: Featu
     begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    borrowed = find_borrowed_slopes(simulator, columns)
+    borrowed = find_borrowed_slopes(columns)
     assert not set(own) & set(borrowed)
     assert [borrowed[k] for k in session] == [(k, 1.0) for k in own]
-    hypotheses = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    hypotheses = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
     assert [borrowed[k][0] for k in hypotheses] == own
-    assert group_columns(simulator, columns, own) == [tuple(own)]
-    sizes = [perturb_both_sides(simulator, columns[k], 1.0)[0].size for k in own]
+    assert group_columns(columns, own) == [tuple(own)]
+    sizes = [columns[k].sides(1.0)[0][1] for k in own]
     assert sizes == [simulator.nuisances[k - begin].sigma for k in own]
 
 
