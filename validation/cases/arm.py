@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -33,7 +33,6 @@ from validation.cases import sealed
 from validation.cases.arm_score import (
     CLASSES_FILE,
     EquivalenceClasses,
-    ResultFile,
     classes_json,
     load_classes,
     score,
@@ -77,7 +76,6 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     name: ClassVar[str] = "arm-cases"
     suffix: ClassVar[str] = ""
     truth_type: ClassVar[TypeAdapter[SealedTruth[TrueCase]]] = TypeAdapter(SealedTruth[TrueCase])
-    result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(ResultFile)
 
     def draw(
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
@@ -221,7 +219,7 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
     Of the cases in the folder, so many are taken, those with the largest effects.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")
-    truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder, maker)
+    truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder)
     classes = load_classes(folder / CAMPAIGN_FOLDER)
     chosen = list_clear_cases([case for case in truth.cases if case.name in results], classes)[:cases]
     if not chosen:

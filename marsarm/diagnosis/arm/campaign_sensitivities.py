@@ -24,7 +24,7 @@ import fsw
 import sim
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
-from marsarm.common.pool import Runner
+from marsarm.common.pool import Runner, in_order
 from marsarm.diagnosis.arm.arm_effects import list_nuisances
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
@@ -87,19 +87,6 @@ class _Campaign:
     kinds: Names
     arm: str
     """Name of an arm of its drawing."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    campaign: _Campaign
-    columns: tuple[int, ...]
-    """Indices of the columns that are simulated at once."""
-    side: int
-    shares: tuple[float, ...]
-    nominal: Array
-    """Prediction without effects, shape (m,)."""
-    is_first: bool
-    """True for the rests and the motions that move most joints at once; False for the other motions."""
 
 
 def compute_sensitivities(
@@ -201,9 +188,9 @@ def _simulate(
     simulator, _ = _part(campaign, is_first)
     at_once = group_columns(list_columns(simulator), sorted(shares))
     nominal = _nominal_features(campaign, is_first)
-    jobs = [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_first) for of in at_once]
+    jobs = [(campaign, is_first, nominal, side, {k: shares[k] for k in of}) for of in at_once]
     steps: dict[int, OneSidedStep] = {}
-    for done, found in enumerate(run(_run_job, jobs), 1):
+    for done, found in enumerate(in_order(run, _simulate_at_once, jobs), 1):
         steps |= found
         progress(done, len(jobs), "sensitivities")
     return steps
@@ -349,9 +336,9 @@ def _simulator(campaign: _Campaign) -> ArmSimulator:
 
 @cache
 def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
-    """Return the simulator of a part of the features, as in `_Job`, and their rows among all; once a process.
+    """Return the simulator of a part of the features, and their rows among all; once a process.
 
-    The motions of the first part are those that move as many joints as any, away from a surface.
+    The first part are rests, touches, and the motions that move as many joints as any, away from a surface.
     """
     whole = _simulator(campaign)
     motions, rests, touches = (getattr(whole.feature_set, name) for name in ("motions", "rests", "touches"))
@@ -375,10 +362,11 @@ def _nominal_features(campaign: _Campaign, is_first: bool) -> Array:
     return _part(campaign, is_first)[0].predict_effects(())
 
 
-def _run_job(job: _Job) -> dict[int, OneSidedStep]:
-    """Simulate the columns of a job; return their steps."""
-    simulator, _ = _part(job.campaign, job.is_first)
+def _simulate_at_once(
+    campaign: _Campaign, is_first: bool, nominal: Array, side: int, shares: Mapping[int, float]
+) -> dict[int, OneSidedStep]:
+    """Simulate one side of some columns, which have these steps, at once."""
+    simulator, _ = _part(campaign, is_first)
     every = list_columns(simulator)
-    columns = [every[k] for k in job.columns]
-    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares)
-    return dict(zip(job.columns, sides, strict=True))
+    sides = simulate_side(simulator, [every[k] for k in shares], nominal, side, [*shares.values()])
+    return dict(zip(shares, sides, strict=True))

@@ -83,18 +83,17 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
     (held_out / "cold.mcap").touch()
     (tmp_path / "warm.mcap").touch()
     (tmp_path / "tour.mcap").touch()
-    warm, cold, tour = (Named(name, name) for name in ("warm", "cold", "tour"))
 
-    def sides(fitted: list[Named], apart: list[Named]) -> list[list[str]]:
-        found = diagnose_logs._campaign_logs(tmp_path, fitted, apart)  # type: ignore[arg-type]
+    def sides(fitted: str, *apart: str) -> list[list[str]]:
+        cases = [[Named(name, name) for name in names] for names in ((fitted,), apart)]
+        found = diagnose_logs._campaign_logs(tmp_path, *cases)  # type: ignore[arg-type]
         return [[path.stem for path in side] for side in found]
 
-    assert sides([warm, tour], [cold]) == [["tour", "warm"], ["cold"]]
-    assert sides([warm], [cold]) == [["tour", "warm"], ["cold"]]
-    assert sides([warm, cold], [tour]) == [["cold", "warm"], ["tour"]]
-    assert sides([warm], []) == [["tour", "warm"], []]
-    with pytest.raises(NotForDiagnosis, match="has no session placed"):
-        sides([Named("placed", "placed")], [])
+    assert sides("warm", "cold") == [["tour", "warm"], ["cold"]]
+    assert sides("warm") == [["tour", "warm"], []]
+    for case, said in ((("placed",), "session placed"), (("warm", "tour"), "session that is held out tour")):
+        with pytest.raises(NotForDiagnosis, match=f"has no {said}"):
+            sides(*case)
 
 
 def test_a_session_that_does_not_complete_has_no_log_and_is_said(

@@ -1,4 +1,4 @@
-"""Findings as a patch for the simulator and as flight parameters."""
+"""Request of a diagnosis, and its findings as a patch for the simulator and as flight parameters."""
 
 from dataclasses import replace
 
@@ -7,18 +7,56 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.common.effects import parse_effects
-from marsarm.diagnosis.arm.output_files import (
+from marsarm.diagnosis.arm.diagnose_logs import (
     NothingToWrite,
+    diagnose,
     effects_of_findings,
+    expand_logs,
     new_params,
     params_text,
     patch_text,
 )
+from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.arms import nominal_params, params_over_nominal
 from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness
+from simgap.common.errors import BadRequest
 from tests.tools import TOOLS
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Create two empty logs, and one elsewhere."""
+    (tmp_path / "logs").mkdir()
+    for name in ("b", "a"):
+        (tmp_path / "logs" / f"{name}.mcap").write_text(name)
+    (tmp_path / "logs" / "a.tracker.csv").write_text("")
+    (tmp_path / "other.mcap").write_text("other")
+    (tmp_path / "empty").mkdir()
+    return tmp_path
+
+
+def test_a_folder_is_all_logs_in_it(folder):
+    logs = expand_logs((folder / "logs", folder / "other.mcap"), "log")
+    assert [path.name for path in logs] == ["a.mcap", "b.mcap", "other.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("logs", "held_out", "options", "said"),
+    [
+        (["empty"], [], {}, r"log .*empty: this folder holds no \.mcap file"),
+        (["logs"], ["n" * 300], {}, "there is no such log or folder"),
+        (["logs"], ["/dev/null"], {}, "held-out log /dev/null: there is no such log"),
+        (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
+        (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
+    ],
+)
+def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
+    paths = [tuple(folder / path for path in some) for some in (logs, held_out)]
+    options = {name: folder / text if name == "campaign" else text for name, text in options.items()}
+    with pytest.raises(BadRequest, match=said):
+        diagnose(DiagnoseRequest(*paths, **options))
 
 
 @pytest.fixture
