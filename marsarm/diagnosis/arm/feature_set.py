@@ -70,8 +70,10 @@ class RestFeatures:
 
     turning_points: TurningPoints
     nominal: RestPoses
-    tracked_rests: tuple[tuple[int, int], ...]
-    """Index among the rests, and index among the tracker poses."""
+    tracked: list[int]
+    """Indices of the rests with a tracker pose."""
+    poses: list[int]
+    """Index of each of them among the tracker poses."""
     features: tuple[Feature, ...]
 
 
@@ -149,7 +151,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
     for one, rest in zip(feature_set.touches, rests, strict=True):
         surface = one.turning_points.recording.world.surface
         assert surface is not None
-        p_RoTo_R_m = rest.X_RF.R[:, :, 0] @ X_FT[one.tool].p + rest.X_RF.p[:, 0]
+        p_RoTo_R_m = (rest.X_RF[0] @ X_FT[one.tool]).p
         height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
         found.append(float(height_m) - shift_m)
     return np.array(found)
@@ -163,14 +165,8 @@ def measure_features(feature_set: FeatureSet) -> Array:
     """Compute the measured features in the units of their channels, shape (m,)."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
-        tracked = one.turning_points.recording.tracker_poses
-        values.append(
-            _rest_values(
-                one,
-                read_resolvers(one.turning_points),
-                _select_poses(tracked.X_RF, [k for _, k in one.tracked_rests]),
-            )
-        )
+        X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
+        values.append(_rest_values(one, read_resolvers(one.turning_points), X_RF))
     return np.concatenate([*values, np.zeros(len(feature_set.touches))])
 
 
@@ -254,9 +250,9 @@ def _list_rest_features(
     """List the features of rests; `doubt` is their change with a little more or less output friction."""
     recording = turning_points.recording
     rest_of = {turning_points.tick[k]: r for r, k in enumerate(turning_points.rests)}
-    tracked = tuple(
-        (rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of
-    )
+    ticks = recording.tracker_poses.tick.tolist()
+    poses = [k for k, tick in enumerate(ticks) if tick in rest_of]
+    tracked = [rest_of[ticks[k]] for k in poses]
     features: list[Feature] = []
     for joint in Joint:
         for r, k in enumerate(turning_points.rests):
@@ -267,10 +263,10 @@ def _list_rest_features(
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
-        for r, k in tracked:
+        for r, k in zip(tracked, poses, strict=True):
             sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
             features.append(Feature(recording, channel, "turret", "pose", condition, key, sigma=sigma))
-    rest_features = RestFeatures(turning_points, nominal, tracked, tuple(features))
+    rest_features = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
     differences = np.abs(
         [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
     ).max(axis=0)
@@ -281,12 +277,11 @@ def _list_rest_features(
 
 
 def _static_values(one: RestFeatures, found: RestPoses) -> Array:
-    return _rest_values(one, found.resolver_rad, _select_poses(found.X_RF, [r for r, _ in one.tracked_rests]))
+    return _rest_values(one, found.resolver_rad, found.X_RF[one.tracked])
 
 
 def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
-    nominal = _select_poses(one.nominal.X_RF, [r for r, _ in one.tracked_rests])
-    screw = screw_log(inverse(nominal) @ X_RF) if one.tracked_rests else np.zeros((6, 0))
+    screw = screw_log(inverse(one.nominal.X_RF[one.tracked]) @ X_RF) if one.tracked else np.zeros((6, 0))
     return np.concatenate([resolver_rad.ravel(), screw.ravel()])
 
 
@@ -304,25 +299,20 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     config = configure(feature_set.arm.params)
     found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
     for one in feature_set.rests:
-        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)
+        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked)
         own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)
         found[own] = change[own]
         if n_tracked and turns:
-            rests = [r for r, _ in one.tracked_rests]
-            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in rests]]
+            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in one.tracked]]
             gravity = one.turning_points.recording.world.gravity_N_m_s2
             frames = settle_output(config.arm, motor_rad, gravity).frames
-            X_RF = Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5])
-            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][rests]
+            X_RF = frames.X_RF[5]
+            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][one.tracked]
             parts = [rotate_back(X_RF.R, half) for half in (screw_R[:3], screw_R[3:])]
             first = begin + len(Joint) * n_rests
             found[first : first + 6 * n_tracked] = np.concatenate(parts).ravel()
         begin += len(one.features)
     return found
-
-
-def _select_poses(X: Pose, rows: list[int]) -> Pose:
-    return Pose(X.R[:, :, rows], X.p[:, rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -134,10 +134,9 @@ def _solve_creep(
             continue
         screw, at = screw_log(inverse(rigid.X_RF) @ bent.X_RF), list(one.rests)
         share = creep_shares(np.array(one.tick) / CYCLE_HZ, screw[:3], creep.time_s)[at]
-        X = Pose(rigid.X_RF.R[:, :, at], rigid.X_RF.p[:, at])
         resolver_rad = rigid.resolver_rad[:, at]
         resolver_rad += share * (bent.resolver_rad[:, at] - resolver_rad)
-        found.append(RestPoses(resolver_rad, X @ screw_exp(share * screw[:, at])))
+        found.append(RestPoses(resolver_rad, rigid.X_RF[at] @ screw_exp(share * screw[:, at])))
     return found
 
 
@@ -207,8 +206,7 @@ def _solve_statics(
         resolver = outputs[:, here] + hardware.resolver_bias_rad[:, None]
         for error in hardware.resolver_errors:
             resolver += np.stack([error.error_rad(output) for output in outputs[:, here].T], axis=-1)
-        pose = Pose(X_RF.R[:, :, 5, here], X_RF.p[:, 5, here])
-        found.append(RestPoses(resolver - one.motor_rad[:, list(one.rests)], pose))
+        found.append(RestPoses(resolver - one.motor_rad[:, list(one.rests)], X_RF[5, here]))
     return found
 
 
