@@ -272,7 +272,7 @@ def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
     Rests are simulated with STEP_NUMERICS only; other numerics share their change.
     """
     cut = column.copy()
-    rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
+    rests = np.arange(len(cut)) >= simulator.feature_set.n_moving
     places = [one.place for one in simulator.feature_set.list_features()]
     numerical = [(k, Column(simulator.nuisances[k])) for k in _list_numerical(simulator)]
     stepped = next(k for k, one in numerical if one.sides(1.0)[0][0] == STEP_NUMERICS)

@@ -96,6 +96,11 @@ class FeatureSet:
     touches: tuple[TouchFeature, ...] = ()
 
     @property
+    def n_moving(self) -> int:
+        """Number of features of the motions."""
+        return sum(len(one.features) for one in self.motions)
+
+    @property
     def arm(self) -> ArmModel:
         """Drawing of the arm."""
         return (self.motions[0].recording if self.motions else self.rests[0].turning_points.recording).arm
@@ -112,7 +117,8 @@ class FeatureSet:
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests of all recordings, and motions of those without tracker poses."""
     config = configure(recordings[0].arm.params)
-    turning_points = [find_turning_points(one) for one in recordings if one.world.surface is None]
+    every = (find_turning_points(one) for one in recordings if one.world.surface is None)
+    turning_points = [one for one in every if one.rests]
     friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
     nominal, less, more = (
         solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
@@ -297,7 +303,7 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
         (m,); 0 elsewhere.
     """
     config = configure(feature_set.arm.params)
-    found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
+    found, begin = np.zeros_like(change), feature_set.n_moving
     for one in feature_set.rests:
         n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked)
         own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)

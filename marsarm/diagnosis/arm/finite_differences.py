@@ -152,7 +152,7 @@ def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> A
     """Return the part of a change (m,) in the motions and the rests that the joint of an effect changes."""
     joint, feature_set = _joint(effect), simulator.feature_set
     assert joint is not None, "only effects at joints are simulated together"
-    moving = np.arange(moved.size) < sum(len(one.features) for one in feature_set.motions)
+    moving = np.arange(moved.size) < feature_set.n_moving
     own = moving & [one.place == joint.name.lower() for one in feature_set.list_features()]
     turns = not changes_readings_only(effect)
     found = np.where(own, moved, rests_moved_by(feature_set, moved, joint, turns))
