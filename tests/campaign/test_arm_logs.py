@@ -40,11 +40,11 @@ def cases(kinds=("single", "out-of-catalogue")):
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
         DetectableEffect(one, 0.4, number)
-        for number, one in enumerate(list_hypotheses(None))
-        if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
+        for number, one in enumerate(list_hypotheses())
+        if one.key in ("elbow: coulomb-friction", "wrist: backlash-width")
     ]
     unknown = [one for (name, _), one in arm_truth.list_uncatalogued().items() if name == "drifting-current"]
-    outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
+    outside = [DetectableEffect(one, 0.4, None) for one in unknown]
     truth = draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth if case.kind == kind) for kind in kinds}
 

@@ -41,12 +41,13 @@ from marsarm.diagnosis.arm.finite_differences import (
     step_error,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator, list_hypotheses
+from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,
     Hypothesis,
     Ints,
+    Nuisance,
     Sensitivities,
     fit_parabola,
     load_sensitivities,
@@ -89,6 +90,18 @@ class _Campaign:
     """Name of an arm of its drawing."""
 
 
+@cache
+def _list_known(campaign: _Campaign) -> tuple[tuple[Hypothesis, ...], tuple[Nuisance, ...]]:
+    """List hypotheses and nuisances; once a process."""
+    arm = arm_named(campaign.arm).model
+    return tuple(list_hypotheses(campaign.kinds, arm.params.tool_names)), tuple(list_nuisances(arm))
+
+
+@cache
+def _list_columns(campaign: _Campaign) -> list[Column]:
+    return list_columns(*_list_known(campaign))
+
+
 def compute_sensitivities(
     logs: Sequence[Path],
     kept_in: Path,
@@ -108,14 +121,13 @@ def compute_sensitivities(
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(arm, names, paths, others)
-    drawing = arm_named(arm).model
-    hypotheses = [*list_hypotheses({name: catalogue()[name] for name in names}, drawing.params.tool_names)]
-    known = hypotheses, [*list_nuisances(drawing)]
+    campaign = _Campaign(paths, names, arm)
+    known = _list_known(campaign)
     if path.exists():
         return load_sensitivities(path, *known)
     check_cache_folder(kept_in)
     steps = load_sensitivities(kept_in / _cache_name(arm, names, others), *known).reach if others else None
-    found = _difference_all(_Campaign(paths, names, arm), run, as_guess(progress), steps)
+    found = _difference_all(campaign, run, as_guess(progress), steps)
     save_sensitivities(path, found)
     return found
 
@@ -133,8 +145,7 @@ def _difference_all(
     Args:
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
-    simulator = _simulator(campaign)
-    columns = list_columns(simulator)
+    columns = _list_columns(campaign)
     borrowed = find_borrowed_slopes(columns)
     shares = {
         k: 1.0 for k, one in enumerate(columns) if k not in borrowed or isinstance(one.source, Hypothesis)
@@ -148,15 +159,15 @@ def _difference_all(
     two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, part_of(progress, STEPS_SHARE, SIDES_SHARE))
     (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
-    found = [_assemble(first, up, down)]
+    found = [_assemble(campaign, first, up, down)]
     if other_rows.size:
         curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
         rest = part_of(progress, SIDES_SHARE, 1.0)
         done = len(shares) / (len(shares) + len(curved))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
         down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
-        found.append(_assemble(second, up, down))
-    return _join(simulator.layout, found, np.argsort(np.concatenate([rows, other_rows])))
+        found.append(_assemble(campaign, second, up, down))
+    return _join(_simulator(campaign).layout, found, np.argsort(np.concatenate([rows, other_rows])))
 
 
 def _is_curved(layout: FeatureLayout, up: OneSidedStep, down: OneSidedStep) -> bool:
@@ -185,8 +196,7 @@ def _simulate(
     progress: Progress,
 ) -> dict[int, OneSidedStep]:
     """Simulate one side of columns with these steps in a part of the features."""
-    simulator, _ = _part(campaign, is_first)
-    at_once = group_columns(list_columns(simulator), sorted(shares))
+    at_once = group_columns(_list_columns(campaign), sorted(shares))
     nominal = _nominal_features(campaign, is_first)
     jobs = [(campaign, is_first, nominal, side, {k: shares[k] for k in of}) for of in at_once]
     steps: dict[int, OneSidedStep] = {}
@@ -206,16 +216,16 @@ def _choose_steps(
     of the typical size of its column.
     """
     simulator, _ = _part(campaign, True)
-    columns = list_columns(simulator)
+    columns = _list_columns(campaign)
     fixed = find_borrowed_slopes(columns)
     last: dict[int, OneSidedStep] = {}
-    begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
-    wanted = {k: by for k, by in first.items() if k - begin not in numerical}
+    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
+    wanted = {k: by for k, by in first.items() if k not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
-        scale = form_normal_equations(_assemble(simulator, last, {})).scale
+        scale = form_normal_equations(_assemble(campaign, simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
         chosen = last | chosen | {k: last[k] for k in nearer}
@@ -229,20 +239,18 @@ def _choose_steps(
     return chosen | _simulate(campaign, left, 0, True, run, rest)
 
 
-def _list_numerical(simulator: ArmSimulator) -> list[int]:
-    """List the indices of the nuisances of numerics."""
-    return [k for k, one in enumerate(simulator.nuisances) if one.only_place]
-
-
 def _assemble(
-    simulator: ArmSimulator, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+    campaign: _Campaign,
+    simulator: ArmSimulator,
+    up: Mapping[int, OneSidedStep],
+    down: Mapping[int, OneSidedStep],
 ) -> Sensitivities:
     """Fit parabolas through the simulated steps, or lines where there is one side.
 
     A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
     own steps.
     """
-    columns = list_columns(simulator)
+    columns = _list_columns(campaign)
     slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
     for k, side in up.items():
@@ -251,13 +259,17 @@ def _assemble(
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, factor) in find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
-    owner = [k for k, one in enumerate(simulator.hypotheses) for _ in one.parameters]
+    hypotheses, nuisances = _list_known(campaign)
+    owner = [k for k, one in enumerate(hypotheses) for _ in one.parameters]
     sized = len(owner)
-    nuisance = _restrict_nuisances(simulator, slope[:, sized:])
+    nuisance = _restrict_nuisances(simulator, columns[sized:], slope[:, sized:])
+    own = nuisance[:, [one.is_numerical for one in columns[sized:]]]
+    # a share of the numerical errors is noise: the fit removes them only in part
+    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
     return Sensitivities(
-        _raise_floor(simulator, nuisance),
-        simulator.hypotheses,
-        simulator.nuisances,
+        replace(simulator.layout, sigma=sigma),
+        hypotheses,
+        nuisances,
         slope[:, :sized],
         curvature[:, :sized],
         reach[:sized],
@@ -266,27 +278,19 @@ def _assemble(
     )
 
 
-def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
+def _restrict_nuisances(simulator: ArmSimulator, columns: Sequence[Column], change: Array) -> Array:
     """Return the nuisance columns (m, q), each restricted to its place.
 
     Rests are simulated with STEP_NUMERICS only; other numerics share their change.
     """
-    cut = column.copy()
-    rests = np.arange(len(cut)) >= simulator.feature_set.n_moving
-    places = [one.place for one in simulator.feature_set.list_features()]
-    numerical = [(k, Column(simulator.nuisances[k])) for k in _list_numerical(simulator)]
-    stepped = next(k for k, one in numerical if one.sides(1.0)[0][0] == STEP_NUMERICS)
-    for k, _ in numerical:
-        cut[rests, k] = column[rests, stepped]
-        cut[[place != simulator.nuisances[k].only_place for place in places], k] = 0.0
+    cut, places = change.copy(), np.array([one.place for one in simulator.feature_set.list_features()])
+    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
+    stepped = next(k for k in numerical if columns[k].sides(1.0)[0][0] == STEP_NUMERICS)
+    rests = slice(simulator.feature_set.n_moving, None)
+    for k in numerical:
+        cut[rests, k] = change[rests, stepped]
+        cut[places != columns[k].only_place, k] = 0.0
     return cut
-
-
-def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
-    """Add a share of the numerical errors to the noise floor: the fit removes them only in part."""
-    own = nuisance[:, _list_numerical(simulator)]
-    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    return replace(simulator.layout, sigma=sigma)
 
 
 def check_cache_folder(kept_in: Path) -> None:
@@ -330,8 +334,7 @@ def _simulator(campaign: _Campaign) -> ArmSimulator:
     """Build the simulator; once in each process."""
     arm = arm_named(campaign.arm).model
     feature_set = build_feature_set(load_checked_recordings(campaign.logs, arm=arm))
-    kinds = {name: catalogue()[name] for name in campaign.kinds}
-    return build_simulator(feature_set, estimate_floor(feature_set).sigma, kinds)
+    return ArmSimulator(feature_set, build_layout(feature_set, estimate_floor(feature_set).sigma))
 
 
 @cache
@@ -367,6 +370,6 @@ def _simulate_at_once(
 ) -> dict[int, OneSidedStep]:
     """Simulate one side of some columns, which have these steps, at once."""
     simulator, _ = _part(campaign, is_first)
-    every = list_columns(simulator)
+    every = _list_columns(campaign)
     sides = simulate_side(simulator, [every[k] for k in shares], nominal, side, [*shares.values()])
     return dict(zip(shares, sides, strict=True))

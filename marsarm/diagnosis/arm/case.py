@@ -26,12 +26,11 @@ from marsarm.diagnosis.arm.case_simulator import (
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
-from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_layout
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals
-from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.plant import SCREW_AXES
 from simgap import Diagnosis, JointError, Trace
@@ -145,7 +144,7 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm, floor_notes = _case_simulator(recordings, campaign, patch)
+    arm, floor_notes = _case_simulator(recordings, patch)
     first = build_case_simulator(arm, campaign.model.sensitivities.layout)
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
@@ -165,7 +164,7 @@ def diagnose_case(
         remarks=tuple(f"{one}." for one in remarks),
     )
     if campaign.held_out is not None and held_out:
-        errors = _judge_held_out(found, fit, held_out, campaign, campaign.held_out)
+        errors = _judge_held_out(found, fit, held_out, campaign.held_out)
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
     traces = tuple(_make_traces(fit.simulator, found))
@@ -196,13 +195,12 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
 
 
 def _case_simulator(
-    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
+    recordings: Sequence[Recording], patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
     feature_set = build_feature_set(recordings)
     floor = estimate_floor(feature_set)
-    effects = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
-    kinds = {name: catalogue()[name] for name in effects}
-    return build_simulator(feature_set, floor.sigma, kinds, LONG_SETTLING, patch), floor.notes
+    layout = build_layout(feature_set, floor.sigma)
+    return ArmSimulator(feature_set, layout, LONG_SETTLING, patch), floor.notes
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
@@ -221,7 +219,6 @@ def _judge_held_out(
     found: Explanation,
     fit: NuisanceFit,
     recordings: Sequence[Recording],
-    campaign: CampaignModel,
     sensitivities: Sensitivities,
 ) -> tuple[JointError, ...]:
     """List the errors of channels and tool on held-out motion; none if no such arm can be simulated.
@@ -231,7 +228,7 @@ def _judge_held_out(
     Raises:
         NotForDiagnosis: Nothing of the motion can be compared with the campaign.
     """
-    arm, _ = _case_simulator(recordings, campaign, fit.simulator.arm.patch)
+    arm, _ = _case_simulator(recordings, fit.simulator.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)

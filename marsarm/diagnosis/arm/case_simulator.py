@@ -163,7 +163,7 @@ def _fit_alone(
     model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
 ) -> NuisanceFit:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
-    current = _extrapolate(model, first, np.zeros(len(first.arm.nuisances)))
+    current = _extrapolate(model, first, np.zeros(len(model.sensitivities.nuisances)))
     for _ in range(MAX_UPDATES):
         moved = _update(model, current, (), patch)
         if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):

@@ -53,6 +53,16 @@ class Column:
     index: int = 0
     """Index among the parameters of the hypothesis."""
 
+    @property
+    def only_place(self) -> str:
+        """Place of the only features that it influences; empty for all."""
+        return self.source.only_place if isinstance(self.source, Nuisance) else ""
+
+    @property
+    def is_numerical(self) -> bool:
+        """True for other numerics of the plant, which are told joint by joint."""
+        return bool(self.only_place)
+
     def sides(self, share: float) -> list[tuple[Effect, float]]:
         """Return steps up and down by a share of the typical size, within the bounds: one or two.
 
@@ -82,10 +92,10 @@ class OneSidedStep:
     """Change of the features, shape (m,)."""
 
 
-def list_columns(simulator: ArmSimulator) -> list[Column]:
+def list_columns(hypotheses: Sequence[Hypothesis], nuisances: Sequence[Nuisance]) -> list[Column]:
     """List every parameter of every hypothesis in order, then the nuisances."""
-    sized = [Column(one, k) for one in simulator.hypotheses for k in range(len(one.parameters))]
-    return [*sized, *map(Column, simulator.nuisances)]
+    sized = [Column(one, k) for one in hypotheses for k in range(len(one.parameters))]
+    return [*sized, *map(Column, nuisances)]
 
 
 def find_borrowed_slopes(columns: Sequence[Column]) -> dict[int, tuple[int, float]]:

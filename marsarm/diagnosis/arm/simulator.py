@@ -1,6 +1,6 @@
 """Arm simulator for the diagnosis: predicts features with effects of the catalogue and with nuisances."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -9,10 +9,10 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.arm_effects import family_of, list_nuisances, locate
+from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, simulate_features
 from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
-from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Ints, Nuisance, Parameter
+from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Ints, Parameter
 from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect
@@ -56,11 +56,8 @@ class ArmSimulator:
     feature_set: FeatureSet
     layout: FeatureLayout
     """Layout of its m features, with their noise floor."""
-    hypotheses: tuple[Hypothesis, ...]
-    """Candidate causes."""
-    nuisances: tuple[Nuisance, ...]
-    options: SimulationOptions
-    patch: tuple[Effect, ...]
+    options: SimulationOptions = SHORT_SETTLING
+    patch: tuple[Effect, ...] = ()
     """Effects that are always on."""
 
     def predict_effects(
@@ -73,30 +70,6 @@ class ArmSimulator:
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
 
-def build_simulator(
-    feature_set: FeatureSet,
-    sigma: Array,
-    kinds: Mapping[str, type[Effect]] | None = None,
-    options: SimulationOptions = SHORT_SETTLING,
-    patch: tuple[Effect, ...] = (),
-) -> ArmSimulator:
-    """Build the simulator of a campaign.
-
-    Args:
-        sigma: Noise floor in the units of the channels, shape (m,).
-        kinds: Classes of the candidate effects by name; None for the catalogue.
-        patch: Effects that are always on.
-    """
-    return ArmSimulator(
-        feature_set,
-        build_layout(feature_set, sigma),
-        tuple(list_hypotheses(kinds, feature_set.arm.params.tool_names)),
-        tuple(list_nuisances(feature_set.arm)),
-        options,
-        patch,
-    )
-
-
 def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
     if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
@@ -106,16 +79,19 @@ def moves(effect: Effect, one: MotionFeatures) -> bool:
 
 
 def list_hypotheses(
-    kinds: Mapping[str, type[Effect]] | None, tools: Sequence[str] | None = None
+    names: Sequence[str] | None = None, tools: Sequence[str] | None = None
 ) -> Iterator[Hypothesis]:
-    """Yield the candidate causes at an arm with these tools; None for those of the default arm.
+    """Yield the candidate causes of these names at an arm with these tools.
+
+    None for all of the catalogue, and for the tools of the default arm.
 
     They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
 
     An offset of the sensor of the structure looks like warming of the arm.
     """
     recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
-    every = catalogue.hypotheses(kinds, tools)
+    kinds = catalogue.catalogue()
+    every = catalogue.hypotheses(kinds if names is None else {name: kinds[name] for name in names}, tools)
     return (to_hypothesis(one, family_of(one.kind)) for one in every if not issubclass(one.kind, recorded))
 
 

@@ -70,6 +70,6 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
 def test_every_candidate_has_one_family() -> None:
     count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
     assert set(count.values()) == {1}
-    every = [*list_hypotheses(None)]
+    every = [*list_hypotheses()]
     assert {one.entry.kind for one in every if one.entry is not None} == set(count)
     assert {one.family for one in every} == set(FAMILIES)

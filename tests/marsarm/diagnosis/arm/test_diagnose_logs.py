@@ -62,7 +62,7 @@ def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
 @pytest.fixture
 def softer(results):
     """Return a diagnosis with a softer gear."""
-    (one,) = (one for one in list_hypotheses(None) if one.key == "elbow: gear-stiffness")
+    (one,) = (one for one in list_hypotheses() if one.key == "elbow: gear-stiffness")
     size = float(np.log(0.8)) / one.parameters[0].typical
     return replace(results["alike"], effects=(one,), sizes=((size,),))
 

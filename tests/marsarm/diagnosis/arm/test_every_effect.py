@@ -20,7 +20,7 @@ BRIEF = SimulationOptions(settle_s=1.0)
 
 def candidates_at_ends() -> Iterator[Any]:
     """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
-    for one in {candidate.effect: candidate for candidate in list_hypotheses(None)}.values():
+    for one in {candidate.effect: candidate for candidate in list_hypotheses()}.values():
         ends = np.transpose([parameter.departure_range for parameter in one.parameters])
         for end, departures in zip(("least", "most"), ends, strict=True):
             yield pytest.param(one.switch_on(departures), id=f"{one.key}, {end}")
