@@ -133,21 +133,14 @@ def _stale(recording: Recording) -> Iterator[str]:
 
 
 def _clipped(recording: Recording) -> Iterator[str]:
-    limit, current = recording.drive["current_limit_A"], recording.sensors["current_A"]
+    limit_A, current_A = recording.drive["current_limit_A"], np.abs(recording.sensors["current_A"])
     for joint in Joint:
-        high = np.abs(current[:, joint]) >= 0.99 * limit[:, joint]
-        if int(high.sum()) >= CLIPPED_TICKS:
-            first = int(np.flatnonzero(high)[0])
+        most_A = float(current_A[:, joint].max())
+        at = np.flatnonzero(current_A[:, joint] >= np.minimum(most_A, 0.99 * limit_A[:, joint]))
+        if most_A > 0 and at.size >= CLIPPED_TICKS:
             yield (
-                f"current_A[{int(joint)}] is at its limit {int(high.sum())} times, first at "
-                f"{first / CYCLE_HZ:.2f} s: its torque was limited"
-            )
-        most = float(np.abs(current[:, joint]).max())
-        flat = np.abs(current[:, joint]) == most
-        if most > 0 and int(flat.sum()) >= CLIPPED_TICKS and not high.any():
-            yield (
-                f"current_A[{int(joint)}] reads {most:g} A {int(flat.sum())} times and never more: "
-                f"it is saturated"
+                f"current_A[{int(joint)}] is at its limit or saturated {at.size} times, first at "
+                f"{at[0] / CYCLE_HZ:.2f} s: it reads {most_A:g} A and never more"
             )
 
 
