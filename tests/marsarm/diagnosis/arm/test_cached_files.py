@@ -46,7 +46,7 @@ def test_a_table_that_is_none_of_poses_is_refused(tmp_path: Path, pattern: str, 
     ("text", "said"),
     [
         ('{"name": "cold"', "EOF|JSON"),
-        ('{"temperature_C": NaN}', "temperature_C is nan; it must be finite"),
+        ('{"temperature_C": NaN}', "temperature_C: .*finite"),
         ('{"world": {"tilt_pitch_rad": 2.9}}', "tilts the rover by 2.9 rad"),
     ],
 )
