@@ -30,7 +30,7 @@ from marsarm.accuracy.request import MonteCarloRequest as MonteCarloRequest
 from marsarm.calibration.execution import run_calibration as run_calibration
 from marsarm.common.options import CalibrateRequest as CalibrateRequest
 from marsarm.diagnosis.arm.diagnose_logs import diagnose as diagnose
-from marsarm.diagnosis.arm.output_files import effects_of_findings as effects_of_findings
+from marsarm.diagnosis.arm.diagnose_logs import effects_of_findings as effects_of_findings
 from marsarm.diagnosis.arm.record import record_logs as record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from marsarm.diagnosis.arm.request import RecordRequest as RecordRequest

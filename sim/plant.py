@@ -22,6 +22,7 @@ from sim.mujoco_settings import (
     read_servos,
 )
 from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
+from simgap.common.errors import UserError
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
@@ -38,7 +39,7 @@ ALL_ACTUATORS = 0b111110
 apply_settings()
 
 
-class PlantDiverged(RuntimeError):
+class PlantDiverged(UserError, RuntimeError):
     """Warning of MuJoCo, which may have reset the state; later states are invalid."""
 
 

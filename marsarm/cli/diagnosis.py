@@ -4,7 +4,6 @@ import sys
 from typing import TYPE_CHECKING
 
 from simgap.common.app import VerbApp
-from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 from simgap.common.verb import VerbResult, shown, verb
 
@@ -47,13 +46,9 @@ def propose(request: "marsarm.diagnosis.arm.request.NextRequest", progress: Prog
     Example: marsarm gap next logs --held-out logs/held-out --out next.toml --report next.html
     """
     from marsarm.diagnosis.arm.next_motion import propose_next, save_files
-    from sim.plant import PlantDiverged
     from simgap.report.next_motion import next_document, next_lines, next_tables
 
-    try:
-        made = propose_next(request, progress)
-    except PlantDiverged as error:
-        raise BadRequest(str(error)) from error
+    made = propose_next(request, progress)
     is_done = made.proposal.choice.tells_apart
     tables = next_tables(made.proposal) if is_done else ()
     parts = [*next_lines(made.proposal), *tables]
@@ -73,7 +68,6 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     Example: marsarm gap demo --seed 3 --report demo.html
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
-    from sim.plant import PlantDiverged
     from simgap.common.report import file_lines
     from simgap.report.page import save_diagnosis_page
     from simgap.report.sentences import verdict_lines
@@ -81,10 +75,7 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
-    try:
-        found = run_demo(request, progress, publish)
-    except PlantDiverged as error:
-        raise BadRequest(str(error)) from error
+    found = run_demo(request, progress, publish)
 
     def save() -> list[str]:
         if request.report is not None:
@@ -107,19 +98,11 @@ def diagnose(request: "marsarm.diagnosis.arm.request.DiagnoseRequest", progress:
 
     Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
     """
-    from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
-    from marsarm.diagnosis.arm.output_files import save_diagnosis_files
-    from sim.plant import PlantDiverged
+    from marsarm.diagnosis.arm.diagnose_logs import diagnose as diagnose_logs
+    from marsarm.diagnosis.arm.diagnose_logs import save_diagnosis_files
     from simgap.command.diagnosis import all_lines
     from simgap.report.document import to_document
 
-    job = prepare_diagnosis(request)
-    try:
-        result = diagnose_logs(job, progress)
-    except PlantDiverged as error:
-        raise BadRequest(str(error)) from error
-
+    result = diagnose_logs(request, progress)
     lines = all_lines(result.diagnosis)
-    return shown(
-        to_document(result.diagnosis), lines, save=lambda: save_diagnosis_files(result, request, job)
-    )
+    return shown(to_document(result.diagnosis), lines, save=lambda: save_diagnosis_files(result, request))

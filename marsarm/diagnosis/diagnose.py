@@ -28,7 +28,7 @@ from marsarm.diagnosis.model import (
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis
+from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Hypothesis
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -59,8 +59,7 @@ class Explanation:
 
     diagnosis: Diagnosis
     """Its errors are those of the fitted motions."""
-    values: dict[Hypothesis, Array]
-    """Values of all parameters of each finding in their units, shape (p,)."""
+    departures: Departures
     nuisance: Array
     """Fitted shared nuisances in their units, shape (q,)."""
     covariance: Array
@@ -77,7 +76,7 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         value: Measured minus nominal features in the units of the channels, (m,).
     """
     sensitivities = selection.sensitivities
-    for h, a in zip(selection.chosen, selection.departures, strict=True):
+    for h, a in zip(selection.chosen, selection.departures.values(), strict=True):
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
     y, q = equations.whiten(value), equations.q
@@ -86,8 +85,8 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     unit = equations.nuisance_sigma
     nuisance = fit.theta[:q] * unit
     base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
-    rows, sets = (value, base, base - selection.change()), find_confidence_sets(selection.engine)
-    effects = selection.engine.chosen.effects
+    rows = value, base, base - selection.sensitivities.change(selection.departures)
+    sets = find_confidence_sets(selection.engine)
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
@@ -99,8 +98,8 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         refused=(),
         fitted_motions=selection.engine.context.model.motions,
         judged_motions=(),
-        effects=effects,
-        sizes=tuple(tuple(a.tolist()) for a in selection.departures),
+        effects=tuple(selection.departures),
+        sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
         rivals=tuple(
             rival
             for one in sets
@@ -108,10 +107,8 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         ),
         method=FeatureResiduals.method,
     )
-    hypotheses = [model.sensitivities.hypotheses[h] for h in selection.chosen]
-    values = {one: one.values(a) for one, a in zip(hypotheses, selection.departures, strict=True)}
     covariance = fit.covariance[:q, :q] * np.outer(unit, unit)
-    return Explanation(diagnosis, values, nuisance, covariance, rows)
+    return Explanation(diagnosis, selection.departures, nuisance, covariance, rows)
 
 
 def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> Iterator[JointError]:
@@ -133,48 +130,50 @@ def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> I
 def _describe_findings(
     model: DiagnosisModel, selection: FeatureSelection, sets: Sequence[ConfidenceSet], has_remainder: bool
 ) -> Iterator[Finding]:
-    places = [model.locations[model.sensitivities.index(one.effect.key)] for one in sets]
-    for one, place in zip(sets, places, strict=True):
+    places = [hypothesis.location for hypothesis in selection.departures]
+    for one, hypothesis, place in zip(sets, selection.departures, places, strict=True):
         # several effects at one place, or one beside which something remains, may be a single unknown one;
         # if something remains beside effects at several places, it may be at another place
         finest: Finest = "place" if has_remainder or places.count(place) > 1 else "effect"
         finest = "none" if has_remainder and len(set(places)) > 1 else finest
-        yield _describe_finding(model, one, selection, finest)
+        yield _describe_finding(model, one, hypothesis, selection, finest)
 
 
 def _describe_finding(
-    model: DiagnosisModel, found: ConfidenceSet, selection: FeatureSelection, finest: Finest
+    model: DiagnosisModel,
+    found: ConfidenceSet,
+    hypothesis: Hypothesis,
+    selection: FeatureSelection,
+    finest: Finest,
 ) -> Finding:
     """Describe a finding: the sets of a level that is too fine are empty, and without one all places stay."""
-    (own, *_), effect, context = found.alternatives, found.effect, selection.engine.context
-    index = model.sensitivities.index(effect.key)
-    hypothesis = model.sensitivities.hypotheses[index]
-    columns = context.union.columns([effect])
-    size = selection.engine.chosen.sizes[columns]
+    (own, *_), every = found.alternatives, model.sensitivities.hypotheses
+    index, size = model.sensitivities.index(hypothesis.key), selection.departures[hypothesis]
+    columns = selection.engine.context.union.columns([hypothesis])
     intervals = own.intervals[[int(np.flatnonzero(own.columns == c)[0]) for c in columns]]
     ends = np.sort([hypothesis.values(end) for end in (*intervals.T,)], axis=0)
     bounds = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
     members = [
-        k
+        every[k]
         for one in found.alternatives
         for k in model.equivalence_class(model.sensitivities.index(one.effect.key))
     ]
-    places = model.locations if finest == "none" else [model.locations[k] for k in members]
+    places = [one.location for one in (every if finest == "none" else members)]
     is_named = finest == "effect"
-    alike = [model.sensitivities.hypotheses[k].name for k in model.equivalence_class(index) if k != index]
+    alike = [f"{every[k].effect} at {every[k].place}" for k in model.equivalence_class(index) if k != index]
     return Finding(
-        place=effect.place,
-        family=effect.family,
-        effect=effect.name,
+        place=hypothesis.place,
+        family=hypothesis.family,
+        effect=hypothesis.effect,
         size=tuple(hypothesis.values(size).tolist()),
         size_names=tuple(
             f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
         ),
         interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
-        text=effect.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),
+        text=hypothesis.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),
         share=found.share,
         places=tuple(dict.fromkeys(places)),
-        families=tuple(dict.fromkeys(model.families[k] for k in members)) if is_named else (),
+        families=tuple(dict.fromkeys(one.family for one in members)) if is_named else (),
         effects=tuple(one.effect.key for one in found.alternatives) if is_named else (),
         next_motion=NEXT_MOTION if len(found.alternatives) > 1 or not is_named else "",
     )

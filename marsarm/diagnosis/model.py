@@ -11,9 +11,8 @@ sigma, so that their prior has unit covariance too. They are eliminated by the S
 Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from typing import Final
 
@@ -115,7 +114,6 @@ class NormalEquations:
     Columns are scaled so that an amplitude a of 1 is one standard error, with nuisances free.
     """
 
-    layout: FeatureLayout
     owner: Ints
     """Index of the hypothesis that each column belongs to, shape (k,)."""
     whiten: Whitener
@@ -155,7 +153,7 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     by = np.where(is_seen, 1.0 / np.where(is_seen, scale, 1.0), 0.0)
     R = (R + R.T) / 2.0 * np.outer(by, by)
     sigma = _shared_sigma(sensitivities)
-    return NormalEquations(sensitivities.layout, sensitivities.owner, whiten, N, S * by, sigma, R, scale)
+    return NormalEquations(sensitivities.owner, whiten, N, S * by, sigma, R, scale)
 
 
 def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> Array:
@@ -209,10 +207,6 @@ class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
     sensitivities: Sensitivities
-    families: tuple[StrEnum, ...]
-    """Family of every hypothesis."""
-    locations: tuple[str, ...]
-    """Location of every hypothesis: its place without axis or direction."""
     equations: NormalEquations
     label: Ints
     """Equivalence class of every hypothesis, shape (h,)."""
@@ -246,21 +240,12 @@ class DiagnosisModel:
         return tuple(int(one) for one in (self.label == self.label[hypothesis]).nonzero()[0])
 
 
-def build_model(
-    sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
-) -> DiagnosisModel:
+def build_model(sensitivities: Sensitivities, left_out_effect: str = "") -> DiagnosisModel:
     """Build the diagnosis model from the sensitivities of a campaign."""
     equations = form_normal_equations(sensitivities)
     label = equivalence_classes(equations)
-    return DiagnosisModel(
-        sensitivities,
-        tuple(families),
-        tuple(locations),
-        equations,
-        label,
-        *detection_limits(equations, label),
-        group_features(equations),
-    )
+    limits, groups = detection_limits(equations, label), group_features(sensitivities.layout)
+    return DiagnosisModel(sensitivities, equations, label, *limits, groups, left_out_effect)
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
@@ -335,9 +320,8 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Ar
     return alone, family_wise
 
 
-def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
+def group_features(layout: FeatureLayout) -> tuple[FeatureGroup, ...]:
     """Form the groups of the lack-of-fit test, before data."""
-    layout = equations.layout
     result = []
     for channel in np.unique(layout.channel):
         mine = layout.channel == channel

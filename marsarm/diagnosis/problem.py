@@ -7,13 +7,14 @@ nominal state the residual (measured minus simulated) follows a linear model:
 
 Here y is the whitened residual, v the nuisances, a the amplitudes of the effects, and e noise of unit
 variance. N and S are the sensitivities, which are computed once for a campaign, and cached. The diagnosis
-finds the few hypotheses whose amplitudes are not 0. These classes are all that it knows about a robot.
+finds the few hypotheses whose amplitudes are not 0.
 """
 
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Final, cast
 from zipfile import BadZipFile
@@ -22,6 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
+from sim.effects.catalogue import EffectHypothesis
+from sim.effects.effect import Effect as PlantEffect
+from simgap import Effect, Size
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 from simgap.selection.checkpoint import pack, unpack
@@ -29,8 +33,13 @@ from simgap.selection.checkpoint import pack, unpack
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
-_READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
+_READ_ERRORS: Final = (
+    *(OSError, EOFError, BadZipFile, zlib.error),
+    *(RuntimeError, ValueError, KeyError, TypeError),
+)
 """Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
+BOUND_SHARE: Final = 0.9
+"""Largest share of the way to a bound at which a fit starts, or a random effect is."""
 ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
 
@@ -58,40 +67,77 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """Effect at a place; what sets its shape alone keeps the default of the catalogue."""
+class Hypothesis(Effect):
+    """Effect at a place; its sizes are departures from neutral in typical sizes.
+
+    What sets its shape alone keeps the default of the catalogue.
+    """
 
     effect: str
     place: str
     parameters: tuple[Parameter, ...]
+    kind: StrEnum
+    """Family."""
+    location: str
+    """Place without axis or direction."""
+    entry: EffectHypothesis | None = field(default=None, compare=False)
+    """Entry of the catalogue, which makes the effect of the plant."""
+    start: float = field(default=1.0, compare=False)
+    """Departure in typical sizes from which a fit starts, if the bounds leave room."""
 
     @property
     def name(self) -> str:
-        """Display name."""
-        return f"{self.effect} at {self.place}"
+        """Name of the effect."""
+        return self.effect
 
     @property
-    def key(self) -> str:
-        """Name of its effect in the engine: `Effect.key`."""
-        return f"{self.place}: {self.effect}"
+    def family(self) -> StrEnum:
+        """Family of the effect."""
+        return self.kind
 
-    def departures(self, values: Array) -> Array:
-        """Return the departures from neutral in typical sizes, shape (n,).
-
-        Args:
-            values: Values in their units, shape (n,).
-        """
-        typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
-        return np.asarray((values - neutral) / typical)
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Amplitudes."""
+        ranges = [(one.name, *one.departure_range) for one in self.parameters]
+        return tuple(
+            Size(name, least, most, min(self.start, BOUND_SHARE * (most or -least)))
+            for name, least, most in ranges
+        )
 
     def values(self, departures: Array) -> Array:
-        """Return the values in their units, shape (n,).
+        """Return the values of the parameters in their units, shape (n,).
 
         Args:
             departures: Departures from neutral, without a unit (typical sizes), shape (n,).
         """
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
         return np.asarray(neutral + typical * departures)
+
+    def describe(self, size: Array) -> str:
+        """Return the amplitudes in their units; a factor as its change in percent.
+
+        Args:
+            size: Departures in typical sizes, without a unit, (n_sizes,).
+        """
+        return ", ".join(
+            f"{one.name} {100.0 * np.expm1(value):+.3g} %"
+            if one.unit == LOG_UNIT
+            else f"{one.name} = {value:.4g}"
+            for one, value in zip(self.parameters, self.values(size), strict=True)
+        )
+
+    def switch_on(self, departures: Array) -> PlantEffect:
+        """Return the effect of the plant; a factor is given by its logarithm.
+
+        Args:
+            departures: Departures from neutral, without a unit (typical sizes), shape (n,).
+        """
+        assert self.entry is not None, "a hypothesis of the catalogue"
+        values: dict[str, float] = {}
+        for one, value in zip(self.parameters, self.values(departures).tolist(), strict=True):
+            inside = min(max(value, one.least), one.most)  # also by the last bit
+            values[one.name] = float(np.exp(inside)) if one.unit == LOG_UNIT else inside
+        return self.entry.effect(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +154,14 @@ class Nuisance:
     """Prior standard deviation."""
     random_per_block: bool = False
     """Random nuisance: drawn independently in every block."""
+    effect: Callable[[float], PlantEffect] | None = None
+    """Makes the effect of the plant from a departure."""
+    same_as: str = ""
+    """Key of the hypothesis, or name of the nuisance, that equals it for small departures."""
+    one_sided: bool = False
+    """One-sided nuisance: it departs only to positive values."""
+    only_place: str = ""
+    """Place of the only features that it influences; empty for all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +174,6 @@ class FeatureLayout:
     """Index of the motion under one condition: the unit of the bootstrap, shape (m,)."""
     channel: Ints
     """Index of the measured quantity, shape (m,)."""
-    place: Ints
-    """Index of the location on the robot, shape (m,)."""
     regime: Ints
     """Index of the regime of motion, shape (m,)."""
     condition: Array
@@ -131,7 +183,6 @@ class FeatureLayout:
     channels: tuple[str, ...]
     units: tuple[str, ...]
     """Units of the channels."""
-    places: tuple[str, ...]
     regimes: tuple[str, ...]
     conditions: tuple[str, ...]
     keys: tuple[str, ...] = ()
@@ -144,15 +195,15 @@ class FeatureLayout:
 
     def select(self, rows: Ints) -> "FeatureLayout":
         """Return the layout of some features, in the order of `rows`; all names stay."""
-        arrays = ("sigma", "block", "channel", "place", "regime", "condition")
+        arrays = ("sigma", "block", "channel", "regime", "condition")
         keys = tuple(self.keys[row] for row in rows) if self.keys else ()
         return replace(self, keys=keys, **{name: getattr(self, name)[rows] for name in arrays})
 
 
-EffectValues = Mapping[Hypothesis, Array]
-"""Values of the parameters of the effects that are switched on, in their order and units."""
+Departures = Mapping[Hypothesis, Array]
+"""Departures from neutral, in typical sizes, of the effects that are switched on."""
 
-Simulate = Callable[[EffectValues], Array]
+Simulate = Callable[[Departures], Array]
 """Simulator of a case: the change of its m features by effects, in the units of the channels, shape (m,); NaN
 if no such robot can be simulated. It never depends on the measured features."""
 
@@ -191,17 +242,11 @@ class Sensitivities:
         """Return the index of the hypothesis with this key."""
         return next(k for k, one in enumerate(self.hypotheses) if one.key == key)
 
-    def change(self, settings: EffectValues) -> Array:
-        """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures.
-
-        Args:
-            settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
-                have no influence.
-        """
+    def change(self, departures: Departures) -> Array:
+        """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures."""
         total = np.zeros(self.layout.size)
-        for hypothesis, values in settings.items():
-            columns = np.flatnonzero(self.owner == self.hypotheses.index(hypothesis))
-            total += self._change(columns, hypothesis.departures(values))
+        for hypothesis, a in departures.items():
+            total += self._change(np.flatnonzero(self.owner == self.hypotheses.index(hypothesis)), a)
         return total
 
     def _change(self, columns: Ints, a: Array) -> Array:
@@ -260,19 +305,28 @@ class Sensitivities:
 
 
 def save_sensitivities(path: Path, found: Sensitivities) -> None:
-    """Save sensitivities to an .npz file without pickled objects; BadOutput if it cannot be written."""
+    """Save sensitivities, without what they are of, to an .npz file without pickled objects.
+
+    BadOutput if it cannot be written.
+    """
     arrays: list[Array] = []
-    document = json.dumps(pack(found, arrays))
+    document = json.dumps(pack(replace(found, hypotheses=(), nuisances=()), arrays))
     with atomic_write(path, "sensitivities") as file:
         np.savez(file, *arrays, document=np.array(document))
 
 
-def load_sensitivities(path: Path) -> Sensitivities:
-    """Load sensitivities; BadRequest if the file is incomplete, damaged, or holds something else."""
+def load_sensitivities(
+    path: Path, hypotheses: Sequence[Hypothesis], nuisances: Sequence[Nuisance]
+) -> Sensitivities:
+    """Load sensitivities to these hypotheses and nuisances, with which they were saved.
+
+    BadRequest if the file is incomplete, damaged, or holds something else.
+    """
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = [file[f"arr_{k}"] for k in range(len(file.files) - 1)]
-            return cast("Sensitivities", unpack(json.loads(str(file["document"])), arrays, {}, "marsarm"))
+            found = cast("Sensitivities", unpack(json.loads(str(file["document"])), arrays, {}, "marsarm"))
+            return replace(found, hypotheses=tuple(hypotheses), nuisances=tuple(nuisances))
     except _READ_ERRORS as error:
         raise BadRequest(
             f"{path}: no sensitivities ({error}); remove it, and they are computed anew"

@@ -11,16 +11,15 @@ all. The change by an effect is the parabola of the sensitivities.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel, Whitener, build_full_whitener
-from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Ints, Sensitivities, Simulate, continue_parabola
-from simgap import Effect, ResidualModel, Size, select_effects
+from marsarm.diagnosis.problem import Hypothesis, Ints, Sensitivities, Simulate, continue_parabola
+from simgap import Effect, ResidualModel, select_effects
 from simgap.selection.context import Selection
 
 MAX_SIMULATIONS: Final = 3
@@ -32,29 +31,23 @@ parabola that is continued as a line misses a hundredth of its curvature."""
 LIMITS: Final = 2.0
 """Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
 
-BOUND_SHARE: Final = 0.9
-"""Largest share of the way to a bound at which a fit starts."""
-
 MORE_ROOM: Final = 1.1
 """Ratio from which on one range of sizes is wider than another; members of a class differ by their cosine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureSelection:
-    """Selected hypotheses, with their amplitudes."""
+    """Selected hypotheses, with their departures."""
 
-    chosen: tuple[int, ...]
-    departures: tuple[Array, ...]
-    """Amplitudes of each in typical sizes, (n,)."""
     sensitivities: Sensitivities
     """Sensitivities that it was made with."""
     engine: Selection
+    departures: dict[Hypothesis, Array]
 
-    def change(self) -> Array:
-        """Compute the change of the features by the selected effects in their units, shape (m,)."""
-        hypotheses = [self.sensitivities.hypotheses[h] for h in self.chosen]
-        pairs = zip(hypotheses, self.departures, strict=True)
-        return self.sensitivities.change({one: one.values(a) for one, a in pairs})
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Indices of the hypotheses."""
+        return tuple(self.sensitivities.index(one.key) for one in self.departures)
 
 
 def select_simulated(
@@ -69,16 +62,12 @@ def select_simulated(
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
     simulated: dict[int, tuple[Array, Array]] = {}
     for _ in range(MAX_SIMULATIONS):
-        far = [
-            (h, a)
-            for h, a in zip(selection.chosen, selection.departures, strict=True)
-            if _is_far(model.sensitivities, h, a, simulated)
-        ]
+        found = zip(selection.chosen, selection.departures.items(), strict=True)
+        far = [(h, one, a) for h, (one, a) in found if _is_far(model.sensitivities, h, a, simulated)]
         if simulate is None or not far:
             break
-        for h, a in far:
-            hypothesis = model.sensitivities.hypotheses[h]
-            change = simulate({hypothesis: hypothesis.values(a)})
+        for h, hypothesis, a in far:
+            change = simulate({hypothesis: a})
             if not np.all(np.isfinite(change)) or not np.any(change):
                 excluded |= {h}
             else:
@@ -118,59 +107,15 @@ def select(
         excluded: Hypotheses that do not compete.
     """
     residuals = FeatureResiduals(sensitivities, whiten, value)
-    effects = list_feature_effects(model, excluded)
+    effects = list_competitors(model, excluded)
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
-    chosen = found.chosen.effects
     union, sizes = found.context.union, found.chosen.sizes
-    return FeatureSelection(
-        tuple(sensitivities.index(one.key) for one in chosen),
-        tuple(sizes[union.columns([one])] for one in chosen),
-        sensitivities,
-        found,
-    )
+    chosen = [one for one in found.chosen.effects if isinstance(one, Hypothesis)]
+    return FeatureSelection(sensitivities, found, {one: sizes[union.columns([one])] for one in chosen})
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureEffect(Effect):
-    """Hypothesis of a campaign as an effect; its sizes are departures from neutral in typical sizes."""
-
-    place: str
-    hypothesis: Hypothesis
-    kind: StrEnum
-    departures: tuple[Size, ...]
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.hypothesis.effect
-
-    @property
-    def family(self) -> StrEnum:
-        """Family of the effect."""
-        return self.kind
-
-    @property
-    def sizes(self) -> tuple[Size, ...]:
-        """Amplitudes."""
-        return self.departures
-
-    def describe(self, size: Array) -> str:
-        """Return the amplitudes in their units; a factor as its change in percent.
-
-        Args:
-            size: Departures in typical sizes, without a unit, (n_sizes,).
-        """
-        values = zip(self.hypothesis.parameters, self.hypothesis.values(size), strict=True)
-        return ", ".join(
-            f"{one.name} {100.0 * np.expm1(value):+.3g} %"
-            if one.unit == LOG_UNIT
-            else f"{one.name} = {value:.4g}"
-            for one, value in values
-        )
-
-
-def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) -> tuple[FeatureEffect, ...]:
-    """List the effects that a campaign can show, one of each equivalence class.
+def list_competitors(model: DiagnosisModel, excluded: Collection[int] = ()) -> tuple[Hypothesis, ...]:
+    """List the hypotheses that a campaign can show, one of each equivalence class.
 
     A class is represented by its first member whose bounds are not within those of another: a link that heat
     makes longer cannot stand for one that was built too long.
@@ -183,9 +128,11 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
     for k, limit in enumerate(model.limits):
         if np.isfinite(limit) and k not in absent:
             members.setdefault(int(model.label[k]), []).append(k)
+    chosen = (
+        next(k for k in of if not any(_has_more_room(model, one, k) for one in of)) for of in members.values()
+    )
     return tuple(
-        _feature_effect(model, next(k for k in of if not any(_has_more_room(model, one, k) for one in of)))
-        for of in members.values()
+        replace(model.sensitivities.hypotheses[k], start=LIMITS * float(model.limits[k])) for k in chosen
     )
 
 
@@ -207,16 +154,6 @@ def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
     ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
     limit = model.limits[k]
     return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
-
-
-def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
-    hypothesis, limit = model.sensitivities.hypotheses[k], float(model.limits[k])
-    sizes = []
-    for parameter in hypothesis.parameters:
-        least, most = parameter.departure_range
-        typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
-        sizes.append(Size(parameter.name, least, most, typical))
-    return FeatureEffect(hypothesis.place, hypothesis, model.families[k], tuple(sizes))
 
 
 class FeatureResiduals:

@@ -12,7 +12,7 @@ from marsarm.diagnosis.arm import blind_case
 from marsarm.diagnosis.arm.blind_case import DetectableEffect, sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
-from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
+from marsarm.diagnosis.arm.simulator import list_hypotheses
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import SESSION, Recorder, flight_header, run_header
 from sim.arm_model.load import default_arm
@@ -39,12 +39,12 @@ SESSIONS = choose_sessions(MAKER.sessions)
 def cases(kinds=("single", "out-of-catalogue")):
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
-        DetectableEffect(to_hypothesis(one), 0.4, number)
-        for number, one in enumerate(list_candidates(None))
-        if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
+        DetectableEffect(one, 0.4, number)
+        for number, one in enumerate(list_hypotheses())
+        if one.key in ("elbow: coulomb-friction", "wrist: backlash-width")
     ]
     unknown = [one for (name, _), one in arm_truth.list_uncatalogued().items() if name == "drifting-current"]
-    outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
+    outside = [DetectableEffect(one, 0.4, None) for one in unknown]
     truth = draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth if case.kind == kind) for kind in kinds}
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.arm.blind_case import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
-from marsarm.diagnosis.problem import Hypothesis, Parameter
+from marsarm.diagnosis.arm.blind_case import LIMIT_MULTIPLES, DetectableEffect, can_sample
+from marsarm.diagnosis.problem import BOUND_SHARE, Hypothesis, Parameter
+from simgap import Family
 from simgap.common.errors import BadRequest
 from validation.cases import sealed
 from validation.cases.arm import ArmCases
@@ -17,7 +18,7 @@ MAKER = ArmCases()
 
 def seen(effect, place, limit=1.0, label=0, least=-100.0):
     sizes = (Parameter("size", "m", least, 100.0, 2.0, 0.0),)
-    return DetectableEffect(Hypothesis(effect, place, sizes), limit, label)
+    return DetectableEffect(Hypothesis(effect, place, sizes, Family.FRICTION, place), limit, label)
 
 
 CATALOGUE = [seen(f"e{k}", f"p{j}", label=k) for k in range(5) for j in range(1 + k)]
@@ -51,8 +52,8 @@ def test_sizes_are_even_in_their_logarithm_and_as_far_from_neutral_as_they_say()
     least, most = LIMIT_MULTIPLES
     assert np.mean(np.log(times / least) < 0.5 * np.log(most / least)) == pytest.approx(0.5, abs=0.06)
     for one in effects:
-        assert abs(one.values[0]) == pytest.approx(2.0 * one.times_limit * one.source.limit)
-    assert {np.sign(one.values[0]) for one in effects} == {-1.0, 1.0}
+        assert abs(one.departures[0]) == pytest.approx(one.times_limit * one.source.limit)
+    assert {np.sign(one.departures[0]) for one in effects} == {-1.0, 1.0}
 
 
 def test_effects_outside_the_catalogue_come_equally_often():
@@ -68,8 +69,8 @@ def test_a_size_stays_within_its_bounds_and_goes_where_there_is_room():
     for case in plan_cases(40, [tight, seen("f", "p", label=1)], OUTSIDE, np.random.default_rng(2)):
         for one in case.effects:
             if one.source is tight:
-                assert 0.0 < one.values[0] <= BOUND_SHARE * 100.0
-                assert one.times_limit == pytest.approx(one.values[0] / 2.0 / 20.0)
+                assert 0.0 < one.departures[0] <= BOUND_SHARE * 50.0
+                assert one.times_limit == pytest.approx(one.departures[0] / 20.0)
 
 
 def test_what_the_campaign_does_not_see_is_not_drawn():
@@ -80,9 +81,9 @@ def test_what_the_campaign_does_not_see_is_not_drawn():
 
 def test_the_same_seed_plans_the_same():
     def planned(seed):
-        drawn_effects = [(case.kind, case.effects) for case in drawn(seed=seed)]
-        drawn_sizes = [[(one.source, one.values.tolist()) for one in effects] for _, effects in drawn_effects]
-        return [kind for kind, _ in drawn_effects], drawn_sizes
+        cases = drawn(seed=seed)
+        sizes = [[(one.source, one.departures.tolist()) for one in case.effects] for case in cases]
+        return [case.kind for case in cases], sizes
 
     assert planned(3) == planned(3)
     assert planned(3) != planned(4)

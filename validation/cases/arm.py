@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -19,7 +19,6 @@ from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
-from marsarm.diagnosis.arm.simulator import catalogue_effect
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference
@@ -34,12 +33,12 @@ from validation.cases import sealed
 from validation.cases.arm_score import (
     CLASSES_FILE,
     EquivalenceClasses,
-    ResultFile,
     classes_json,
     load_classes,
     score,
 )
 from validation.cases.arm_truth import (
+    EFFECTS_FOLDER,
     PlannedCase,
     SealedEffect,
     TrueCase,
@@ -77,7 +76,6 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     name: ClassVar[str] = "arm-cases"
     suffix: ClassVar[str] = ""
     truth_type: ClassVar[TypeAdapter[SealedTruth[TrueCase]]] = TypeAdapter(SealedTruth[TrueCase])
-    result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(ResultFile)
 
     def draw(
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
@@ -96,7 +94,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         known = blind_case.list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         every = list_uncatalogued().values()
-        outside = [blind_case.DetectableEffect(one.hypothesis, 1.0, None) for one in every]
+        outside = [blind_case.DetectableEffect(one, 1.0, None) for one in every]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [], self.arm)
 
     def record(self, path: Path, case: TrueCase) -> None:
@@ -186,19 +184,17 @@ def draw_truth(
 def _true_case(number: int, plan: PlannedCase, seed: int, arm: str) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
     specs = tuple(effect_text(effect) for effect in blind_case.sample_background(rng, arm))
-    effects = tuple(_true_effect(one, plan.kind == "out-of-catalogue") for one in plan.effects)
+    effects = tuple(map(_true_effect, plan.effects))
     return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
 
-def _true_effect(one: blind_case.SampledEffect, outside: bool) -> SealedEffect:
+def _true_effect(one: blind_case.SampledEffect) -> SealedEffect:
     hypothesis = one.source.hypothesis
-    name = hypothesis.effect, hypothesis.place
-    if outside:
-        spec = list_uncatalogued()[name].spec(one.values)
-    else:
-        spec = effect_text(catalogue_effect(hypothesis.key, one.values))
-    values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
-    return SealedEffect(*name, values, one.times_limit, spec)
+    # without the folder, in which effects outside the catalogue are found again
+    spec = effect_text(one.switch_on()).removeprefix(f"{EFFECTS_FOLDER}/")
+    pairs = zip(hypothesis.parameters, hypothesis.values(one.departures).tolist(), strict=True)
+    values = {parameter.name: value for parameter, value in pairs}
+    return SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, spec)
 
 
 def check_result(case: TrueCase, result: Document) -> None:
@@ -223,7 +219,7 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
     Of the cases in the folder, so many are taken, those with the largest effects.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")
-    truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder, maker)
+    truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder)
     classes = load_classes(folder / CAMPAIGN_FOLDER)
     chosen = list_clear_cases([case for case in truth.cases if case.name in results], classes)[:cases]
     if not chosen:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
-from pydantic import Field, FiniteFloat, TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from marsarm.common.rates import rate_of
 from marsarm.diagnosis.model import DiagnosisModel
@@ -23,65 +23,25 @@ from validation.cases.sealed import CaseScore
 CLASSES_FILE: Final = "classes.json"
 
 
-@dataclass(frozen=True, slots=True)
-class _Size:
-    name: str
-    low_90: FiniteFloat
-    high_90: FiniteFloat
-
-
-@dataclass(frozen=True, slots=True)
-class _Sets:
-    places: list[str]
-    families: list[str]
-    effects: list[str]
-
-
-@dataclass(frozen=True, slots=True)
-class _Finding:
-    place: str
-    effect: str
-    level: Literal["effect", "family", "place", "none"]
-    sizes: list[_Size]
-    not_excluded: _Sets
-
-
-@dataclass(frozen=True, slots=True)
-class ResultFile:
-    """Part of a result that the score reads."""
-
-    verdict: Literal["named", "set", "none", "unknown"]
-    findings: list[_Finding]
-    seconds: FiniteFloat
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedHypothesis:
-    """Published facts of a hypothesis."""
-
-    label: int
-    """Equivalence class."""
-    family_wise_share: float
-    """Detection limit in the selection from all hypotheses, over that of a single test."""
-    family: str
-    location: str
-
-
 _Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
+class PublishedHypothesis:
+    """Published facts of a hypothesis; a limit is None if the campaign does not show it."""
+
     name: str
     place: str
     label: Annotated[int, Field(validation_alias="class")]
+    """Equivalence class."""
     limit: _Limit
     family_wise_limit: _Limit
+    """Detection limit in the selection from all hypotheses."""
     family: str
     location: str
 
 
-_CLASSES_ADAPTER: Final = TypeAdapter(Annotated[list[_Entry], Field(min_length=1)])
+_CLASSES_ADAPTER: Final = TypeAdapter(Annotated[list[PublishedHypothesis], Field(min_length=1)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +70,10 @@ class EquivalenceClasses:
                 f"{effect} at {place} is not in the catalogue of this campaign; score it with the marsarm "
                 "that made it"
             )
-        return self.known[effect, place].family_wise_share
+        one = self.known[effect, place]
+        assert one.limit is not None
+        assert one.family_wise_limit is not None
+        return one.family_wise_limit / one.limit
 
     def _alike(self, effect: str, place: str) -> list[PublishedHypothesis]:
         label = self.of(effect, place)
@@ -121,10 +84,11 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     """Return the JSON document; an infinite limit is None."""
     names = ("class", "limit", "family_wise_limit", "family", "location")
     numbers = (one.tolist() for one in (model.label, model.limits, model.family_wise_limits))
-    rows = zip(*numbers, map(str, model.families), model.locations, strict=True)
+    every = model.sensitivities.hypotheses
+    rows = zip(*numbers, [str(one.family) for one in every], [one.location for one in every], strict=True)
     document: list[dict[str, Any]] = to_json([
         {"name": one.effect, "place": one.place} | dict(zip(names, row, strict=True))
-        for one, row in zip(model.sensitivities.hypotheses, rows, strict=True)
+        for one, row in zip(every, rows, strict=True)
     ])  # fmt: skip
     return document
 
@@ -133,13 +97,8 @@ def load_classes(campaign: Path) -> EquivalenceClasses:
     """Load what is published; BadRequest if it cannot be read."""
     path = campaign / CLASSES_FILE
     document = read_json(path, _CLASSES_ADAPTER, "holds no classes", "make the campaign anew")
-    return EquivalenceClasses({
-        (one.name, one.place): PublishedHypothesis(
-            one.label, one.family_wise_limit / one.limit, one.family, one.location
-        )
-        for one in document
-        if one.limit is not None and one.family_wise_limit is not None
-    })  # fmt: skip
+    seen = [one for one in document if one.limit is not None and one.family_wise_limit is not None]
+    return EquivalenceClasses({(one.name, one.place): one for one in seen})
 
 
 WRONG_RATES: Final = (0.08, 0.14, 0.20)

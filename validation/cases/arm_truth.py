@@ -16,11 +16,10 @@ import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm import blind_case
 from marsarm.diagnosis.arm.arm_effects import locate
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
-from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
+from marsarm.diagnosis.arm.simulator import to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
@@ -28,7 +27,8 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import SESSION
 from sim.effects import catalogue
 from sim.effects.effect import Effect
-from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
+from sim.scenario.effects import BadEffect, effect_classes_in_file, parse_effect_text
+from simgap import Family
 from simgap.common.errors import BadRequest, UserError
 from simgap.common.toml import read_toml
 
@@ -133,28 +133,15 @@ def _sample_effects(
     return first, blind_case.sample_amplitude(blind_case.sample_effect(others, rng), rng)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UncataloguedEffect:
-    """Out-of-catalogue effect at a place."""
-
-    hypothesis: Hypothesis
-    catalogue_entry: catalogue.EffectHypothesis
-
-    def spec(self, values: Array) -> str:
-        """Return the text that switches the effect on, with the name of its file in the folder."""
-        text = effect_text(make_effect(self.catalogue_entry, values))
-        return text.removeprefix(f"{EFFECTS_FOLDER}/")
-
-
 @cache
-def list_uncatalogued() -> Mapping[tuple[str, str], UncataloguedEffect]:
+def list_uncatalogued() -> Mapping[tuple[str, str], Hypothesis]:
     """List all out-of-catalogue effects by effect and place; BadRequest if there are no files."""
     files = sorted(EFFECTS_FOLDER.glob("*.py"))
     if not files:
         raise BadRequest(f"{EFFECTS_FOLDER}: holds no effects; cases are made in a clone of the repository")
     kinds = {kind.__name__: kind for file in files for kind in effect_classes_in_file(str(file))}
-    found = (UncataloguedEffect(to_hypothesis(made), made) for made in catalogue.hypotheses(kinds))
-    return {(one.hypothesis.effect, one.hypothesis.place): one for one in found}
+    found = [to_hypothesis(made, Family.EXTERNAL) for made in catalogue.hypotheses(kinds)]
+    return {(one.effect, one.place): one for one in found}
 
 
 def resolve_effect(spec: str, tools: tuple[str, ...]) -> Effect:

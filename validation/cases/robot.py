@@ -70,7 +70,6 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     least_seed: ClassVar[int] = 1
     suffix: ClassVar[str] = ".parquet"
     truth_type: ClassVar[TypeAdapter[SealedTruth[SealedCase]]] = TypeAdapter(SealedTruth[SealedCase])
-    result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(dict[str, Any])
 
     def draw(
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress

@@ -99,7 +99,6 @@ class CaseMaker(Generic[Case]):
     """Suffix of the file of a case's logs; empty for a folder."""
     truth_type: ClassVar[TypeAdapter[Any]]
     """Type of the sealed truth."""
-    result_type: ClassVar[TypeAdapter[Any]]
 
     def draw(self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress) -> tuple[Case, ...]:
         """Draw the truth of all cases, and write what solving may know before them."""
@@ -325,7 +324,7 @@ def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore
 
     BadRequest if the truth was changed, a case is not solved, or a result is damaged.
     """
-    truth, results = load_truth(folder, maker), load_results(folder, maker)
+    truth, results = load_truth(folder, maker), load_results(folder)
     missing = [case.name for case in truth.cases if case.name not in results]
     if missing and (not partial or len(missing) == len(truth.cases)):
         raise BadRequest(
@@ -337,7 +336,10 @@ def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore
     return CaseScore({"digest": truth.digest(), **found.document}, found.tables, found.in_bounds)
 
 
-def load_results(folder: Path, maker: CaseMaker[Any]) -> dict[str, Document]:
+_RESULT_ADAPTER: Final = TypeAdapter(dict[str, Any])
+
+
+def load_results(folder: Path) -> dict[str, Document]:
     """Load the results of all solved cases by name; BadRequest if one cannot be read."""
     found = {}
     if (folder / SOLVED_FOLDER).is_file():
@@ -345,8 +347,7 @@ def load_results(folder: Path, maker: CaseMaker[Any]) -> dict[str, Document]:
     for path in sorted((folder / SOLVED_FOLDER).glob("case-*[0-9].json")):
         try:
             raw = path.read_bytes()
-            maker.result_type.validate_json(raw, strict=True)
-            found[path.stem] = json.loads(raw)
+            found[path.stem] = _RESULT_ADAPTER.validate_json(raw, strict=True)
         except (OSError, ValidationError) as error:
             why = describe_first_problem(error) if isinstance(error, ValidationError) else error.strerror
             raise BadRequest(f"{path}: is no solved case ({why}); remove it and solve again") from error

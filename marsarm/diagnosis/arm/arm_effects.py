@@ -7,7 +7,6 @@ more than any effect.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from typing import Any, Final
@@ -113,22 +112,7 @@ ROUNDING = 1e-9
 """Differences below this, relative or in SI, are those of floating-point numbers."""
 
 
-@dataclass(frozen=True, slots=True)
-class NuisanceEffect:
-    """Nuisance parameter, and the effect that it switches on."""
-
-    nuisance: Nuisance
-    effect: Callable[[float], Effect]
-    """Effect for a departure."""
-    same_as: str
-    """Name of the hypothesis or nuisance that equals it for small departures."""
-    one_sided: bool = False
-    """One-sided nuisance: it departs only to positive values."""
-    only_place: str = ""
-    """Place of the only features that it influences; empty for all."""
-
-
-def list_nuisance_effects(arm: ArmModel) -> Iterator[NuisanceEffect]:
+def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
     """Yield what a calibration of an arm leaves (sim.arms), friction of the day, and numerical errors."""
     left = arm.description.tolerances.calibrated
     yield from _frame_nuisances(arm)
@@ -145,7 +129,7 @@ def list_nuisance_effects(arm: ArmModel) -> Iterator[NuisanceEffect]:
     yield from _session_nuisances()
 
 
-def _frame_nuisances(arm: ArmModel) -> Iterator[NuisanceEffect]:
+def _frame_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
     """Yield rotations and shifts of frames; the last frame has those of every tool."""
     left = arm.description.tolerances.calibrated
     for frame, tool in list_frames(arm.params.tool_names):
@@ -153,14 +137,16 @@ def _frame_nuisances(arm: ArmModel) -> Iterator[NuisanceEffect]:
             named = frame.name.lower() if tool is None else tool
             unit, sigma = ("rad", left.frame_rad) if axis < 3 else ("m", left.frame_m)
             word = SCREW_AXES[axis]
-            yield NuisanceEffect(
-                Nuisance(f"frame {named}.{word}", unit, sigma),
-                partial(_displaced_frame, frame, tool, axis),
-                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
+            yield Nuisance(
+                f"frame {named}.{word}",
+                unit,
+                sigma,
+                effect=partial(_displaced_frame, frame, tool, axis),
+                same_as=f"{named}.{word[1]}: {_TURN_SHIFT[tool is not None][unit]}",
             )
 
 
-def _session_nuisances() -> Iterator[NuisanceEffect]:
+def _session_nuisances() -> Iterator[Nuisance]:
     """Yield small variations between sessions."""
     for joint in Joint:
         yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
@@ -169,22 +155,24 @@ def _session_nuisances() -> Iterator[NuisanceEffect]:
         yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
 
 
-def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> NuisanceEffect:
+def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> Nuisance:
     """Return other numerics at one joint, on or off."""
-    nuisance = Nuisance(f"{word} {place}", "1", NUMERICS_SIGMA)
-    return NuisanceEffect(nuisance, lambda _: numerics, word, one_sided=True, only_place=place)
+    name, effect = f"{word} {place}", partial(_numerics_effect, numerics)
+    return Nuisance(name, "1", NUMERICS_SIGMA, False, effect, word, one_sided=True, only_place=place)
+
+
+def _numerics_effect(numerics: Numerics, _: float) -> Effect:
+    return numerics
 
 
 def _joint_nuisance(
     place: Joint | Frame, word: str, unit: str, sigma: float, kind: Any, random_per_block: bool = False
-) -> NuisanceEffect:
+) -> Nuisance:
     """Return an effect of one parameter at a joint or frame; a factor is given by its logarithm."""
     name = place.name.lower()
     full_name = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
     effect = partial(_scaled_effect, kind, place) if unit == LOG_UNIT else partial(kind, place)
-    return NuisanceEffect(
-        Nuisance(full_name, unit, sigma, random_per_block), effect, f"{effect_name(kind)} at {name}"
-    )
+    return Nuisance(full_name, unit, sigma, random_per_block, effect, f"{name}: {effect_name(kind)}")
 
 
 def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:

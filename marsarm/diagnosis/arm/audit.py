@@ -1,7 +1,7 @@
 """Audit of recordings before a diagnosis: reasons to refuse them, and notes on anomalies.
 
 `refusals` finds errors that prevent a comparison with the simulator. `audit_recordings` finds anomalies that
-a user should know: stale or saturated sensors, wrong units, time skew, and missing motion.
+a user should know: stale or saturated sensors, wrong units, and missing motion.
 """
 
 from collections import Counter
@@ -27,12 +27,6 @@ STALE_TICKS: Final = CYCLE_HZ
 constant."""
 CLIPPED_TICKS: Final = 4
 """Number of readings at one extreme that counts as saturation."""
-MAX_SKEW_TICKS: Final = 8
-"""Greatest lag in ticks between encoders and set-points that is searched."""
-SKEW_TICKS: Final = 2
-"""Greatest normal lag in ticks."""
-SKEW_MISFIT_SHARE: Final = 0.25
-"""Another lag is reported if its squared misfit is below this share of the normal one."""
 RESOLVER_TOLERANCE_RAD: Final = 0.2
 """Greatest median difference of resolver and encoder if both have the right unit and zero."""
 PLAUSIBLE_GRAVITY_M_S2: Final = (1.0, 12.0)
@@ -93,11 +87,8 @@ def audit_recordings(recordings: Sequence[Recording]) -> tuple[str, ...]:
 def find_anomalies(recording: Recording) -> Iterator[str]:
     """Yield the anomalies of one recording."""
     yield from recording.notes
-    yield from _stale(recording)
-    yield from _clipped(recording)
-    yield from _units(recording)
-    yield from _skew(recording)
-    yield from _unused(recording)
+    for find in (_stale, _clipped, _units, _unused):
+        yield from find(recording)
 
 
 def _not_finite(columns: Mapping[str, NDArray[Any]]) -> Iterator[str]:
@@ -142,21 +133,14 @@ def _stale(recording: Recording) -> Iterator[str]:
 
 
 def _clipped(recording: Recording) -> Iterator[str]:
-    limit, current = recording.drive["current_limit_A"], recording.sensors["current_A"]
+    limit_A, current_A = recording.drive["current_limit_A"], np.abs(recording.sensors["current_A"])
     for joint in Joint:
-        high = np.abs(current[:, joint]) >= 0.99 * limit[:, joint]
-        if int(high.sum()) >= CLIPPED_TICKS:
-            first = int(np.flatnonzero(high)[0])
+        most_A = float(current_A[:, joint].max())
+        at = np.flatnonzero(current_A[:, joint] >= np.minimum(most_A, 0.99 * limit_A[:, joint]))
+        if most_A > 0 and at.size >= CLIPPED_TICKS:
             yield (
-                f"current_A[{int(joint)}] is at its limit {int(high.sum())} times, first at "
-                f"{first / CYCLE_HZ:.2f} s: its torque was limited"
-            )
-        most = float(np.abs(current[:, joint]).max())
-        flat = np.abs(current[:, joint]) == most
-        if most > 0 and int(flat.sum()) >= CLIPPED_TICKS and not high.any():
-            yield (
-                f"current_A[{int(joint)}] reads {most:g} A {int(flat.sum())} times and never more: "
-                f"it is saturated"
+                f"current_A[{int(joint)}] is at its limit or saturated {at.size} times, first at "
+                f"{at[0] / CYCLE_HZ:.2f} s: it reads {most_A:g} A and never more"
             )
 
 
@@ -173,24 +157,6 @@ def _units(recording: Recording) -> Iterator[str]:
         yield f"gravity_R_m_s2 is {strength:.3g} long; m/s^2 are wanted"
 
 
-def _skew(recording: Recording) -> Iterator[str]:
-    """Find the lag at which encoders fit their set-points best."""
-    for segment in find_segments(recording):
-        commanded = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
-        measured = recording.motor_rad()[segment.joint, segment.first : segment.end]
-        misfit = {
-            lag: _misfit(commanded, measured, lag) for lag in range(-MAX_SKEW_TICKS, MAX_SKEW_TICKS + 1)
-        }
-        best = min(misfit, key=misfit.__getitem__)
-        usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
-        if misfit[best] < SKEW_MISFIT_SHARE * usual:
-            yield (
-                f"{segment.joint.name.lower()}: encoders follow their set-points by {best} ticks "
-                f"({best / CYCLE_HZ:.3f} s): their clocks differ"
-            )
-            return
-
-
 def _unused(recording: Recording) -> Iterator[str]:
     """Report tracker poses that are not at the last tick of a rest; nothing is compared with them."""
     ticks = recording.tracker_poses.tick
@@ -200,17 +166,6 @@ def _unused(recording: Recording) -> Iterator[str]:
             f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not of the last "
             f"tick of a rest, and are not used"
         )
-
-
-def _misfit(commanded: Array, measured: Array, lag: int) -> float:
-    size = commanded.size - 2 * MAX_SKEW_TICKS
-    if size <= 0:
-        return 0.0
-    difference = (
-        measured[MAX_SKEW_TICKS + lag : MAX_SKEW_TICKS + lag + size]
-        - commanded[MAX_SKEW_TICKS : MAX_SKEW_TICKS + size]
-    )
-    return float(np.sum(difference**2))
 
 
 def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:

@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.model import DiagnosisModel
-from marsarm.diagnosis.problem import Hypothesis
+from marsarm.diagnosis.problem import BOUND_SHARE, Hypothesis
 from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession
 from sim.effects.effect import Effect
@@ -30,8 +30,6 @@ PLANT_NUMERICS: Final = Numerics("explicit", 7)
 that are not much finer, this scheme nearly diverges, and gears settle elsewhere than with finer steps."""
 LIMIT_MULTIPLES: Final = (0.5, 4.0)
 """Range of the sampled amplitudes, in detection limits."""
-BOUND_SHARE: Final = 0.9
-"""Share of the distance to its bounds that a sampled amplitude may use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +43,15 @@ class DetectableEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledEffect:
-    """Sampled effect: values of its parameters, shape (n,), and its amplitude in detection limits."""
+    """Sampled effect: its departures in typical sizes, shape (n,), and its amplitude in detection limits."""
 
     source: DetectableEffect
-    values: Array
+    departures: Array
     times_limit: float
+
+    def switch_on(self) -> Effect:
+        """Return the effect of the plant."""
+        return self.source.hypothesis.switch_on(self.departures)
 
 
 def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
@@ -78,8 +80,8 @@ def sample_amplitude(
     if _room(one, sign) < multiples[0] * one.limit:
         sign = -sign
     typical = min(times * one.limit, _room(one, sign))
-    values = one.hypothesis.values(np.full(len(one.hypothesis.parameters), sign * typical))
-    return SampledEffect(one, values, typical / one.limit)
+    departures = np.full(len(one.hypothesis.parameters), sign * typical)
+    return SampledEffect(one, departures, typical / one.limit)
 
 
 def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffect]:

@@ -24,27 +24,30 @@ import fsw
 import sim
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
-from marsarm.common.pool import Runner
+from marsarm.common.pool import Runner, in_order
+from marsarm.diagnosis.arm.arm_effects import list_nuisances
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
+    Column,
     OneSidedStep,
     adapt_step,
     find_borrowed_slopes,
     group_columns,
     list_columns,
-    perturb_both_sides,
     simulate_side,
     step_error,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,
+    Hypothesis,
     Ints,
+    Nuisance,
     Sensitivities,
     fit_parabola,
     load_sensitivities,
@@ -87,17 +90,16 @@ class _Campaign:
     """Name of an arm of its drawing."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    campaign: _Campaign
-    columns: tuple[int, ...]
-    """Indices of the columns that are simulated at once."""
-    side: int
-    shares: tuple[float, ...]
-    nominal: Array
-    """Prediction without effects, shape (m,)."""
-    is_first: bool
-    """True for the rests and the motions that move most joints at once; False for the other motions."""
+@cache
+def _list_known(campaign: _Campaign) -> tuple[tuple[Hypothesis, ...], tuple[Nuisance, ...]]:
+    """List hypotheses and nuisances; once a process."""
+    arm = arm_named(campaign.arm).model
+    return tuple(list_hypotheses(campaign.kinds, arm.params.tool_names)), tuple(list_nuisances(arm))
+
+
+@cache
+def _list_columns(campaign: _Campaign) -> list[Column]:
+    return list_columns(*_list_known(campaign))
 
 
 def compute_sensitivities(
@@ -119,11 +121,13 @@ def compute_sensitivities(
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(arm, names, paths, others)
+    campaign = _Campaign(paths, names, arm)
+    known = _list_known(campaign)
     if path.exists():
-        return load_sensitivities(path)
+        return load_sensitivities(path, *known)
     check_cache_folder(kept_in)
-    steps = load_sensitivities(kept_in / _cache_name(arm, names, others)).reach if others else None
-    found = _difference_all(_Campaign(paths, names, arm), run, as_guess(progress), steps)
+    steps = load_sensitivities(kept_in / _cache_name(arm, names, others), *known).reach if others else None
+    found = _difference_all(campaign, run, as_guess(progress), steps)
     save_sensitivities(path, found)
     return found
 
@@ -141,28 +145,29 @@ def _difference_all(
     Args:
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
-    simulator = _simulator(campaign)
-    columns = list_columns(simulator)
-    borrowed = find_borrowed_slopes(simulator, columns)
-    shares = {k: 1.0 for k, one in enumerate(columns) if k not in borrowed or one.hypothesis is not None}
+    columns = _list_columns(campaign)
+    borrowed = find_borrowed_slopes(columns)
+    shares = {
+        k: 1.0 for k, one in enumerate(columns) if k not in borrowed or isinstance(one.source, Hypothesis)
+    }
     steps = part_of(progress, 0.0, STEPS_SHARE)
     if given is None:
         up = _choose_steps(campaign, run, steps, shares)
     else:
         up = _simulate(campaign, shares | dict(enumerate(given.tolist())), 0, True, run, steps)
     shares = {k: one.share for k, one in up.items()}
-    two_sided = {k: by for k, by in shares.items() if len(perturb_both_sides(simulator, columns[k], by)) > 1}
+    two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, part_of(progress, STEPS_SHARE, SIDES_SHARE))
     (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
-    found = [_assemble(first, up, down)]
+    found = [_assemble(campaign, first, up, down)]
     if other_rows.size:
         curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
         rest = part_of(progress, SIDES_SHARE, 1.0)
         done = len(shares) / (len(shares) + len(curved))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
         down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
-        found.append(_assemble(second, up, down))
-    return _join(simulator.layout, found, np.argsort(np.concatenate([rows, other_rows])))
+        found.append(_assemble(campaign, second, up, down))
+    return _join(_simulator(campaign).layout, found, np.argsort(np.concatenate([rows, other_rows])))
 
 
 def _is_curved(layout: FeatureLayout, up: OneSidedStep, down: OneSidedStep) -> bool:
@@ -191,12 +196,11 @@ def _simulate(
     progress: Progress,
 ) -> dict[int, OneSidedStep]:
     """Simulate one side of columns with these steps in a part of the features."""
-    simulator, _ = _part(campaign, is_first)
-    at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
+    at_once = group_columns(_list_columns(campaign), sorted(shares))
     nominal = _nominal_features(campaign, is_first)
-    jobs = [_Job(campaign, of, side, tuple(shares[k] for k in of), nominal, is_first) for of in at_once]
+    jobs = [(campaign, is_first, nominal, side, {k: shares[k] for k in of}) for of in at_once]
     steps: dict[int, OneSidedStep] = {}
-    for done, found in enumerate(run(_run_job, jobs), 1):
+    for done, found in enumerate(in_order(run, _simulate_at_once, jobs), 1):
         steps |= found
         progress(done, len(jobs), "sensitivities")
     return steps
@@ -212,23 +216,22 @@ def _choose_steps(
     of the typical size of its column.
     """
     simulator, _ = _part(campaign, True)
-    columns = list_columns(simulator)
-    fixed = find_borrowed_slopes(simulator, columns)
+    columns = _list_columns(campaign)
+    fixed = find_borrowed_slopes(columns)
     last: dict[int, OneSidedStep] = {}
-    begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
-    wanted = {k: by for k, by in first.items() if k - begin not in numerical}
+    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
+    wanted = {k: by for k, by in first.items() if k not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
-        scale = form_normal_equations(_assemble(simulator, last, {})).scale
+        scale = form_normal_equations(_assemble(campaign, simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
         chosen = last | chosen | {k: last[k] for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
         better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
-        ends = {k: perturb_both_sides(simulator, columns[k], share)[0] for k, share in better.items()}
-        wanted = {k: share for k, share in better.items() if ends[k].size != last[k].size}
+        wanted = {k: by for k, by in better.items() if columns[k].sides(by)[0][1] != last[k].size}
         if not wanted:
             break
     left = {k: by for k, by in first.items() if k not in chosen}
@@ -236,35 +239,37 @@ def _choose_steps(
     return chosen | _simulate(campaign, left, 0, True, run, rest)
 
 
-def _list_numerical(simulator: ArmSimulator) -> list[int]:
-    """List the indices of the nuisances of numerics."""
-    return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
-
-
 def _assemble(
-    simulator: ArmSimulator, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+    campaign: _Campaign,
+    simulator: ArmSimulator,
+    up: Mapping[int, OneSidedStep],
+    down: Mapping[int, OneSidedStep],
 ) -> Sensitivities:
     """Fit parabolas through the simulated steps, or lines where there is one side.
 
     A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
     own steps.
     """
-    columns = list_columns(simulator)
+    columns = _list_columns(campaign)
     slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
     for k, side in up.items():
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, factor) in find_borrowed_slopes(simulator, columns).items():
+    for k, (other, factor) in find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
-    owner = [column.hypothesis for column in columns if column.hypothesis is not None]
+    hypotheses, nuisances = _list_known(campaign)
+    owner = [k for k, one in enumerate(hypotheses) for _ in one.parameters]
     sized = len(owner)
-    nuisance = _restrict_nuisances(simulator, slope[:, sized:])
+    nuisance = _restrict_nuisances(simulator, columns[sized:], slope[:, sized:])
+    own = nuisance[:, [one.is_numerical for one in columns[sized:]]]
+    # a share of the numerical errors is noise: the fit removes them only in part
+    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
     return Sensitivities(
-        _raise_floor(simulator, nuisance),
-        simulator.hypotheses,
-        simulator.nuisances,
+        replace(simulator.layout, sigma=sigma),
+        hypotheses,
+        nuisances,
         slope[:, :sized],
         curvature[:, :sized],
         reach[:sized],
@@ -273,27 +278,19 @@ def _assemble(
     )
 
 
-def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
+def _restrict_nuisances(simulator: ArmSimulator, columns: Sequence[Column], change: Array) -> Array:
     """Return the nuisance columns (m, q), each restricted to its place.
 
     Rests are simulated with STEP_NUMERICS only; other numerics share their change.
     """
-    cut = column.copy()
-    rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
-    effects, numerical = simulator.nuisance_effects, _list_numerical(simulator)
-    stepped = next(k for k in numerical if effects[k].effect(1.0) == STEP_NUMERICS)
+    cut, places = change.copy(), np.array([one.place for one in simulator.feature_set.list_features()])
+    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
+    stepped = next(k for k in numerical if columns[k].sides(1.0)[0][0] == STEP_NUMERICS)
+    rests = slice(simulator.feature_set.n_moving, None)
     for k in numerical:
-        cut[rests, k] = column[rests, stepped]
-        own = effects[k].only_place
-        cut[[simulator.layout.places[place] != own for place in simulator.layout.place], k] = 0.0
+        cut[rests, k] = change[rests, stepped]
+        cut[places != columns[k].only_place, k] = 0.0
     return cut
-
-
-def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
-    """Add a share of the numerical errors to the noise floor: the fit removes them only in part."""
-    own = nuisance[:, _list_numerical(simulator)]
-    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    return replace(simulator.layout, sigma=sigma)
 
 
 def check_cache_folder(kept_in: Path) -> None:
@@ -337,15 +334,14 @@ def _simulator(campaign: _Campaign) -> ArmSimulator:
     """Build the simulator; once in each process."""
     arm = arm_named(campaign.arm).model
     feature_set = build_feature_set(load_checked_recordings(campaign.logs, arm=arm))
-    kinds = {name: catalogue()[name] for name in campaign.kinds}
-    return build_simulator(feature_set, estimate_floor(feature_set).sigma, kinds)
+    return ArmSimulator(feature_set, build_layout(feature_set, estimate_floor(feature_set).sigma))
 
 
 @cache
 def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
-    """Return the simulator of a part of the features, as in `_Job`, and their rows among all; once a process.
+    """Return the simulator of a part of the features, and their rows among all; once a process.
 
-    The motions of the first part are those that move as many joints as any, away from a surface.
+    The first part are rests, touches, and the motions that move as many joints as any, away from a surface.
     """
     whole = _simulator(campaign)
     motions, rests, touches = (getattr(whole.feature_set, name) for name in ("motions", "rests", "touches"))
@@ -369,10 +365,11 @@ def _nominal_features(campaign: _Campaign, is_first: bool) -> Array:
     return _part(campaign, is_first)[0].predict_effects(())
 
 
-def _run_job(job: _Job) -> dict[int, OneSidedStep]:
-    """Simulate the columns of a job; return their steps."""
-    simulator, _ = _part(job.campaign, job.is_first)
-    every = list_columns(simulator)
-    columns = [every[k] for k in job.columns]
-    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares)
-    return dict(zip(job.columns, sides, strict=True))
+def _simulate_at_once(
+    campaign: _Campaign, is_first: bool, nominal: Array, side: int, shares: Mapping[int, float]
+) -> dict[int, OneSidedStep]:
+    """Simulate one side of some columns, which have these steps, at once."""
+    simulator, _ = _part(campaign, is_first)
+    every = _list_columns(campaign)
+    sides = simulate_side(simulator, [every[k] for k in shares], nominal, side, [*shares.values()])
+    return dict(zip(shares, sides, strict=True))

@@ -4,8 +4,8 @@
 (`case_simulator`). It diagnoses the residual, and tests the findings on held-out motion.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -16,7 +16,6 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
-from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
@@ -27,12 +26,11 @@ from marsarm.diagnosis.arm.case_simulator import (
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
-from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_layout
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals
-from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.plant import SCREW_AXES
 from simgap import Diagnosis, JointError, Trace
@@ -72,8 +70,7 @@ def load_campaign_model(
     """
     share = len(logs) / (len(logs) + len(held_out))
     fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
-    families = [family_of(catalogue()[one.effect]) for one in fitted.hypotheses]
-    made = build_model(fitted, families, [locate(one.effect, one.place) for one in fitted.hypotheses])
+    made = build_model(fitted)
     if not held_out:
         return CampaignModel(made, None)
     rest = part_of(progress, share, 1.0)
@@ -119,13 +116,17 @@ def _screw_rows(keys: Sequence[str]) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class CaseDiagnosis:
-    """Diagnosis of a case, with traces for its page."""
+    """Diagnosis of a case, with what its files need."""
 
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Features of the fitted motions, measured and predicted without and with the findings."""
     model: DiagnosisModel | None = None
     """Model of the features that were fitted."""
+    params: Params | None = None
+    """Flight parameters of the arm; None where no request named its logs."""
+    digests: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of logs and parameters."""
 
 
 def diagnose_case(
@@ -143,7 +144,7 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm, floor_notes = _case_simulator(recordings, campaign, patch)
+    arm, floor_notes = _case_simulator(recordings, patch)
     first = build_case_simulator(arm, campaign.model.sensitivities.layout)
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
@@ -159,11 +160,11 @@ def diagnose_case(
     diagnosis = replace(
         found.diagnosis,
         robot=arm.feature_set.arm.name,
-        fitted_motions=tuple(dict.fromkeys(arm.feature_set.list_sessions())),
+        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in arm.feature_set.list_features())),
         remarks=tuple(f"{one}." for one in remarks),
     )
     if campaign.held_out is not None and held_out:
-        errors = _judge_held_out(found, fit, held_out, campaign, campaign.held_out)
+        errors = _judge_held_out(found, fit, held_out, campaign.held_out)
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
     traces = tuple(_make_traces(fit.simulator, found))
@@ -173,10 +174,10 @@ def diagnose_case(
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without any fit and with the findings."""
     nominal, _, explained = found.residuals
-    all_features = case.arm.feature_set.list_features()
-    sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
-    measured = measure_features(case.arm.feature_set)[case.at]
-    is_moving = np.array([all_features[k].key.startswith("motion ") for k in case.at])
+    every = case.arm.feature_set.list_features()
+    features, measured = [every[k] for k in case.at], measure_features(case.arm.feature_set)[case.at]
+    sessions = np.array([one.recording.name for one in features])
+    is_moving = np.array([one.key.startswith("motion ") for one in features])
     layout = case.layout
     for channel in np.unique(layout.channel[is_moving]):
         for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
@@ -194,13 +195,12 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
 
 
 def _case_simulator(
-    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
+    recordings: Sequence[Recording], patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
     feature_set = build_feature_set(recordings)
     floor = estimate_floor(feature_set)
-    effects = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
-    kinds = {name: catalogue()[name] for name in effects}
-    return build_simulator(feature_set, floor.sigma, kinds, LONG_SETTLING, patch), floor.notes
+    layout = build_layout(feature_set, floor.sigma)
+    return ArmSimulator(feature_set, layout, LONG_SETTLING, patch), floor.notes
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
@@ -212,15 +212,13 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
     ):
         return campaign
     layout = replace(found.layout, sigma=higher)
-    made = build_model(replace(found, layout=layout), campaign.families, campaign.locations)
-    return replace(made, left_out_effect=campaign.left_out_effect)
+    return build_model(replace(found, layout=layout), campaign.left_out_effect)
 
 
 def _judge_held_out(
     found: Explanation,
     fit: NuisanceFit,
     recordings: Sequence[Recording],
-    campaign: CampaignModel,
     sensitivities: Sensitivities,
 ) -> tuple[JointError, ...]:
     """List the errors of channels and tool on held-out motion; none if no such arm can be simulated.
@@ -230,12 +228,12 @@ def _judge_held_out(
     Raises:
         NotForDiagnosis: Nothing of the motion can be compared with the campaign.
     """
-    arm, _ = _case_simulator(recordings, campaign, fit.simulator.arm.patch)
+    arm, _ = _case_simulator(recordings, fit.simulator.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
-    change = case.simulate(found.values)
+    change = case.simulate(found.departures)
     if not np.all(np.isfinite(change)):
         return ()
     held = sensitivities.select(case.rows)

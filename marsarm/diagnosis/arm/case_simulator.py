@@ -21,7 +21,7 @@ from marsarm.diagnosis.arm.feature_set import measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
-from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Ints
+from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.plant import PlantDiverged
@@ -64,10 +64,11 @@ class CaseSimulator:
         """Layout of the m features."""
         return self.arm.layout.select(self.at)
 
-    def simulate(self, settings: EffectValues) -> Array:
+    def simulate(self, departures: Departures) -> Array:
         """Return the change by effects, shape (m,), as `marsarm.diagnosis.problem.Simulate`."""
+        effects = tuple(one.switch_on(a) for one, a in departures.items())
         try:
-            return simulate_change(self.arm, tuple(self.arm.effects(settings)), self.nominal)[self.at]
+            return simulate_change(self.arm, effects, self.nominal)[self.at]
         except PlantDiverged:
             return np.full(self.at.size, np.nan)
 
@@ -100,7 +101,7 @@ def resimulate(
     Args:
         otherwise: Change of the other motions in the units of the channels, shape (m,).
     """
-    arm, extrapolated = case.arm.with_patch(patch), case.nominal.copy()
+    arm, extrapolated = replace(case.arm, patch=patch), case.nominal.copy()
     simulated = arm.predict_effects((), only)
     extrapolated[case.at] += otherwise
     return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
@@ -162,7 +163,7 @@ def _fit_alone(
     model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
 ) -> NuisanceFit:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
-    current = _extrapolate(model, first, np.zeros(len(first.arm.nuisances)))
+    current = _extrapolate(model, first, np.zeros(len(model.sensitivities.nuisances)))
     for _ in range(MAX_UPDATES):
         moved = _update(model, current, (), patch)
         if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):
@@ -182,7 +183,7 @@ def _update(
     """Simulate at the nuisances estimated beside some effects; the same fit if they have converged."""
     sensitivities = model.sensitivities
     sigma = np.array([nuisance.sigma for nuisance in sensitivities.nuisances])
-    arm, estimated = current.simulator.arm, _estimate_nuisances(model, current, beside)
+    estimated = _estimate_nuisances(model, current, beside)
     difference = estimated - current.nuisance
     if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sigma):
         return current
@@ -191,7 +192,9 @@ def _update(
     def wanted(one: MotionFeatures) -> bool:
         return one.recording.block in blocks
 
-    near, otherwise = (*patch, *arm.effects({}, estimated)), sensitivities.nuisance @ difference
+    pairs = zip(sensitivities.nuisances, estimated.tolist(), strict=True)
+    near = (*patch, *(one.effect(value) for one, value in pairs if value and one.effect is not None))
+    otherwise = sensitivities.nuisance @ difference
     return _extrapolate(model, resimulate(current.simulator, near, wanted, otherwise), estimated)
 
 
@@ -217,9 +220,9 @@ def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> fl
 
     The whitener is that of the model, so that deviances of several selections can be compared.
     """
-    k = sum(a.size for a in selection.departures)
+    k = sum(a.size for a in selection.departures.values())
     needed = float(chi2.isf(FALSE_ALARM / max(selection.engine.context.n_distinct, 1.0), k)) if k else 0.0
-    return _deviance(whiten, fit.residual - selection.change()) + needed
+    return _deviance(whiten, fit.residual - selection.sensitivities.change(selection.departures)) + needed
 
 
 def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:
@@ -229,9 +232,8 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     """
     equations = model.equations
     fit = fit_linear(equations, equations.whiten(current.residual), beside)
-    found = np.zeros(len(model.sensitivities.nuisances))
+    nuisances = model.sensitivities.nuisances
+    found = np.zeros(len(nuisances))
     found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
-    far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
-    return np.where(
-        [one.one_sided for one in current.simulator.arm.nuisance_effects], 0.0, np.clip(found, -far, far)
-    )
+    far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in nuisances])
+    return np.where([one.one_sided for one in nuisances], 0.0, np.clip(found, -far, far))

@@ -25,7 +25,6 @@ from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, check_cache_fo
 from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
-from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.model import DiagnosisModel
 from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import campaign_sessions
@@ -144,7 +143,7 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     seen = list_detectable(model, model.family_wise_limits)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
-    effect = catalogue_effect(hypothesis.key, drawn.values)
+    effect = drawn.switch_on()
     truth = DemoTruth(
         salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
@@ -169,7 +168,7 @@ def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tupl
     named = [one for one in findings if level(one) == "effect"]
     if truth.kind == "left out":
         located = [one for one in findings if level(one) != "none"]
-        places = {model.locations[k] for k in alike}
+        places = {model.sensitivities.hypotheses[k].location for k in alike}
         for is_wrong, what in (
             (named, "another was named"),
             (is_none, "nothing was reported"),
@@ -187,8 +186,8 @@ def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tupl
 
 def holds(model: DiagnosisModel, finding: Finding, alike: Sequence[int]) -> bool:
     """Check that the set of a finding, at its level, holds one of some hypotheses."""
-    known = level(finding)
+    known, same = level(finding), [model.sensitivities.hypotheses[k] for k in alike]
     if known == "effect":
-        return any(model.sensitivities.hypotheses[k].key in finding.effects for k in alike)
-    is_family = known != "family" or any(model.families[k] in finding.families for k in alike)
-    return is_family and any(model.locations[k] in finding.places for k in alike)
+        return any(one.key in finding.effects for one in same)
+    is_family = known != "family" or any(one.family in finding.families for one in same)
+    return is_family and any(one.location in finding.places for one in same)

@@ -1,131 +1,123 @@
-"""Command `diagnose`: checks a request, loads logs and campaign model, and diagnoses the case."""
+"""Command `diagnose`: checks a request, loads logs and campaign model, diagnoses the case, and writes files.
+
+Files are the report page, a patch of effects, and new flight parameters.
+"""
 
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from fsw.dictionary.params import Params
+import numpy as np
+
+from fsw.dictionary.params import Params, digest
 from marsarm.common.effects import parse_effects
-from marsarm.common.pool import Runner, select_runner
+from marsarm.common.pool import select_runner
 from marsarm.common.requests import load_fitting_params, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, Logs
+from marsarm.diagnosis.arm.campaign_sensitivities import Logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
-from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
-from marsarm.diagnosis.arm.request import LogsRequest
-from marsarm.diagnosis.arm.simulator import list_candidates
+from marsarm.diagnosis.arm.request import DiagnoseRequest, LogsRequest
+from marsarm.diagnosis.arm.simulator import list_hypotheses
+from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import ArmModel
-from sim.arms import arm_named
-from sim.effects.catalogue import catalogue, effect_name
-from sim.effects.effect import Effect
+from sim.effects.catalogue import catalogue, effect_name, has_flight_parameter
+from sim.effects.effect import Effect, params_with_effects
+from sim.params import BadParams, check_params, params_toml
+from sim.scenario.effects import effect_file_text, effect_text
 from sim.scenario.records import shorten
+from simgap import Diagnosis, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import cache_folder, file_sha256
-from simgap.common.options import check_options
+from simgap.common.files import atomic_write, cache_folder, file_sha256, json_sha256
+from simgap.common.options import check_options, command_text
+from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
+from simgap.common.report import file_lines
 from simgap.files.columns import hint_at
+from simgap.report.details import finding_sentences
+from simgap.report.page import save_diagnosis_page
 
 CAMPAIGN_SHARE: Final = 0.9
 """Share of the campaign model in the time of a diagnosis, for the progress, if none is cached."""
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnoseJob:
-    """Checked request for a diagnosis."""
-
-    logs: tuple[Path, ...]
-    held_out: tuple[Path, ...] = ()
-    """Logs that take no part in fitting or selection."""
-    base: Params | None = None
-    """Flight parameters of the arm; None for those of the first log."""
-    kinds: tuple[str, ...] | None = None
-    """Names of the candidate effects; None for the whole catalogue."""
-    campaign: Path | None = None
-    """Folder of the campaign that the logs repeat, with its cache; None if the logs are their own
-    campaign."""
-    arm: str = NOMINAL
-    """Name of an arm of their drawing."""
-    seed: int = 0
-    patch: tuple[Effect, ...] = ()
-    """Effects that are switched on in the simulator from the start."""
-    run: Runner = field(default_factory=lambda: select_runner(None, None), compare=False)
-    """Runner of parallel jobs."""
-
-
-def flight_params(job: DiagnoseJob) -> Params:
-    """Return the flight parameters of the arm: those of the job, else of its first log."""
-    return job.base or load_recording(job.logs[0], drawing(job)).params
-
-
-def drawing(job: DiagnoseJob) -> ArmModel:
-    """Return the drawing of the arm."""
-    return arm_named(job.arm).model
-
-
-def prepare_diagnosis(request: LogsRequest) -> DiagnoseJob:
-    """Check all of a request that needs no log, list the logs of folders, and build the job.
+def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiagnosis:
+    """Check a request, load its logs and the model of their campaign, and diagnose; write only the cache.
 
     Raises:
-        BadRequest: A file is missing or given twice, a name is unknown, or parameters are wrong.
+        BadRequest: The request is wrong, or a cached file cannot be read.
+        NotForDiagnosis: The logs cannot be diagnosed; the message says what they lack.
+        BadOutput: A cached file cannot be written.
     """
     check_options(request)
-    fitted = tuple(_expand_logs(request.logs, "log"))
-    held_out = tuple(_expand_logs(request.held_out, "held-out log"))
-    _check_different(fitted, held_out)
+    logs, held_out = expand_logs(request.logs, "log"), expand_logs(request.held_out, "held-out log")
     arm = select_arm(request.arm, None).model
-    beside = fitted[0].parent / PARAMS_FILE
-    path = request.params or (beside if beside.is_file() else None)
-    base = None if path is None else load_fitting_params(arm, path, request.mismatch)
+    base = _read_params(request, logs[0].parent, arm)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
-    effects = parse_effects(request.effects, arm.params.tool_names)
-    run = select_runner(request.workers, request.cluster)
-    return DiagnoseJob(
-        fitted, held_out, base, kinds, request.campaign, request.arm, request.seed, effects, run
+    patch = parse_effects(request.effects, arm.params.tool_names)
+    run, progress = select_runner(request.workers, request.cluster), as_guess(progress)
+    progress(0.0, 0.0, "reading the logs")
+    fitted = load_checked_recordings(logs, base, arm)
+    params = base or fitted[0].params
+    judged = load_checked_recordings(held_out, params, arm)
+    _check_sessions((*logs, *held_out), fitted, judged)
+    missing = find_missing_motion(fitted)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
+    sides = logs, held_out
+    if request.campaign is not None:
+        sides = _campaign_logs(request.campaign, fitted, judged)
+    campaign = load_campaign_model(
+        *sides,
+        request.campaign or cache_folder("marsarm", "sensitivities"),
+        run,
+        part_of(progress, 0.0, CAMPAIGN_SHARE),
+        kinds,
+        request.arm,
     )
+    progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
+    found = diagnose_case(
+        fitted, judged, campaign, request.seed, (*effects_of_params(params, arm.params), *patch)
+    )
+    digests = {
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        for kind, paths in (("logs", logs), ("held-out logs", held_out))
+        if paths
+    }
+    return replace(found, params=params, digests=digests | {"parameters": digest(params)})
 
 
-def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
-    """Yield files, and the logs inside folders sorted by name."""
+def _read_params(request: LogsRequest, folder: Path, arm: ArmModel) -> Params | None:
+    """Return the given flight parameters, else those of the file in a folder; None if there is neither."""
+    beside = folder / PARAMS_FILE
+    path = request.params or (beside if beside.is_file() else None)
+    return None if path is None else load_fitting_params(arm, path, request.mismatch)
+
+
+def expand_logs(given: Sequence[Path], what: str) -> Logs:
+    """Return files, and the logs inside folders sorted by name; BadRequest says what there is instead."""
+    found: list[Path] = []
     for path in given:
+        inside = [path]
         if os.path.isdir(path):  # unlike Path.is_dir, False for any bad name
             inside = sorted(one for one in path.glob("*.mcap") if one.is_file())
             if not inside:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
-            yield from inside
-        elif os.path.isfile(path):
-            yield path
-        elif os.path.exists(path):
-            raise BadRequest(f"{what} {path}: this is neither a regular file nor a folder")
-        else:
-            raise BadRequest(f"{what} {path}: there is no such file or folder")
-
-
-def _check_different(fitted: tuple[Path, ...], held_out: tuple[Path, ...]) -> None:
-    """Refuse logs with the same contents."""
-    known: dict[str, Path] = {}
-    for path in (*fitted, *held_out):
-        try:
-            same = known.setdefault(file_sha256(path), path)
-        except OSError as error:
-            raise BadRequest(f"log {path}: cannot be read ({error.strerror})") from error
-        if same is path:
-            continue
-        if path in held_out and same in fitted:
-            raise BadRequest(
-                f"held-out log {path}: this is log {same} too; what is held out takes no part in fitting"
-            )
-        raise BadRequest(f"log {path}: is the same as {same}; give each once")
+        elif not os.path.isfile(path):
+            raise BadRequest(f"{what} {path}: there is no such log or folder")
+        found += inside
+    return tuple(found)
 
 
 def _parse_effects(names: str) -> tuple[str, ...]:
     """Return the names in the order of the catalogue."""
-    known = {effect_name(one.kind) for one in list_candidates(None)}
+    known = {one.effect for one in list_hypotheses()}
     wanted = {name.strip() for name in names.split(",")}
     problems = [
         f"catalogue: {shorten(name)!r} is no effect that a diagnosis can identify; "
@@ -137,88 +129,118 @@ def _parse_effects(names: str) -> tuple[str, ...]:
     return tuple(name for name in catalogue() if name in wanted)
 
 
-def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiagnosis:
-    """Check a request and diagnose its logs; write no file but the cache.
-
-    Raises:
-        BadRequest: The request is wrong, or a cached file cannot be read.
-        NotForDiagnosis: The logs cannot be diagnosed; the message says what they lack.
-        BadOutput: A cached file cannot be written.
-    """
-    return diagnose_logs(prepare_diagnosis(request), progress)
-
-
-def diagnose_logs(job: DiagnoseJob, progress: Progress) -> CaseDiagnosis:
-    """Diagnose the logs of a checked request.
-
-    Raises:
-        NotForDiagnosis: They cannot be diagnosed; the message says what they lack.
-        BadRequest: A cached file of the campaign cannot be read.
-        BadOutput: A cached file cannot be written.
-    """
-    arm, progress = drawing(job), as_guess(progress)
-    progress(0.0, 0.0, "reading the logs")
-    fitted = load_checked_recordings(job.logs, job.base, arm)
-    base = job.base or fitted[0].params
-    held_out_recordings = load_checked_recordings(job.held_out, base, arm)
-    _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
-    _check_held_out(fitted, held_out_recordings)
-    missing = find_missing_motion(fitted)
-    if missing:
-        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
-    logs, held_out = job.logs, job.held_out
-    if job.campaign is not None:
-        logs, held_out = _campaign_logs(job.campaign, fitted, held_out_recordings)
-    campaign = load_campaign_model(
-        logs,
-        held_out,
-        job.campaign or cache_folder("marsarm", "sensitivities"),
-        job.run,
-        part_of(progress, 0.0, CAMPAIGN_SHARE),
-        job.kinds,
-        job.arm,
-    )
-    progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
-    patch = (*effects_of_params(base, arm.params), *job.patch)
-    return diagnose_case(fitted, held_out_recordings, campaign, job.seed, patch)
-
-
-def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
-    """Refuse two logs of one session, as the session's name identifies features."""
+def _check_sessions(
+    paths: Sequence[Path], fitted: Sequence[Recording], held_out: Sequence[Recording]
+) -> None:
+    """Refuse two logs of one session, whose name identifies features, and a held-out repeat of a motion."""
     known: dict[str, Path] = {}
-    for path, one in zip(paths, recordings, strict=True):
+    for path, one in zip(paths, (*fitted, *held_out), strict=True):
         if known.setdefault(one.name, path) is not path:
             raise NotForDiagnosis(
                 f"log {path}: is session {one.name}, and so is {known[one.name]}; leave one of them out"
             )
-
-
-def _check_held_out(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """Refuse a held-out repeat of a fitted motion."""
     used = {one.block: one.name for one in fitted}
-    both = [one for one in held_out if one.block in used]
-    if both:
-        raise NotForDiagnosis(
-            f"held-out session {both[0].name} repeats the motion of {used[both[0].block]}, which is not "
-            f"held out; hold out both, or neither"
-        )
+    for one in held_out:
+        if one.block in used:
+            raise NotForDiagnosis(
+                f"held-out session {one.name} repeats the motion of {used[one.block]}, which is not held "
+                "out; hold out both, or neither"
+            )
 
 
 def _campaign_logs(
     folder: Path, fitted: Sequence[Recording], held_out: Sequence[Recording]
 ) -> tuple[Logs, Logs]:
-    """Divide all logs of a campaign as the logs of the case are divided.
+    """Return all logs of a campaign that are fitted, and those held out if the case has any.
 
-    A session that the case lacks stays on its side in the campaign, so the cache of the whole campaign
-    serves.
+    NotForDiagnosis if it lacks a session of the case.
     """
-    inside = {path.stem: path for path in folder.glob("*.mcap")}
-    outside = {path.stem: path for path in (folder / HELD_OUT_FOLDER).glob("*.mcap")}
-    known = inside | outside
-    sides = [{one.name for one in side} for side in (fitted, held_out)]
-    missing = sorted((sides[0] | sides[1]) - known.keys())
-    if missing:
-        raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
-    held_out_names = (outside.keys() - sides[0]) | sides[1]
-    logs = tuple(known[name] for name in sorted(known.keys() - held_out_names))
-    return logs, tuple(known[name] for name in sorted(held_out_names)) if held_out else ()
+    sides = [tuple(sorted(one.glob("*.mcap"))) for one in (folder, folder / HELD_OUT_FOLDER)]
+    for side, given, where in zip(sides, (fitted, held_out), ("", " that is held out"), strict=True):
+        missing = sorted({one.name for one in given} - {path.stem for path in side})
+        if missing:
+            raise NotForDiagnosis(f"campaign {folder}: has no session{where} {', '.join(missing)}")
+    return sides[0], sides[1] if held_out else ()
+
+
+class NothingToWrite(Exception):
+    """No content for a file; the message says why."""
+
+
+def effects_of_findings(diagnosis: Diagnosis) -> tuple[Effect, ...]:
+    """Return the effects of a diagnosis with their fitted values; NothingToWrite if there is none."""
+    if not diagnosis.findings:
+        raise NothingToWrite("no effect was found, so there is none to switch on")
+    pairs = zip(diagnosis.effects, diagnosis.sizes, strict=True)
+    return tuple(one.switch_on(np.array(size)) for one, size in pairs if isinstance(one, Hypothesis))
+
+
+def patch_text(diagnosis: Diagnosis) -> str:
+    """Return the file that switches on the findings, for --effect and for a scenario.
+
+    NothingToWrite if no effect was found.
+    """
+    comments = [
+        "Findings of a diagnosis; switch them on with --effect and the name of this file.",
+        *finding_sentences(diagnosis.findings),
+    ]
+    return effect_file_text(effects_of_findings(diagnosis), comments)
+
+
+def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
+    """Return flight parameters that include the effects, as far as there are parameters for them.
+
+    NothingToWrite if there is no parameter for any effect, or flight software refuses the values.
+    """
+    params = params_with_effects(effects, base)
+    if params == base:
+        names = ", ".join(effect_text(effect) for effect in effects)
+        raise NothingToWrite(f"there is no flight parameter for {names}")
+    try:
+        check_params(params, "flight software would not take them")
+    except BadParams as error:
+        raise NothingToWrite(str(error)) from error
+    return params
+
+
+def params_text(diagnosis: Diagnosis, base: Params, drawing: Params) -> str:
+    """Return the parameter file for --params: all values of `base` and the findings that are not nominal.
+
+    NothingToWrite if there are no new parameters.
+    """
+    effects = effects_of_findings(diagnosis)
+    params, kinds = new_params(base, effects), [type(effect) for effect in effects]
+    unknown = [effect_name(kind) for kind in kinds if not has_flight_parameter(kind)]
+    comments = [
+        "Flight parameters with the findings of a diagnosis; all others are nominal.",
+        *(f"Effect: {effect_text(effect)}" for effect in effects),
+        *(f"There is no flight parameter for {name}." for name in unknown),
+    ]
+    return params_toml(drawing, params, comments)
+
+
+def save_diagnosis_files(result: CaseDiagnosis, request: DiagnoseRequest) -> tuple[str, ...]:
+    """Write the files of a request; return a line about each, and a reason if it has no content.
+
+    BadOutput if a file cannot be written.
+    """
+    diagnosis, base, drawing = result.diagnosis, result.params, select_arm(request.arm, None).model.params
+    lines: list[str] = []
+    if request.report is not None:
+        digests = {**result.digests, "result": json_sha256(to_document(diagnosis))}
+        origin = Origin(command_text("marsarm diagnose", request), digests)
+        save_diagnosis_page(diagnosis, result.traces, request.report, origin)
+        lines += file_lines({"report": request.report})
+    for what, path in (("patch", request.patch), ("new-params", request.new_params)):
+        if path is None:
+            continue
+        try:
+            is_patch = what == "patch"
+            text = patch_text(diagnosis) if is_patch else params_text(diagnosis, base or drawing, drawing)
+        except NothingToWrite as why:
+            lines.append(f"{what} {path}: not written: {why}")
+            continue
+        with atomic_write(path, what) as file:
+            file.write(text.encode())
+        lines += file_lines({what: path})
+    return tuple(lines)

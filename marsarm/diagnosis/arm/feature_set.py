@@ -70,8 +70,10 @@ class RestFeatures:
 
     turning_points: TurningPoints
     nominal: RestPoses
-    tracked_rests: tuple[tuple[int, int], ...]
-    """Index among the rests, and index among the tracker poses."""
+    tracked: list[int]
+    """Indices of the rests with a tracker pose."""
+    poses: list[int]
+    """Index of each of them among the tracker poses."""
     features: tuple[Feature, ...]
 
 
@@ -94,6 +96,11 @@ class FeatureSet:
     touches: tuple[TouchFeature, ...] = ()
 
     @property
+    def n_moving(self) -> int:
+        """Number of features of the motions."""
+        return sum(len(one.features) for one in self.motions)
+
+    @property
     def arm(self) -> ArmModel:
         """Drawing of the arm."""
         return (self.motions[0].recording if self.motions else self.rests[0].turning_points.recording).arm
@@ -106,19 +113,12 @@ class FeatureSet:
             *(one.feature for one in self.touches),
         )
 
-    def list_sessions(self) -> tuple[str, ...]:
-        """List the name of the recording of each feature."""
-        return (
-            *(one.recording.name for one in self.motions for _ in one.features),
-            *(one.turning_points.recording.name for one in self.rests for _ in one.features),
-            *(one.turning_points.recording.name for one in self.touches),
-        )
-
 
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests of all recordings, and motions of those without tracker poses."""
     config = configure(recordings[0].arm.params)
-    turning_points = [find_turning_points(one) for one in recordings if one.world.surface is None]
+    every = (find_turning_points(one) for one in recordings if one.world.surface is None)
+    turning_points = [one for one in every if one.rests]
     friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
     nominal, less, more = (
         solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
@@ -144,7 +144,7 @@ def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
         switches = one.sensors["switch_closed"]
         closed = np.flatnonzero(switches[touch] & ~switches[0])
         tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
-        feature = Feature(TOUCH, "surface", "touch", one.block, (one.temperature_C, *still), "touch")
+        feature = Feature(one, TOUCH, "surface", "touch", (one.temperature_C, *still), "touch")
         yield TouchFeature(find_turning_points(one, touch), tool, feature)
 
 
@@ -157,7 +157,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
     for one, rest in zip(feature_set.touches, rests, strict=True):
         surface = one.turning_points.recording.world.surface
         assert surface is not None
-        p_RoTo_R_m = rest.X_RF.R[:, :, 0] @ X_FT[one.tool].p + rest.X_RF.p[:, 0]
+        p_RoTo_R_m = (rest.X_RF[0] @ X_FT[one.tool]).p
         height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
         found.append(float(height_m) - shift_m)
     return np.array(found)
@@ -171,14 +171,8 @@ def measure_features(feature_set: FeatureSet) -> Array:
     """Compute the measured features in the units of their channels, shape (m,)."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
-        tracked = one.turning_points.recording.tracker_poses
-        values.append(
-            _rest_values(
-                one,
-                read_resolvers(one.turning_points),
-                _select_poses(tracked.X_RF, [k for _, k in one.tracked_rests]),
-            )
-        )
+        X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
+        values.append(_rest_values(one, read_resolvers(one.turning_points), X_RF))
     return np.concatenate([*values, np.zeros(len(feature_set.touches))])
 
 
@@ -262,24 +256,23 @@ def _list_rest_features(
     """List the features of rests; `doubt` is their change with a little more or less output friction."""
     recording = turning_points.recording
     rest_of = {turning_points.tick[k]: r for r, k in enumerate(turning_points.rests)}
-    tracked = tuple(
-        (rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of
-    )
+    ticks = recording.tracker_poses.tick.tolist()
+    poses = [k for k, tick in enumerate(ticks) if tick in rest_of]
+    tracked = [rest_of[ticks[k]] for k in poses]
     features: list[Feature] = []
     for joint in Joint:
         for r, k in enumerate(turning_points.rests):
             angle = float(turning_points.motor_rad[joint, k])
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
-            features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
+            features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
-        for r, _ in tracked:
-            features.append(
-                Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
-            )
-    rest_features = RestFeatures(turning_points, nominal, tracked, tuple(features))
+        for r, k in zip(tracked, poses, strict=True):
+            sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
+            features.append(Feature(recording, channel, "turret", "pose", condition, key, sigma=sigma))
+    rest_features = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
     differences = np.abs(
         [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
     ).max(axis=0)
@@ -290,12 +283,11 @@ def _list_rest_features(
 
 
 def _static_values(one: RestFeatures, found: RestPoses) -> Array:
-    return _rest_values(one, found.resolver_rad, _select_poses(found.X_RF, [r for r, _ in one.tracked_rests]))
+    return _rest_values(one, found.resolver_rad, found.X_RF[one.tracked])
 
 
 def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
-    nominal = _select_poses(one.nominal.X_RF, [r for r, _ in one.tracked_rests])
-    screw = screw_log(inverse(nominal) @ X_RF) if one.tracked_rests else np.zeros((6, 0))
+    screw = screw_log(inverse(one.nominal.X_RF[one.tracked]) @ X_RF) if one.tracked else np.zeros((6, 0))
     return np.concatenate([resolver_rad.ravel(), screw.ravel()])
 
 
@@ -311,27 +303,22 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
         (m,); 0 elsewhere.
     """
     config = configure(feature_set.arm.params)
-    found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
+    found, begin = np.zeros_like(change), feature_set.n_moving
     for one in feature_set.rests:
-        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)
+        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked)
         own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)
         found[own] = change[own]
         if n_tracked and turns:
-            rests = [r for r, _ in one.tracked_rests]
-            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in rests]]
+            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in one.tracked]]
             gravity = one.turning_points.recording.world.gravity_N_m_s2
             frames = settle_output(config.arm, motor_rad, gravity).frames
-            X_RF = Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5])
-            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][rests]
+            X_RF = frames.X_RF[5]
+            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][one.tracked]
             parts = [rotate_back(X_RF.R, half) for half in (screw_R[:3], screw_R[3:])]
             first = begin + len(Joint) * n_rests
             found[first : first + 6 * n_tracked] = np.concatenate(parts).ravel()
         begin += len(one.features)
     return found
-
-
-def _select_poses(X: Pose, rows: list[int]) -> Pose:
-    return Pose(X.R[:, :, rows], X.p[:, rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,8 +332,7 @@ class NoiseFloor:
 def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
     """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
     features, values = feature_set.list_features(), measure_features(feature_set)
-    sigma = np.array([ASSUMED_SIGMA[feature.channel] for feature in features])
-    sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
+    sigma = np.array([ASSUMED_SIGMA[one.channel] if one.sigma is None else one.sigma for one in features])
     known: dict[tuple[str, str], int] = {}
     pairs: list[tuple[int, int]] = []
     for k, feature in enumerate(features):
@@ -374,14 +360,3 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
             f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
     return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
-
-
-def _tracker_sigma(feature_set: FeatureSet) -> Array:
-    """Return the standard deviations of tracker poses by the tracker; NaN elsewhere."""
-    found = [np.full(len(one.features), np.nan) for one in feature_set.motions]
-    for posed in feature_set.rests:
-        seen = [k for _, k in posed.tracked_rests]
-        screws = posed.turning_points.recording.tracker_poses.sigma[:, seen].ravel()
-        others = np.full(len(posed.features) - screws.size, np.nan)
-        found.append(np.concatenate([others, screws]))
-    return np.concatenate([*found, np.full(len(feature_set.touches), np.nan)])

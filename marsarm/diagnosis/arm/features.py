@@ -55,24 +55,31 @@ BACKLASH_MARGIN: Final = 1.5
 """Multiples of its backlash that a joint must turn before the side of its backlash is known."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Feature:
     """Number that is compared between measurement and simulation."""
 
+    recording: Recording
     channel: int
     place: str
     regime: str
-    block: str
     condition: tuple[float, ...]
     key: str
     """Key of the same feature in every log of its session: motion, channel, number."""
     doubt: float = 0.0
     """Standard deviation of its error beside noise, in the unit of its channel."""
+    sigma: float | None = None
+    """Standard deviation of its noise; None for that which is assumed of the channel."""
 
+    @property
+    def block(self) -> str:
+        """Motion of which it is."""
+        return self.recording.block
 
-def feature_channel(feature: Feature) -> str:
-    """Return the display name of the channel with its place."""
-    return f"{feature.place} {CHANNELS[feature.channel]}"
+    @property
+    def channel_name(self) -> str:
+        """Display name of the channel with its place."""
+        return f"{self.place} {CHANNELS[self.channel]}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,13 +104,13 @@ def list_motion_features(recording: Recording, config: Config) -> MotionFeatures
 
     Bins after a possible touch are left out.
     """
-    segments, block = tuple(find_segments(recording)), recording.block
+    segments = tuple(find_segments(recording))
     features: list[Feature] = []
     for number, load_Nm in enumerate(_loads(recording, config, segments)):
         features += _segment_features(recording, config, segments, number, float(load_Nm))
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
-        features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
+        features.append(Feature(recording, IMU, f"imu.{axis}", "rest", still, f"imu/{axis}"))
     return MotionFeatures(recording, segments, tuple(features))
 
 
@@ -127,10 +134,10 @@ def _segment_features(
             if channel == RESOLVER and is_first and turned_rad < BACKLASH_MARGIN * backlash_rad:
                 doubt = backlash_rad
             yield Feature(
+                recording,
                 channel,
                 j.name.lower(),
                 segment.regime(first),
-                recording.block,
                 condition,
                 f"motion {number}/{CHANNELS[channel]}/{bin_number}",
                 doubt,

@@ -18,7 +18,7 @@ from marsarm.diagnosis.arm.case_simulator import simulate_change
 from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by, simulate_touches
 from marsarm.diagnosis.arm.rest_poses import is_stepped
 from marsarm.diagnosis.arm.simulator import ArmSimulator
-from marsarm.diagnosis.problem import LOG_UNIT
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
 from sim.effects.effect import Effect
 
 TARGET_SIGMAS: Final = 15.0
@@ -45,13 +45,39 @@ def adapt_step(share: float, seen: float) -> float | None:
     return None if 1.0 / MAX_STEP_RATIO < better / share < MAX_STEP_RATIO else better
 
 
-@dataclass(frozen=True, slots=True)
-class JacobianColumn:
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
     """Column of the sensitivities: a parameter of a hypothesis, or a nuisance."""
 
-    hypothesis: int | None
-    index: int
-    """Index among the hypothesis' parameters, or among the nuisances."""
+    source: Hypothesis | Nuisance
+    index: int = 0
+    """Index among the parameters of the hypothesis."""
+
+    @property
+    def only_place(self) -> str:
+        """Place of the only features that it influences; empty for all."""
+        return self.source.only_place if isinstance(self.source, Nuisance) else ""
+
+    @property
+    def is_numerical(self) -> bool:
+        """True for other numerics of the plant, which are told joint by joint."""
+        return bool(self.only_place)
+
+    def sides(self, share: float) -> list[tuple[Effect, float]]:
+        """Return steps up and down by a share of the typical size, within the bounds: one or two.
+
+        Each is an effect and its size, in typical sizes, or in the unit of the nuisance, whose step is one
+        sigma.
+        """
+        source = self.source
+        if isinstance(source, Hypothesis):
+            least, most = source.parameters[self.index].departure_range
+            steps = [float(np.clip(by, least, most)) for by in (share, -share)]
+            at = np.eye(len(source.parameters))[self.index]
+            return [(source.switch_on(step * at), step) for step in steps if step]
+        assert source.effect is not None
+        steps = [1.0] if source.one_sided else [source.sigma, -source.sigma]
+        return [(source.effect(step), step) for step in steps]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,27 +92,13 @@ class OneSidedStep:
     """Change of the features, shape (m,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Perturbation:
-    """Effects of a step, and its size."""
-
-    effects: tuple[Effect, ...]
-    size: float
-
-
-def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
+def list_columns(hypotheses: Sequence[Hypothesis], nuisances: Sequence[Nuisance]) -> list[Column]:
     """List every parameter of every hypothesis in order, then the nuisances."""
-    sized = [
-        JacobianColumn(k, at)
-        for k, hypothesis in enumerate(simulator.hypotheses)
-        for at in range(len(hypothesis.parameters))
-    ]
-    return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
+    sized = [Column(one, k) for one in hypotheses for k in range(len(one.parameters))]
+    return [*sized, *map(Column, nuisances)]
 
 
-def find_borrowed_slopes(
-    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
-) -> dict[int, tuple[int, float]]:
+def find_borrowed_slopes(columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
     """Find the columns that have the slope of another: of each, the other and the factor.
 
     A nuisance has that of an equal hypothesis, or of an equal nuisance, and is not simulated. A hypothesis
@@ -97,53 +109,39 @@ def find_borrowed_slopes(
     found: dict[int, tuple[int, float]] = {}
     own: dict[str, int] = {}
     for k, column in enumerate(columns):
-        if column.hypothesis is not None:
-            hypothesis = simulator.hypotheses[column.hypothesis]
-            parameter = hypothesis.parameters[column.index]
+        if isinstance(column.source, Hypothesis):
+            parameter = column.source.parameters[column.index]
             if parameter.unit != LOG_UNIT:
-                known.setdefault(hypothesis.name, (k, 1.0 / parameter.typical))
-        elif (name := simulator.nuisance_effects[column.index].same_as) in known:
+                known.setdefault(column.source.key, (k, 1.0 / parameter.typical))
+        elif (name := column.source.same_as) in known:
             found[k] = known[name]
         else:
             known[name], own[name] = (k, 1.0), k
     for k, column in enumerate(columns):
-        hypothesis = simulator.hypotheses[column.hypothesis or 0]
-        if column.hypothesis is not None and hypothesis.name in own:
-            found[k] = own[hypothesis.name], hypothesis.parameters[column.index].typical
+        if isinstance(column.source, Hypothesis) and column.source.key in own:
+            found[k] = own[column.source.key], column.source.parameters[column.index].typical
     return found
 
 
-def group_columns(
-    simulator: ArmSimulator, columns: Sequence[JacobianColumn], wanted: Sequence[int]
-) -> list[tuple[int, ...]]:
+def group_columns(columns: Sequence[Column], wanted: Sequence[int]) -> list[tuple[int, ...]]:
     """Group columns that are simulated at once, one at each joint; slow groups come first."""
     count: Counter[Hashable] = Counter()
     groups: dict[Hashable, list[int]] = {}
     slow = set()
     for k in wanted:
-        effects = perturb_both_sides(simulator, columns[k], 1.0)[0].effects
-        key = _group_key(effects, columns[k])
+        effect, _ = columns[k].sides(1.0)[0]
+        joint, is_nuisance = _joint(effect), isinstance(columns[k].source, Nuisance)
         # effects of one kind at one joint, such as friction in two directions, would add up
-        at_joint = key, _joint(effects)
-        groups.setdefault(k if key is None else (key, count[at_joint]), []).append(k)
-        count[at_joint] += 1
-        slow |= {k} if any(map(is_stepped, effects)) else set()
+        kind = type(effect).__name__, is_nuisance, columns[k].index
+        alone = joint is None
+        groups.setdefault(k if alone else (kind, count[kind, joint]), []).append(k)
+        count[kind, joint] += 1
+        slow |= {k} if is_stepped(effect) else set()
     return [tuple(of) for of in sorted(groups.values(), key=lambda of: (of[0] not in slow, -len(of)))]
 
 
-def _group_key(effects: tuple[Effect, ...], column: JacobianColumn) -> tuple[str, int | None] | None:
-    """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
-    if _joint(effects) is None:
-        return None
-    return type(effects[0]).__name__, None if column.hypothesis is None else column.index
-
-
 def simulate_side(
-    simulator: ArmSimulator,
-    columns: Sequence[JacobianColumn],
-    nominal: Array,
-    number: int,
-    shares: Sequence[float],
+    simulator: ArmSimulator, columns: Sequence[Column], nominal: Array, number: int, shares: Sequence[float]
 ) -> list[OneSidedStep]:
     """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
 
@@ -152,61 +150,30 @@ def simulate_side(
         number: 0 for the first side, 1 for the second.
         shares: Step of each column as a share of its typical size.
     """
-    ends = [
-        perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
-    ]
-    every = tuple(effect for end in ends for effect in end.effects)
-    changes = [simulate_change(simulator, every, nominal)]
-    if _joint(every[:1]) is not None:
-        changes = [_change_at_joint(simulator, changes[0], end.effects) for end in ends]
-    return [OneSidedStep(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
+    ends = [column.sides(by)[number] for column, by in zip(columns, shares, strict=True)]
+    changes = [simulate_change(simulator, tuple(effect for effect, _ in ends), nominal)]
+    if _joint(ends[0][0]) is not None:
+        changes = [_change_at_joint(simulator, changes[0], effect) for effect, _ in ends]
+    rows = zip(shares, ends, changes, strict=True)
+    return [OneSidedStep(by, size, change) for by, (_, size), change in rows]
 
 
-def _change_at_joint(simulator: ArmSimulator, moved: Array, effects: tuple[Effect, ...]) -> Array:
+def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> Array:
     """Return the part of a change (m,) in the motions and the rests that the joint of an effect changes."""
-    joint = _joint(effects)
+    joint, feature_set = _joint(effect), simulator.feature_set
     assert joint is not None, "only effects at joints are simulated together"
-    moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
-    places, name = simulator.layout.places, joint.name.lower()
-    own = moving & np.array([place == name for place in places])[simulator.layout.place]
-    turns = not all(map(changes_readings_only, effects))
-    found = np.where(own, moved, rests_moved_by(simulator.feature_set, moved, joint, turns))
+    moving = np.arange(moved.size) < feature_set.n_moving
+    own = moving & [one.place == joint.name.lower() for one in feature_set.list_features()]
+    turns = not changes_readings_only(effect)
+    found = np.where(own, moved, rests_moved_by(feature_set, moved, joint, turns))
     nominal, touched = (
-        simulate_touches(simulator.feature_set, (*simulator.patch, *some)) for some in ((), effects)
+        simulate_touches(feature_set, (*simulator.patch, *some)) for some in ((), (effect,))
     )
     found[found.size - nominal.size :] = touched - nominal
     return found
 
 
-def _joint(effects: tuple[Effect, ...]) -> Joint | None:
+def _joint(effect: Effect) -> Joint | None:
     """Return the joint of an effect; None if it has none."""
-    (effect,) = effects
     joint = getattr(effect, "joint", None)
     return None if joint is None else Joint(joint)
-
-
-def perturb_both_sides(
-    simulator: ArmSimulator, column: JacobianColumn, share: float
-) -> tuple[Perturbation, ...]:
-    """Return steps up and down by a share of the typical size, within the bounds: one or two."""
-    found = (_perturb(simulator, column, sign * share) for sign in (1.0, -1.0))
-    return tuple(end for end in found if end is not None)
-
-
-def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> Perturbation | None:
-    """Return the step of a share of the typical size; None if the bounds leave no room."""
-    if column.hypothesis is None:
-        one = simulator.nuisance_effects[column.index]
-        if share < 0.0 and one.one_sided:
-            return None
-        departure = 1.0 if one.one_sided else float(np.sign(share)) * one.nuisance.sigma
-        return Perturbation((one.effect(departure),), departure)
-    hypothesis = simulator.hypotheses[column.hypothesis]
-    parameter = hypothesis.parameters[column.index]
-    values = np.array([one.neutral for one in hypothesis.parameters])
-    value = float(np.clip(parameter.neutral + share * parameter.typical, parameter.least, parameter.most))
-    if value == parameter.neutral:
-        return None
-    values[column.index] = value
-    size = (value - parameter.neutral) / parameter.typical
-    return Perturbation(tuple(simulator.effects({hypothesis: values})), size)

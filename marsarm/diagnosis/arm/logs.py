@@ -11,7 +11,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
 from fsw.config import CYCLE_HZ
@@ -101,7 +101,7 @@ class _SessionHeader:
     name: str | None = None
     block: str | None = None
     world: World | None = None
-    temperature_C: float | None = None
+    temperature_C: FiniteFloat | None = None
 
 
 _SESSION_ADAPTER: Final = TypeAdapter(_SessionHeader)
@@ -209,8 +209,6 @@ def _read_session(text: str, path: Path) -> _SessionHeader:
         session = _SESSION_ADAPTER.validate_json(text)
     except ValidationError as error:
         raise NotForDiagnosis(f"{where}: {describe_first_problem(error)}") from error
-    if session.temperature_C is not None and not np.isfinite(session.temperature_C):
-        raise NotForDiagnosis(f"{where}: temperature_C is {session.temperature_C}; it must be finite")
     world = session.world or World()
     most = float(np.max(np.abs([world.tilt_roll_rad, world.tilt_pitch_rad])))
     if not most <= MAX_TILT_RAD:

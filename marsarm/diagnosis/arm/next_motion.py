@@ -4,7 +4,7 @@ The best motion tells the rivals of a finding apart, by sensitivities of planned
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -12,17 +12,17 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from marsarm.common.pool import select_runner
+from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, drawing, flight_params, prepare_diagnosis
+from marsarm.diagnosis.arm.diagnose_logs import diagnose
 from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, make_session, motion_text
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener
-from marsarm.diagnosis.problem import Hypothesis, Ints, Sensitivities
-from marsarm.diagnosis.selection import FeatureEffect
-from sim.arms import BuiltArm
+from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
 from sim.initialisation import true_reference
-from simgap.common.files import cache_folder, file_sha256, json_sha256
+from simgap.common.files import cache_folder
 from simgap.common.options import command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
@@ -59,27 +59,26 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     BadRequest and NotForDiagnosis as in `diagnose`, RobotError if nothing is left to tell apart, and
     PlantDiverged if a simulated arm broke.
     """
-    job, progress = prepare_diagnosis(request), as_guess(progress)
-    case = diagnose_logs(job, part_of(progress, 0.0, DIAGNOSED))
+    progress = as_guess(progress)
+    case = diagnose(request, part_of(progress, 0.0, DIAGNOSED))
     assert case.model is not None
+    assert case.params is not None
     group = choose_rivals(case.diagnosis.rivals)
-    acting = [one for rival in group for one in rival.effects if isinstance(one, FeatureEffect)]
-    kinds = tuple(dict.fromkeys(one.hypothesis.effect for one in acting))
+    kinds = tuple(dict.fromkeys(one.name for rival in group for one in rival.effects))
     places = {rival.effect.partition(".")[0].partition(":")[0] for rival in group}
     motions = {one.name: one for one in list_motions(places)}
-    params = flight_params(job)
-    sessions = [make_session(one, params) for one in motions.values()]
-    arm = BuiltArm(job.arm, (), params, drawing(job))
+    arm = replace(select_arm(request.arm, None), effects=(), params=case.params)
+    sessions = [make_session(one, arm.params) for one in motions.values()]
     with TemporaryDirectory() as scratch:
         recording = part_of(progress, DIAGNOSED, RECORDED)
-        logs = record_campaign(Path(scratch), sessions, arm, true_reference(arm), job.seed, recording)
+        logs = record_campaign(Path(scratch), sessions, arm, true_reference(arm), request.seed, recording)
         kept_in, rest = cache_folder("marsarm", "sensitivities"), part_of(progress, RECORDED, 1.0)
-        planned = compute_sensitivities(logs, kept_in, job.run, rest, kinds, (), job.arm)
+        run = select_runner(request.workers, request.cluster)
+        planned = compute_sensitivities(logs, kept_in, run, rest, kinds, (), request.arm)
     words = {name: one.describe() for name, one in motions.items()}
     made = propose_motion(case.model, case.diagnosis.rivals, planned, words)
     name = next(one for one in motions if words[one] == made.motions[made.choice.motions[0]])
-    digests = {"logs": json_sha256({"sha256": sorted(map(file_sha256, job.logs))})}
-    origin = Origin(command_text("marsarm gap next", request), digests)
+    origin = Origin(command_text("marsarm gap next", request), case.digests)
     return NextArmMotion(request, made, motions[name], origin)
 
 
@@ -93,8 +92,8 @@ def propose_motion(
     RobotError if no finding has a rival.
     """
     group = choose_rivals(rivals)
-    settings = [_settings(one) for one in group]
-    changes = np.array([planned.change({h: h.values(a) for h, a in own.items()}) for own in settings])
+    settings = [_departures(one) for one in group]
+    changes = np.array([planned.change(own) for own in settings])
     white = build_whitener(planned)(changes.T).T
     new = [_slopes(planned, own) for own in settings]
     old = [_slopes(model.sensitivities, own) for own in settings]
@@ -113,17 +112,16 @@ def propose_motion(
     return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
 
 
-def _settings(rival: Rival) -> dict[Hypothesis, Array]:
-    """Return the departures of the effects of a rival in typical sizes."""
+def _departures(rival: Rival) -> Departures:
     pairs = zip(rival.effects, rival.sizes, strict=True)
-    return {one.hypothesis: np.array(size) for one, size in pairs if isinstance(one, FeatureEffect)}
+    return {one: np.array(size) for one, size in pairs if isinstance(one, Hypothesis)}
 
 
-def _sizes(settings: Mapping[Hypothesis, Array]) -> Array:
+def _sizes(settings: Departures) -> Array:
     return np.concatenate([*settings.values()])
 
 
-def _slopes(sensitivities: Sensitivities, settings: Mapping[Hypothesis, Array]) -> Array:
+def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     """Return whitened changes by shared nuisances, in their sigmas, and by effects, in typical sizes."""
     shared = sensitivities.shared_nuisances
     sigma = np.array([sensitivities.nuisances[k].sigma for k in shared])

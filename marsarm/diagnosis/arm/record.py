@@ -144,10 +144,6 @@ class RecordedLogs:
     left_out: tuple[str, ...]
 
 
-UNTRACKED_COST: Final = 2.2
-"""Time of a session without a tracker, in those of one with it: 1.5 s and 0.68 s. For the progress."""
-
-
 def record_logs(request: RecordRequest, progress: Progress = no_progress) -> RecordedLogs:
     """Record all sessions, held-out ones in their own folder.
 
@@ -167,9 +163,8 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> Rec
             part.mkdir(parents=True, exist_ok=True)
             comments = ["Flight parameters of these logs; all others are nominal."]
             (part / PARAMS_FILE).write_text(params_toml(arm.model.params, arm.params, comments))
-            costs = [1.0 if session.tracked else UNTRACKED_COST for session in wanted]
             for number, session in enumerate(wanted):
-                progress(sum(costs[:number]), sum(costs), session.name)
+                progress(number, len(wanted), session.name)
                 folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
                 seed = request.seed + number
                 made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)

@@ -14,13 +14,12 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config, configure
-from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import bound_gear
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
-from marsarm.diagnosis.arm.logs import NO_TRACKER_POSES, Recording, find_rests, find_segments
+from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments
 from sim.arm_model.load import ArmModel
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
@@ -40,8 +39,6 @@ MEAN_TICKS = CYCLE_HZ // 4
 STEP_NUMERICS: Final = Numerics("implicit", 2)
 """Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
 the noise floor, and take three times as long."""
-
-SENSOR_FIELDS: Final = tuple(Sensors.__dataclass_fields__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,10 +68,6 @@ def is_stepped(effect: Effect) -> bool:
     return isinstance(effect, GearHysteresis) or effect == STEP_NUMERICS
 
 
-NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), NO_TRACKER_POSES.X_RF)
-"""Result for a recording without rests."""
-
-
 def find_turning_points(recording: Recording, touch: int | None = None) -> TurningPoints:
     """Find the rests, and the starts and ends of motions; with a touch, those before, and it as the rest."""
     rests = find_rests(recording) if touch is None else [touch]
@@ -90,18 +83,18 @@ def read_resolvers(turning_points: TurningPoints) -> Array:
     ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
     difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
     means = [difference_rad[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
-    return np.stack(means, axis=-1) if means else NO_RESTS.resolver_rad
+    return np.stack(means, axis=-1)
 
 
 def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
-    """Solve the equilibria of each recording, for the drawing of its arm with these effects."""
+    """Solve the equilibria of recordings with rests, for the drawing of their arm with these effects."""
+    if not turning_points:
+        return []
     creep = next((effect for effect in effects if isinstance(effect, LinkCreep)), None)
     if creep is not None:
         return _solve_creep(turning_points, creep, [effect for effect in effects if effect is not creep])
     if any(map(is_stepped, effects)):
-        return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
-    if not any(one.rests for one in turning_points):
-        return [NO_RESTS for _ in turning_points]
+        return [_simulate_rests(one, effects) for one in turning_points]
     arm = turning_points[0].recording.arm
     hardware, params = nominal_hardware(arm.description), arm.params
     for effect in effects:
@@ -112,9 +105,7 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
         if np.array_equal(before, hardware.counter_zero_rad):
             params = effect.on_params(params)
         # else the effect is applied once, as hardware: on_params would apply the shifted zero again
-    config = configure(params)
-    found = iter(_solve_statics([one for one in turning_points if one.rests], config, hardware, effects))
-    return [next(found) if one.rests else NO_RESTS for one in turning_points]
+    return _solve_statics(turning_points, configure(params), hardware, effects)
 
 
 def _solve_creep(
@@ -129,15 +120,11 @@ def _solve_creep(
     before, after = (solve_rests(every, effects) for effects in (others, (*others, whole)))
     found = []
     for one, rigid, bent in zip(turning_points, before, after, strict=True):
-        if not one.rests:
-            found.append(NO_RESTS)
-            continue
         screw, at = screw_log(inverse(rigid.X_RF) @ bent.X_RF), list(one.rests)
         share = creep_shares(np.array(one.tick) / CYCLE_HZ, screw[:3], creep.time_s)[at]
-        X = Pose(rigid.X_RF.R[:, :, at], rigid.X_RF.p[:, at])
         resolver_rad = rigid.resolver_rad[:, at]
         resolver_rad += share * (bent.resolver_rad[:, at] - resolver_rad)
-        found.append(RestPoses(resolver_rad, X @ screw_exp(share * screw[:, at])))
+        found.append(RestPoses(resolver_rad, rigid.X_RF[at] @ screw_exp(share * screw[:, at])))
     return found
 
 
@@ -207,8 +194,7 @@ def _solve_statics(
         resolver = outputs[:, here] + hardware.resolver_bias_rad[:, None]
         for error in hardware.resolver_errors:
             resolver += np.stack([error.error_rad(output) for output in outputs[:, here].T], axis=-1)
-        pose = Pose(X_RF.R[:, :, 5, here], X_RF.p[:, 5, here])
-        found.append(RestPoses(resolver - one.motor_rad[:, list(one.rests)], pose))
+        found.append(RestPoses(resolver - one.motor_rad[:, list(one.rests)], X_RF[5, here]))
     return found
 
 
@@ -307,4 +293,4 @@ def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effe
 
 def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
     """Stack readings by field, ticks first."""
-    return {name: np.array([getattr(one, name) for one in readings]) for name in SENSOR_FIELDS}
+    return {name: np.array([getattr(one, name) for one in readings]) for name in Sensors.__dataclass_fields__}

@@ -1,25 +1,18 @@
 """Arm simulator for the diagnosis: predicts features with effects of the catalogue and with nuisances."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.arm_effects import NuisanceEffect, list_nuisance_effects
+from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, simulate_features
-from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures, feature_channel
-from marsarm.diagnosis.problem import (
-    LOG_UNIT,
-    EffectValues,
-    FeatureLayout,
-    Hypothesis,
-    Ints,
-    Nuisance,
-    Parameter,
-)
+from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
+from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Ints, Parameter
 from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect
@@ -63,38 +56,9 @@ class ArmSimulator:
     feature_set: FeatureSet
     layout: FeatureLayout
     """Layout of its m features, with their noise floor."""
-    catalogue_entry: Mapping[Hypothesis, catalogue.EffectHypothesis]
-    """Entry of the catalogue for each hypothesis."""
-    nuisance_effects: tuple[NuisanceEffect, ...]
-    options: SimulationOptions
-    patch: tuple[Effect, ...]
+    options: SimulationOptions = SHORT_SETTLING
+    patch: tuple[Effect, ...] = ()
     """Effects that are always on."""
-
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Candidate causes."""
-        return tuple(self.catalogue_entry)
-
-    @property
-    def nuisances(self) -> tuple[Nuisance, ...]:
-        """Nuisance parameters in the form of the diagnosis."""
-        return tuple(one.nuisance for one in self.nuisance_effects)
-
-    def with_patch(self, patch: tuple[Effect, ...]) -> "ArmSimulator":
-        """Return the simulator with another patch."""
-        return replace(self, patch=patch)
-
-    def effects(self, settings: EffectValues, nuisance: Array | None = None) -> list[Effect]:
-        """Create the effects beside the patch: of hypotheses, and of nuisances that are not 0.
-
-        Args:
-            nuisance: Departures from nominal in the units of the nuisances, shape (q,); None for none.
-        """
-        found = [make_effect(self.catalogue_entry[one], values) for one, values in settings.items()]
-        if nuisance is None:
-            return found
-        pairs = zip(self.nuisance_effects, nuisance, strict=True)
-        return [*found, *(one.effect(float(v)) for one, v in pairs if v)]
 
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
@@ -106,31 +70,6 @@ class ArmSimulator:
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
 
-def build_simulator(
-    feature_set: FeatureSet,
-    sigma: Array,
-    kinds: Mapping[str, type[Effect]] | None = None,
-    options: SimulationOptions = SHORT_SETTLING,
-    patch: tuple[Effect, ...] = (),
-) -> ArmSimulator:
-    """Build the simulator of a campaign.
-
-    Args:
-        sigma: Noise floor in the units of the channels, shape (m,).
-        kinds: Classes of the candidate effects by name; None for the catalogue.
-        patch: Effects that are always on.
-    """
-    entries = {to_hypothesis(one): one for one in list_candidates(kinds, feature_set.arm.params.tool_names)}
-    return ArmSimulator(
-        feature_set,
-        build_layout(feature_set, sigma),
-        entries,
-        tuple(list_nuisance_effects(feature_set.arm)),
-        options,
-        patch,
-    )
-
-
 def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
     if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
@@ -139,26 +78,30 @@ def moves(effect: Effect, one: MotionFeatures) -> bool:
     return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
-def list_candidates(
-    kinds: Mapping[str, type[Effect]] | None, tools: Sequence[str] | None = None
-) -> Iterator[catalogue.EffectHypothesis]:
-    """Yield the candidate causes at an arm with these tools; None for those of the default arm.
+def list_hypotheses(
+    names: Sequence[str] | None = None, tools: Sequence[str] | None = None
+) -> Iterator[Hypothesis]:
+    """Yield the candidate causes of these names at an arm with these tools.
+
+    None for all of the catalogue, and for the tools of the default arm.
 
     They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
 
     An offset of the sensor of the structure looks like warming of the arm.
     """
     recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
-    return (one for one in catalogue.hypotheses(kinds, tools) if not issubclass(one.kind, recorded))
+    kinds = catalogue.catalogue()
+    every = catalogue.hypotheses(kinds if names is None else {name: kinds[name] for name in names}, tools)
+    return (to_hypothesis(one, family_of(one.kind)) for one in every if not issubclass(one.kind, recorded))
 
 
-def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:
+def to_hypothesis(one: catalogue.EffectHypothesis, family: StrEnum) -> Hypothesis:
     """Convert an entry of the catalogue to a hypothesis; arrays keep their defaults.
 
     A factor with neutral value 1 is given by its logarithm, which makes it symmetric.
     """
-    place = effect_place_text(one.kind, dict(one.place)) or "arm"
-    return Hypothesis(effect_name(one.kind), place, tuple(_list_parameters(one)))
+    effect, place = effect_name(one.kind), effect_place_text(one.kind, dict(one.place)) or "arm"
+    return Hypothesis(effect, place, tuple(_list_parameters(one)), family, locate(effect, place), one)
 
 
 def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
@@ -173,27 +116,6 @@ def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
             yield Parameter(parameter.field, size.unit, size.low, size.high, size.typical, size.neutral)
 
 
-def make_effect(made: catalogue.EffectHypothesis, values: Array) -> Effect:
-    """Create an effect.
-
-    Args:
-        values: Values of its parameters in the units of the diagnosis, shape (n,).
-    """
-    pairs = zip(_list_parameters(made), values.tolist(), strict=True)
-    return made.effect(**{p.name: float(np.exp(v)) if p.unit == LOG_UNIT else v for p, v in pairs})
-
-
-def catalogue_effect(key: str, values: Array) -> Effect:
-    """Create an effect of the catalogue from the key of its hypothesis.
-
-    Args:
-        values: Values of its parameters in the units of the diagnosis, shape (n,).
-    """
-    words = key.split(":")[0].split(".")  # a tool is a word of its place, whatever the arm
-    made = next(one for one in list_candidates(None, words) if to_hypothesis(one).key == key)
-    return make_effect(made, values)
-
-
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
     """Describe the features; every place has its own channels.
 
@@ -201,25 +123,23 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
         sigma: Noise floor in the units of the channels, shape (m,).
     """
     features = feature_set.list_features()
-    named = [feature_channel(feature) for feature in features]
-    blocks, places, regimes = (
-        tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "place", "regime")
+    named = [feature.channel_name for feature in features]
+    blocks, regimes = (
+        tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "regime")
     )
     units = {name: UNITS[f.channel] for name, f in zip(named, features, strict=True)}
     return FeatureLayout(
         sigma=sigma,
         block=_name_indices(blocks, [f.block for f in features]),
         channel=_name_indices(tuple(units), named),
-        place=_name_indices(places, [f.place for f in features]),
         regime=_name_indices(regimes, [f.regime for f in features]),
         condition=np.array([f.condition for f in features]).reshape(-1, len(CONDITIONS)),
         blocks=blocks,
         channels=tuple(units),
         units=tuple(units.values()),
-        places=places,
         regimes=regimes,
         conditions=CONDITIONS,
-        keys=tuple(f"{s}/{f.key}" for s, f in zip(feature_set.list_sessions(), features, strict=True)),
+        keys=tuple(f"{one.recording.name}/{one.key}" for one in features),
     )
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.model import alias_cosines
-from tests.marsarm.diagnosis.worlds import modelled, select_and_diagnose, sized, strange, world
+from marsarm.diagnosis.model import alias_cosines, build_model
+from tests.marsarm.diagnosis.worlds import select_and_diagnose, sized, strange, world
 
 
 @pytest.fixture(scope="session")
@@ -16,7 +16,7 @@ def made():
 @pytest.fixture(scope="session")
 def campaign(made):
     """Return its diagnosis model."""
-    return modelled(made)
+    return build_model(made)
 
 
 @pytest.fixture(scope="session")

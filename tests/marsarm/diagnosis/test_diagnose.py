@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from helpers.marks import slow_but
+from marsarm.diagnosis.model import build_model
 from simgap.report.sentences import level, verdict_word
-from tests.marsarm.diagnosis.worlds import indices, modelled, select_and_diagnose, sized, world
+from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, world
 
 
 def _diagnose(made, campaign, rng, t=None, extra=None):
@@ -70,7 +71,7 @@ def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(mad
 def test_a_nonlinear_effect_is_fitted(rng, times):
     """Within the simulated steps the parabola suffices; beyond them the simulator is needed."""
     bent = world(bent=0.8)
-    campaign = modelled(bent)
+    campaign = build_model(bent)
     y = bent.measured(rng, (bent.owner == 4) * times)
     stepped, curved = (
         select_and_diagnose(campaign, y, seed=1, simulate=one) for one in (bent.simulate, None)

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
-from marsarm.diagnosis.arm.record import PARAMS_FILE
 from simgap import Trace, to_document, verdict_lines
 
 RUN = CliRunner()
@@ -18,8 +17,6 @@ RUN = CliRunner()
 @pytest.fixture
 def diagnose(tmp_path, monkeypatch):
     """Run the command with a given diagnosis, or an error."""
-    (tmp_path / "a.mcap").write_text("a")
-    (tmp_path / PARAMS_FILE).write_text("")  # parameters of the drawing, as the log has none
     monkeypatch.chdir(tmp_path)
 
     def run(result, *words, traces=()):
@@ -28,7 +25,7 @@ def diagnose(tmp_path, monkeypatch):
                 raise result
             return CaseDiagnosis(result, traces)
 
-        monkeypatch.setattr("marsarm.diagnosis.arm.diagnose_logs.diagnose_logs", stand_in)
+        monkeypatch.setattr("marsarm.diagnosis.arm.diagnose_logs.diagnose", stand_in)
         return RUN.invoke(app, ["diagnose", "a.mcap", *words])
 
     return run

@@ -11,9 +11,8 @@ from marsarm.cli.app import app
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
 from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
-from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import NextRequest
-from sim.arms import arm_named
+from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import run_session, start_session
 from sim.initialisation import true_reference
 from simgap.common.errors import RobotError
@@ -87,13 +86,11 @@ def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path,
 @pytest.fixture
 def propose(tmp_path, monkeypatch, made, campaign, results):
     """Run the command with a given diagnosis and given sensitivities of the planned motions."""
-    (tmp_path / "a.mcap").write_text("a")
-    (tmp_path / PARAMS_FILE).write_text("")  # parameters of the drawing, as the log has none
     monkeypatch.chdir(tmp_path)
     recorded: list[str] = []
 
-    def diagnose(job, progress):
-        return CaseDiagnosis(results["undecided"], (), campaign)
+    def diagnose(request, progress):
+        return CaseDiagnosis(results["undecided"], (), campaign, nominal_params())
 
     def record(folder, sessions, *_):
         recorded.extend(one.name for one in sessions)
@@ -104,7 +101,7 @@ def propose(tmp_path, monkeypatch, made, campaign, results):
         layout = replace(made.layout, blocks=tuple(recorded[:15]), sigma=0.01 * made.layout.sigma)
         return replace(made, layout=layout)
 
-    for name, stand_in in (("diagnose_logs", diagnose), ("record_campaign", record)):
+    for name, stand_in in (("diagnose", diagnose), ("record_campaign", record)):
         monkeypatch.setattr(f"marsarm.diagnosis.arm.next_motion.{name}", stand_in)
     monkeypatch.setattr("marsarm.diagnosis.arm.next_motion.compute_sensitivities", compute)
     return lambda *words: CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])

@@ -1,10 +1,19 @@
-"""Saved sensitivities, and parabolas through simulated steps."""
+"""Saved sensitivities, adaptive steps to a few times the detection limit, and parabolas through steps."""
 
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
 
+from marsarm.diagnosis.arm.finite_differences import (
+    MAX_ROUNDS,
+    MAX_STEP_RATIO,
+    MAX_STEP_SHARE,
+    MIN_STEP_SHARE,
+    TARGET_SIGMAS,
+    adapt_step,
+    step_error,
+)
 from marsarm.diagnosis.problem import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
 from simgap.common.errors import BadRequest
 
@@ -24,7 +33,7 @@ def kept(made):
 
 def test_what_is_kept_comes_back(kept, tmp_path):
     save_sensitivities(tmp_path / "s.npz", kept)
-    again = load_sensitivities(tmp_path / "s.npz")
+    again = load_sensitivities(tmp_path / "s.npz", kept.hypotheses, kept.nuisances)
     assert _plain(again) == _plain(kept)
     assert [path.name for path in tmp_path.iterdir()] == ["s.npz"]
 
@@ -43,12 +52,30 @@ def test_a_file_that_was_damaged_or_is_something_else_is_refused(kept, tmp_path,
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(BadRequest, match=r"s\.npz: no sensitivities .*remove it"):
-        load_sensitivities(path)
+        load_sensitivities(path, (), ())
     np.savez(path, a=np.zeros(3))
     with pytest.raises(BadRequest, match="no sensitivities"):
-        load_sensitivities(path)
+        load_sensitivities(path, (), ())
 
 
 def test_a_robot_that_cannot_be_simulated_has_no_sensitivities(made):
     with pytest.raises(ValueError, match="must be finite"):
         replace(made, effect=np.nan * made.effect)
+
+
+@pytest.mark.parametrize(
+    "per_typical", np.geomspace(2 * TARGET_SIGMAS / MAX_STEP_SHARE, TARGET_SIGMAS / MIN_STEP_SHARE / 2, 7)
+)
+def test_a_step_along_a_line_is_adapted_at_once(per_typical: float) -> None:
+    better = adapt_step(1.0, per_typical) or 1.0
+    assert 1.0 / MAX_STEP_RATIO <= better * per_typical / TARGET_SIGMAS <= MAX_STEP_RATIO
+    assert adapt_step(better, better * per_typical) is None
+    assert step_error(better * per_typical) < step_error(0.0)
+
+
+def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
+    """A backlash changes sides at 0.05 of a typical size, and hides what is visible from 0.02 on."""
+    share = 1.0
+    for _ in range(MAX_ROUNDS):
+        share = adapt_step(share, 100.0 * share + (400.0 if share > 0.05 else 0.0)) or share
+    assert share < 0.05

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from marsarm.diagnosis.diagnose import diagnose
-from marsarm.diagnosis.model import DiagnosisModel, build_full_whitener, build_model
+from marsarm.diagnosis.model import build_full_whitener
 from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter, Sensitivities
 from marsarm.diagnosis.selection import select_simulated
 from simgap.effects.effect import Family
@@ -20,8 +20,8 @@ class World(Sensitivities):
 
     def simulate(self, settings):
         t = np.zeros(self.owner.size)
-        for hypothesis, values in settings.items():
-            t[self.owner == self.hypotheses.index(hypothesis)] = hypothesis.departures(values)
+        for hypothesis, departures in settings.items():
+            t[self.owner == self.hypotheses.index(hypothesis)] = departures
         return self.effect @ t + self.curve @ t**2
 
     def measured(self, rng, t=None, extra=None, robot=None):
@@ -63,8 +63,8 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     channels = tuple(f"{names[1][c // 3]}.{'abc'[c % 3]}" for c in range(3 * places))
     sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
     layout = FeatureLayout(
-        sigma, block, channel, place, block % 3, condition, names[0], channels, ("u",) * len(channels),
-        names[1], REGIMES, CONDITIONS,
+        sigma, block, channel, block % 3, condition, names[0], channels, ("u",) * len(channels), REGIMES,
+        CONDITIONS,
     )  # fmt: skip
     basis = _basis(condition, channel)
     shapes = [
@@ -79,7 +79,8 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
         for p in range(places):
             near = np.where(place == p, 1.0, np.where(np.abs(place - p) == 1, 0.2, 0.0))
             parameters = tuple(Parameter(f"size {i}", "u", -1e3, 1e3, 0.5 + i, 0.0) for i in range(k))
-            hypotheses.append(Hypothesis(f"effect {e}", names[1][p], parameters))
+            family = list(Family)[e % 4]
+            hypotheses.append(Hypothesis(f"effect {e}", names[1][p], parameters, family, names[1][p]))
             columns += list((sigma[:, None] * near[:, None] * (basis @ shapes[e])[:, :k]).T)
             owner += [len(hypotheses) - 1] * k
     N = sigma[:, None] * (basis @ rng.normal(size=(basis.shape[1], nuisances))) * 0.2
@@ -89,12 +90,6 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     return World(
         layout, tuple(hypotheses), uncertain, effect, bent * effect, np.ones(len(owner)), np.array(owner), N
     )
-
-
-def modelled(sensitivities) -> DiagnosisModel:
-    """Return the diagnosis model: families by the number of the effect, locations as places."""
-    families = [list(Family)[int(h.effect.split()[-1]) % 4] for h in sensitivities.hypotheses]
-    return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
 
 
 def select_and_diagnose(model, value, seed, simulate=None):

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, family_of
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.diagnose_logs import flight_params, prepare_diagnosis
+from marsarm.diagnosis.arm.diagnose_logs import _read_params
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from marsarm.diagnosis.arm.simulator import list_candidates
+from marsarm.diagnosis.arm.simulator import list_hypotheses
+from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects
 from sim.params import params_table
@@ -58,11 +59,8 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     logs = [tmp_path / path for path in named]
     known = arm_named("calibrated:7").params
     assert params_over_nominal(tmp_path / "logs" / PARAMS_FILE) == known
-    job = prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))
-    assert job.base == known
-    assert load_checked_recordings(logs, job.base)[0].params == known
-    (tmp_path / "logs" / PARAMS_FILE).unlink()
-    assert flight_params(prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))) == known
+    assert _read_params(DiagnoseRequest((tmp_path / "logs",)), tmp_path / "logs", default_arm()) == known
+    assert load_checked_recordings(logs, known)[0].params == known
     with pytest.raises(NotForDiagnosis) as found:
         load_checked_recordings(logs, nominal_params())
     assert len(str(found.value).splitlines()) == 1
@@ -72,5 +70,6 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
 def test_every_candidate_has_one_family() -> None:
     count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
     assert set(count.values()) == {1}
-    assert {one.kind for one in list_candidates(None)} == set(count)
-    assert {family_of(one.kind) for one in list_candidates(None)} == set(FAMILIES)
+    every = [*list_hypotheses()]
+    assert {one.entry.kind for one in every if one.entry is not None} == set(count)
+    assert {one.family for one in every} == set(FAMILIES)

@@ -38,10 +38,6 @@ def degrees(values: np.ndarray) -> None:
     values *= 180 / np.pi
 
 
-def late(values: np.ndarray) -> None:
-    values[6:] = values[:-6].copy()
-
-
 def flat(values: np.ndarray) -> None:
     np.clip(values, -0.01, 0.01, out=values)
 
@@ -56,7 +52,6 @@ def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording])
     [
         ("resolver_rad", stale, "is stale"),
         ("resolver_rad", degrees, "another unit"),
-        ("encoder_count", late, "their clocks differ"),
         ("current_A", flat, "saturated"),
         ("gravity_R_m_s2", degrees, "m/s^2 are wanted"),
     ],

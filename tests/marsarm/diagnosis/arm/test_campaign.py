@@ -10,6 +10,7 @@ from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import feature_set
+from marsarm.diagnosis.arm.arm_effects import list_nuisances
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import build_case_simulator, resimulate
 from marsarm.diagnosis.arm.feature_set import (
@@ -34,18 +35,17 @@ from marsarm.diagnosis.arm.features import (
     evaluate_features,
 )
 from marsarm.diagnosis.arm.finite_differences import (
+    Column,
     find_borrowed_slopes,
     group_columns,
     list_columns,
-    perturb_both_sides,
     simulate_side,
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_simulator, make_effect
-from marsarm.diagnosis.problem import Sensitivities
-from sim.arms import nominal_params
-from sim.effects.catalogue import catalogue
+from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_layout, list_hypotheses
+from marsarm.diagnosis.problem import Hypothesis, Sensitivities
+from sim.arm_model.load import default_arm
 from sim.effects.effect import Effect
 from sim.effects.environment import SurfacePosition
 from sim.effects.geometry import LinkLength
@@ -53,7 +53,7 @@ from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from validation.cases.arm_truth import list_uncatalogued
 
-BASE = nominal_params()
+NUISANCES = [*list_nuisances(default_arm())]
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +81,13 @@ def motions(recordings: list[Recording]) -> FeatureSet:
     return build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
 
 
-def simulator_of(features: FeatureSet, *names: str) -> ArmSimulator:
-    """Build the simulator with some effects of the catalogue."""
-    return build_simulator(
-        features, estimate_floor(features).sigma, {name: catalogue()[name] for name in names}
-    )
+def simulator_of(features: FeatureSet) -> ArmSimulator:
+    return ArmSimulator(features, build_layout(features, estimate_floor(features).sigma))
+
+
+def columns_of(name: str) -> list[Column]:
+    """List the columns of an effect of the catalogue, and those of the nuisances."""
+    return list_columns([*list_hypotheses([name])], NUISANCES)
 
 
 def test_a_nominal_arm_leaves_its_sensors_noise(campaign: FeatureSet) -> None:
@@ -119,7 +121,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     """Rests and touches are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout) for one in (arm, arm.with_patch(patch)))
+    before, after = (build_case_simulator(one, arm.layout) for one in (arm, replace(arm, patch=patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([
         feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)
@@ -152,7 +154,7 @@ def test_no_tick_after_the_last_bin_influences_a_feature(touch: MotionFeatures) 
 def remembering() -> Effect:
     """Return the out-of-catalogue effect of a sensor with memory."""
     found = list_uncatalogued()["remanent-core", "elbow"]
-    return make_effect(found.catalogue_entry, np.array([0.1]))
+    return found.switch_on(np.array([0.1 / found.parameters[0].typical]))
 
 
 def test_what_only_reads_is_read_as_avionics_do_without_another_step(touch: MotionFeatures) -> None:
@@ -213,18 +215,16 @@ def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
 def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet, kind: str) -> None:
-    simulator = simulator_of(motions, kind)
-    nominal, columns = simulator.predict_effects(()), list_columns(simulator)
-    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    ((*at_once,),) = group_columns(simulator, columns, wanted)
+    simulator, columns = simulator_of(motions), columns_of(kind)
+    nominal = simulator.predict_effects(())
+    wanted = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
+    ((*at_once,),) = group_columns(columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
     sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
-    for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
-        (one,) = hypothesis.parameters
-        there = {hypothesis: np.array([one.neutral + side.size * one.typical])}
-        alone = simulator.predict_effects(simulator.effects(there)) - nominal
+    for hypothesis, side in zip(list_hypotheses([kind]), sides, strict=True):
+        alone = simulator.predict_effects([hypothesis.switch_on(np.array([side.size]))]) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
         *most, begin = np.sort(np.abs(off))
@@ -232,31 +232,29 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet
         assert begin < 0.05 * np.linalg.norm(whole)
 
 
-def test_effects_at_one_joint_are_not_simulated_at_once(campaign: FeatureSet) -> None:
+def test_effects_at_one_joint_are_not_simulated_at_once() -> None:
     """Asymmetric friction has two directions at each joint; together they would be plain friction."""
-    simulator = simulator_of(campaign, "asymmetric-friction")
-    columns = list_columns(simulator)
-    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    for group in group_columns(simulator, columns, wanted):
-        places = [simulator.hypotheses[columns[k].hypothesis or 0].place.split(".")[0] for k in group]
+    columns = columns_of("asymmetric-friction")
+    wanted = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
+    for group in group_columns(columns, wanted):
+        places = [one.location for k in group if isinstance(one := columns[k].source, Hypothesis)]
         assert len(set(places)) == len(places) == len(Joint)
 
 
-def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(motions: FeatureSet) -> None:
+def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma() -> None:
     """The large step of the equal hypothesis is not used; all joints are simulated at once."""
-    simulator = simulator_of(motions, "gear-friction")
-    columns = list_columns(simulator)
-    begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
+    columns, names = columns_of("gear-friction"), [one.name for one in NUISANCES]
+    begin = len(columns) - len(names)
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    borrowed = find_borrowed_slopes(simulator, columns)
+    borrowed = find_borrowed_slopes(columns)
     assert not set(own) & set(borrowed)
     assert [borrowed[k] for k in session] == [(k, 1.0) for k in own]
-    hypotheses = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    hypotheses = [k for k, column in enumerate(columns) if isinstance(column.source, Hypothesis)]
     assert [borrowed[k][0] for k in hypotheses] == own
-    assert group_columns(simulator, columns, own) == [tuple(own)]
-    sizes = [perturb_both_sides(simulator, columns[k], 1.0)[0].size for k in own]
-    assert sizes == [simulator.nuisances[k - begin].sigma for k in own]
+    assert group_columns(columns, own) == [tuple(own)]
+    sizes = [columns[k].sides(1.0)[0][1] for k in own]
+    assert sizes == [NUISANCES[k - begin].sigma for k in own]
 
 
 @pytest.mark.slow

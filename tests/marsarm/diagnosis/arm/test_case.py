@@ -11,9 +11,10 @@ from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import case_simulator
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
-from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
+from marsarm.diagnosis.arm.diagnose_logs import diagnose
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import record_campaign
+from marsarm.diagnosis.arm.request import DiagnoseRequest
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
@@ -141,9 +142,8 @@ def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel)
 
 
 def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
-    job = DiagnoseJob(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
-        diagnose_logs(job, no_progress)
+        diagnose(DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path))
 
 
 def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
 from marsarm.diagnosis.model import DiagnosisModel
+from marsarm.diagnosis.problem import Hypothesis
 from sim.effects.joints import GearStiffness
 from simgap import Diagnosis
 from simgap.report.sentences import level
@@ -22,8 +22,12 @@ def truth(kind: str, model: DiagnosisModel, h: int) -> DemoTruth:
     return DemoTruth("00", kind, one.effect, one.place, "", 2.0, ())  # type: ignore[arg-type]
 
 
+def locations(model: DiagnosisModel) -> list[str]:
+    return [one.location for one in model.sensitivities.hypotheses]
+
+
 def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo, "catalogue_effect", lambda *_: GearStiffness(Joint.ELBOW, 0.9))
+    monkeypatch.setattr(Hypothesis, "switch_on", lambda *_: GearStiffness(Joint.ELBOW, 0.9))
     draws = [draw_truth(campaign, np.random.default_rng(k)) for k in range(16)]
     again = [draw_truth(campaign, np.random.default_rng(k))[0] for k in range(16)]
     assert [one for one, _ in draws] == again
@@ -41,12 +45,12 @@ def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(
     right = [judge(nothing, campaign, results[name])[0] for name in ("nothing", "unknown", "named")]
     assert right == [True, False, False]
     (finding,), (true,) = named.findings, indices(campaign, named)
-    other = next(h for h in range(40) if campaign.locations[h] not in finding.places)
+    other = next(h for h in range(40) if locations(campaign)[h] not in finding.places)
     assert judge(truth("known", campaign, true), campaign, named)[0]
     assert not judge(truth("known", campaign, other), campaign, named)[0]
     assert not judge(truth("known", campaign, true), campaign, results["nothing"])[0]
     placed = replace(named, findings=(replace(finding, effects=(), families=()),))
-    near = campaign.locations.index(finding.place)
+    near = locations(campaign).index(finding.place)
     assert judge(truth("known", campaign, near), campaign, placed)[0]
 
 
@@ -55,7 +59,7 @@ def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(
     results: Cases, campaign: DiagnosisModel, is_named: bool
 ) -> None:
     (finding,) = results["named"].findings
-    h = next(h for h in range(40) if campaign.locations[h] not in finding.places)
+    h = next(h for h in range(40) if locations(campaign)[h] not in finding.places)
     other = campaign.sensitivities.hypotheses[h]
     effects = (other.key,) if is_named else ()
     second = replace(
@@ -72,7 +76,7 @@ def test_where_the_catalogue_lacks_the_effect_its_place_must_be_seen_and_no_name
     for kind, is_right in (("named", False), ("unknown", True), ("nothing", False)):
         assert judge(truth("left out", campaign, 0), campaign, results[kind])[0] == is_right
     places = [one.places for one in results["beside"].findings if level(one) != "none"]
-    right = [all(location in of for of in places) for location in campaign.locations[:40]]
+    right = [all(location in of for of in places) for location in locations(campaign)[:40]]
     assert any(right)
     judged = [judge(truth("left out", campaign, h), campaign, results["beside"])[0] for h in range(40)]
     assert right == judged

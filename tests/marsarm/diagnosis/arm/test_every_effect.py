@@ -9,7 +9,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, simulate_features
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.effects.effect import Effect
 from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart
@@ -20,11 +20,10 @@ BRIEF = SimulationOptions(settle_s=1.0)
 
 def candidates_at_ends() -> Iterator[Any]:
     """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
-    for one in {candidate.kind: candidate for candidate in list_candidates(None)}.values():
-        hypothesis = to_hypothesis(one)
-        for end in ("least", "most"):
-            values = np.array([getattr(parameter, end) for parameter in hypothesis.parameters])
-            yield pytest.param(make_effect(one, values), id=f"{hypothesis.name}, {end}")
+    for one in {candidate.effect: candidate for candidate in list_hypotheses()}.values():
+        ends = np.transpose([parameter.departure_range for parameter in one.parameters])
+        for end, departures in zip(("least", "most"), ends, strict=True):
+            yield pytest.param(one.switch_on(departures), id=f"{one.key}, {end}")
 
 
 @pytest.fixture(scope="module")

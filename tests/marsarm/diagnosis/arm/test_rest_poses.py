@@ -6,7 +6,6 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Pose
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, rests_moved_by, simulate_features
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
@@ -54,8 +53,8 @@ def test_a_creeping_link_rests_where_the_plant_does(rests: FeatureSet) -> None:
     change = simulate_features(rests, (effect,), SHORT_SETTLING) - simulate_features(
         rests, (), SHORT_SETTLING
     )
-    shift = change[-3 * len(one.tracked_rests) :].reshape(3, -1)
-    for column, (rest, _) in zip(shift.T, one.tracked_rests, strict=True):
+    shift = change[-3 * len(one.tracked) :].reshape(3, -1)
+    for column, rest in zip(shift.T, one.tracked, strict=True):
         stepped = without[ticks[rest]].R.T @ (with_it[ticks[rest]].p - without[ticks[rest]].p)
         np.testing.assert_allclose(column, stepped, atol=0.03 * np.linalg.norm(stepped))
 
@@ -65,13 +64,12 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: Feature
     (one,) = rests.rests
     config, by_rad = configure(nominal_params()), 1e-5
     gravity = one.turning_points.recording.world.gravity_N_m_s2
-    motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r, _ in one.tracked_rests]]
+    motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in one.tracked]]
     change = np.array([by_rad * (feature.channel == RESOLVER) for feature in one.features])
     for joint in Joint:
         turned = motor_rad + by_rad * (np.arange(len(Joint)) == joint)[:, None]
         before, after = (
-            Pose(X.R[:, :, 5], X.p[:, 5])
-            for X in (settle_output(config.arm, at, gravity).frames.X_RF for at in (motor_rad, turned))
+            settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned)
         )
         found = rests_moved_by(rests, change, joint)
         shift = found[-3 * motor_rad.shape[1] :].reshape(3, -1)
