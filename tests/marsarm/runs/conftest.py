@@ -28,7 +28,7 @@ def initialise_exactly(arm: BuiltArm, seed: int) -> Iterator[InitialisationResul
     """Return the result of an initialisation without errors, of which no cycle is run."""
     none = np.zeros(len(Joint))
     reference = true_reference(arm)
-    yield InitialisationResult(Outcome.DONE, 0.0, (), (), reference, none, none, None)
+    yield InitialisationResult(Outcome.DONE, 0.0, (), (), (), reference, none, none, None)
 
 
 @pytest.fixture
