@@ -192,7 +192,7 @@ def compare_behaviours(
         ticks=(recorded.ticks, replayed.ticks),
         lengths=tuple(one for one in lengths if one is not None),
         evrs=tuple(evr_differences(recorded.evrs, replayed.evrs, tolerance)),
-        channels=tuple(one for one in channels if one is not None),
+        channels=tuple(sorted(filter(None, channels), key=lambda one: one.first_tick)),
         channels_compared=compared,
         not_compared=tuple(not_compared),
     )

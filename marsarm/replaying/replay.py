@@ -219,25 +219,35 @@ def difference_lines(found: Differences) -> Iterator[str]:
         yield f"event     and {len(found.evrs) - MAX_EVRS} more; --json lists all"
     for n in found.lengths:
         yield (
-            f"length    {n.topic}: {n.recorded} recorded, {n.replayed} replayed, apart from tick "
-            f"{n.first_tick} on"
+            f"length    {n.topic}: {n.recorded} recorded, {n.replayed} replayed, apart from "
+            f"{_at(n.first_tick)} on"
         )
-    for c in sorted(found.channels, key=lambda c: c.first_tick):
+    driven = next((c for c in found.channels if c.channel.startswith("/drive.")), None)
+    if driven is not None:
+        yield (
+            f"note      the joints are driven otherwise from {_at(driven.first_tick)} on; the sensors answer "
+            "the recorded drive, so what follows is no prediction"
+        )
+    for c in found.channels:
         yield from _channel_lines(c)
+
+
+def _at(tick: int) -> str:
+    return f"tick {tick} ({tick / CYCLE_HZ:.2f} s)"
 
 
 def _channel_lines(c: ChannelDifference) -> Iterator[str]:
     """Yield the lines of a channel: its difference, and both values at the first tick."""
     yield (
-        f"channel   {_component_name(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
-        f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
+        f"channel   {_component_name(c.channel, c.component)}: from {_at(c.first_tick)} on, at {c.ticks} of "
+        f"{c.compared} ticks, by up to {c.greatest:.3g} at {_at(c.greatest_tick)}"
     )
     first = _component_name(c.channel, c.first_component)
-    yield f"          {first} at tick {c.first_tick}: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
+    yield f"          {first} there: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
 
 
 def _evr_line(one: EvrDifference) -> str:
-    line = f"event     tick {one.event.tick}  {one.kind.value}  {one.event.name}: {one.event.message}"
+    line = f"event     {_at(one.event.tick)}  {one.kind.value}  {one.event.name}: {one.event.message}"
     if one.kind is EvrChange.CHANGED:
         assert one.replayed is not None
         line += f"  ->  {one.replayed.name}: {one.replayed.message}"

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow import csv
 
+from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from marsarm.telemetry.inspection import index_text, severity_name
 from marsarm.telemetry.read import Log
@@ -50,7 +51,8 @@ def topic_table(log: Log, topic: str) -> pa.Table:
             for k, end in enumerate(index_suffixes(values.shape[1:])):
                 # Some packets have a field `tick` of their own, and both columns are kept.
                 name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
-                columns[name] = np.ascontiguousarray(numbers[:, k])
+                column = np.ascontiguousarray(numbers[:, k])
+                columns[name] = [Mode(mode).name for mode in column] if field == "mode" else column
                 units[name] = unit_of(field)
     # pandas takes a NaN for a missing value; here it is a number.
     arrays = [pa.array(column, from_pandas=False) for column in columns.values()]

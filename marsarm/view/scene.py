@@ -33,7 +33,7 @@ DARK_CURVE_COLOURS: Final = ("#4a8fff", "#ff9d2e", "#2fc99a", "#f7a6d8", "#fffff
 ARROW_M_PER_N: Final = 0.006
 SHORTEST_ARROW_M, LONGEST_ARROW_M = 0.1, 0.8
 """A touch is as long as a tool, and 117 N or more as long as a link: both stay visible."""
-ARROW_RADIUS_M, ARROW_HEAD_M = 0.012, 0.03
+ARROW_RADIUS_M, ARROW_HEAD_M = 0.006, 0.02
 """Radius of the shaft and of the head."""
 LEAST_FORCE_N: Final = 0.05
 """Force below which no arrow is drawn: the readout shows tenths of a newton."""

@@ -9,11 +9,11 @@ parameters, catalogue and code.
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
-from itertools import compress
+from itertools import compress, pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -40,8 +40,8 @@ from marsarm.diagnosis.arm.finite_differences import (
     simulate_side,
     step_error,
 )
-from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses
+from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
+from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses, moves
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,
@@ -74,10 +74,6 @@ COMPARING_MODULES: Final = (
     "simgap.selection.checkpoint",
 )
 """Modules outside the simulator and this package that influence the result."""
-STEPS_SHARE: Final = 0.3
-"""Share of the time in which the steps are chosen, for the progress."""
-SIDES_SHARE: Final = 0.4
-"""Share of the time after which only other motions are left, for the progress."""
 NUMERICS_SHARE: Final = 0.1
 """Share of the difference to another time step that remains as numerical error after the fit."""
 
@@ -150,20 +146,23 @@ def _difference_all(
     shares = {
         k: 1.0 for k, one in enumerate(columns) if k not in borrowed or isinstance(one.source, Hypothesis)
     }
-    steps = part_of(progress, 0.0, STEPS_SHARE)
+    both = [k for k in shares if len(columns[k].sides(1.0)) > 1]
+    work = [_count_ticks(campaign, *one) for one in ((shares, True), (both, True), (shares, False))]
+    work[0] *= 2 if given is None else 1  # each round of steps is taken to have half the work of the last
+    ends = np.cumsum([0, *work]) / sum(work)
+    steps, sides, rest = (part_of(progress, *span) for span in pairwise(ends.tolist()))
     if given is None:
         up = _choose_steps(campaign, run, steps, shares)
     else:
         up = _simulate(campaign, shares | dict(enumerate(given.tolist())), 0, True, run, steps)
     shares = {k: one.share for k, one in up.items()}
     two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
-    down = _simulate(campaign, two_sided, 1, True, run, part_of(progress, STEPS_SHARE, SIDES_SHARE))
+    down = _simulate(campaign, two_sided, 1, True, run, sides)
     (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
     found = [_assemble(campaign, first, up, down)]
     if other_rows.size:
         curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
-        rest = part_of(progress, SIDES_SHARE, 1.0)
-        done = len(shares) / (len(shares) + len(curved))
+        done = work[-1] / (work[-1] + _count_ticks(campaign, curved, False))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
         down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
         found.append(_assemble(campaign, second, up, down))
@@ -200,10 +199,25 @@ def _simulate(
     nominal = _nominal_features(campaign, is_first)
     jobs = [(campaign, is_first, nominal, side, {k: shares[k] for k in of}) for of in at_once]
     steps: dict[int, OneSidedStep] = {}
-    for done, found in enumerate(in_order(run, _simulate_at_once, jobs), 1):
+    done, total = 0, _count_ticks(campaign, shares, is_first)
+    for found in in_order(run, _simulate_at_once, jobs):
         steps |= found
-        progress(done, len(jobs), "sensitivities")
+        done += _count_ticks(campaign, found, is_first)
+        progress(done, total, "sensitivities")
     return steps
+
+
+def _count_ticks(campaign: _Campaign, wanted: Iterable[int], is_first: bool) -> int:
+    """Count the cycles that one side of columns simulates, which take the time, and one for each job."""
+    columns, feature_set = _list_columns(campaign), _part(campaign, is_first)[0].feature_set
+    rests = sum(1 + max(one.turning_points.tick, default=0) for one in feature_set.rests)
+    ticks = 0
+    for of in group_columns(columns, sorted(wanted)):
+        effects = [columns[k].sides(1.0)[0][0] for k in of]
+        moved = [one for one in feature_set.motions if any(moves(effect, one) for effect in effects)]
+        ticks += 1 + sum({one.recording.block: one.compared_ticks for one in moved}.values())
+        ticks += rests * any(map(is_stepped, effects))
+    return ticks
 
 
 def _choose_steps(
@@ -219,11 +233,13 @@ def _choose_steps(
     columns = _list_columns(campaign)
     fixed = find_borrowed_slopes(columns)
     last: dict[int, OneSidedStep] = {}
-    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
+    numerical = [k for k in first if columns[k].is_numerical]
     wanted = {k: by for k, by in first.items() if k not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
+    late = 0.5 * _count_ticks(campaign, numerical, True) / _count_ticks(campaign, first, True)
+    rounds = part_of(progress, 0.0, 1.0 - late)
     for attempt in range(MAX_ROUNDS + 1):
-        update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        update = part_of(rounds, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
         scale = form_normal_equations(_assemble(campaign, simulator, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
@@ -235,8 +251,7 @@ def _choose_steps(
         if not wanted:
             break
     left = {k: by for k, by in first.items() if k not in chosen}
-    rest = part_of(progress, 1.0 - 0.5 ** (attempt + 1), 1.0)
-    return chosen | _simulate(campaign, left, 0, True, run, rest)
+    return chosen | _simulate(campaign, left, 0, True, run, part_of(progress, 1.0 - late, 1.0))
 
 
 def _assemble(

@@ -195,15 +195,19 @@ class Painter {
     gl.enable(gl.DEPTH_TEST);
   }
 
-  /** Draw the force on the tool, also where it is inside the tool. */
+  /** Draw the force on the tool, through which it is seen, and which is seen through it. */
   drawForce(tool, force, size) {
     const { gl, looks: { arrow, rgb } } = this;
     const length = Math.min(arrow.shortest_m + arrow.m_per_N * size, arrow.longest_m), x = force.map((v) => v / size);
     const y = unit(cross(Math.abs(x[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0], x)), z = cross(x, y);
     const columns = [[x, length], [y, 1], [z, 1]].flatMap(([axis, s]) => [...axis.map((v) => v * s), 0]);
     gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    gl.blendColor(0, 0, 0, 0.5);
+    gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
     gl.uniform3fv(this.plain.tint, rgb.force);
     this.draw(this.arrow, [...columns, ...tool, 1]);
+    gl.disable(gl.BLEND);
     gl.enable(gl.DEPTH_TEST);
   }
 

@@ -19,10 +19,10 @@ function sheet(canvas) {
   return [context, width, height];
 }
 
-/** Return the round values between two, at most `most` and one, with as many digits as they need. */
-function ticksBetween(start, end, most) {
-  const least = (end - start) / most, power = 10 ** Math.floor(Math.log10(least));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= least * (1 - 1e-9)), first = Math.ceil(start / step - 1e-9);
+/** Return two to five round values between two, with as many digits as they need. */
+function ticksBetween(start, end) {
+  const half = (end - start) / 2, power = 10 ** Math.floor(Math.log10(half) + 1e-9);
+  const step = power * [5, 2, 1].find((factor) => factor * power <= half * (1 + 1e-9)), first = Math.ceil(start / step - 1e-9);
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   return Array.from({ length: Math.floor(end / step + 1e-9) - first + 1 }, (_, k) => fixed(step * (first + k), digits));
 }
@@ -111,12 +111,12 @@ class Plot {
     const line = (...ends) => { context.beginPath(); ends.forEach((point) => context.lineTo(...point)); context.stroke(); };
     Object.assign(context, { strokeStyle: style("--rule"), fillStyle: style("--faint"), font: "11px system-ui, sans-serif", textAlign: "right" });
     context.strokeRect(left - 0.5, top - 0.5, this.width + 1, base - top + 1);
-    for (const level of isFlat ? [String(Number(least.toPrecision(4)))] : ticksBetween(least, most, 4)) {
+    for (const level of isFlat ? [String(Number(least.toPrecision(4)))] : ticksBetween(least, most)) {
       line([left, y(level)], [right, y(level)]);
       context.fillText(level, left - 4, y(level) + 4);
     }
     context.textAlign = "center";
-    for (const tick of ticksBetween(start, end, 5)) {
+    for (const tick of ticksBetween(start, end)) {
       line([x(tick), base], [x(tick), base + 3]);
       context.fillText(tick + " s", Math.min(x(tick), right - 12), height - 2);
     }

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 import sim.loop
+from fsw.config import CYCLE_HZ
 from fsw.cycle import step
 from marsarm.replaying.replay import ReplayRequest, replay, replay_document, replay_parts, verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
@@ -41,6 +42,11 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     assert report.differences.evrs[0].event.name == "Booted"
     document = replay_document(report)
     assert document["identical"] is False
+    ticks = [one.first_tick for one in report.differences.channels]
+    assert ticks == sorted(ticks)
+    first = channels["/drive.setpoint_rate_rad_s"].first_tick
+    note = f"driven otherwise from tick {first} ({first / CYCLE_HZ:.2f} s) on"
+    assert any(note in line for line in replay_parts(report))
 
 
 def test_a_channel_that_nobody_has_is_refused(tmp_path):

@@ -158,4 +158,5 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str
 
 def _cell(tag: str, text: str, kind: str) -> str:
     label = f' class="{kind}"' if kind else ""
-    return f"<{tag}{label}>{html.escape(text)}</{tag}>"
+    breakable = html.escape(text).replace("_", "_<wbr>")
+    return f"<{tag}{label}>{breakable}</{tag}>"
