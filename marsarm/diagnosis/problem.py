@@ -13,7 +13,7 @@ finds the few hypotheses whose amplitudes are not 0.
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Final, cast
@@ -44,6 +44,7 @@ ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
 
 Ints = NDArray[np.intp]
+Texts = NDArray[np.str_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,27 +167,24 @@ class Nuisance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureLayout:
-    """Description of m features."""
+    """Description of m features; texts and numbers of shape (m,)."""
 
     sigma: Array
-    """Noise floor: standard deviation between repeats, in the unit of the channel, shape (m,)."""
-    block: Ints
-    """Index of the motion under one condition: the unit of the bootstrap, shape (m,)."""
-    channel: Ints
-    """Index of the measured quantity, shape (m,)."""
-    regime: Ints
-    """Index of the regime of motion, shape (m,)."""
+    """Noise floor: standard deviation between repeats, in the unit of the channel."""
+    block: Texts
+    """Motion under one condition: the unit of the bootstrap."""
+    channel: Texts
+    """Measured quantity with its place."""
+    unit: Texts
+    regime: Texts
+    """Regime of motion."""
     condition: Array
     """Conditions that a residual may depend on, such as temperature, load and speed, shape (m, c); 0 where a
     condition does not apply."""
-    blocks: tuple[str, ...]
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    """Units of the channels."""
-    regimes: tuple[str, ...]
+    key: Texts
+    """Name that is equal in every log of a session: session, motion, channel, number."""
     conditions: tuple[str, ...]
-    keys: tuple[str, ...] = ()
-    """Keys of the m features, equal in every log of a session: session, motion, channel, number."""
+    """Names of the conditions."""
 
     @property
     def size(self) -> int:
@@ -194,10 +192,9 @@ class FeatureLayout:
         return self.sigma.size
 
     def select(self, rows: Ints) -> "FeatureLayout":
-        """Return the layout of some features, in the order of `rows`; all names stay."""
-        arrays = ("sigma", "block", "channel", "regime", "condition")
-        keys = tuple(self.keys[row] for row in rows) if self.keys else ()
-        return replace(self, keys=keys, **{name: getattr(self, name)[rows] for name in arrays})
+        """Return the layout of some features, in the order of `rows`."""
+        names = [one.name for one in fields(self) if one.name != "conditions"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 Departures = Mapping[Hypothesis, Array]
