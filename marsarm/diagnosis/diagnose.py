@@ -241,6 +241,6 @@ def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, by_direct
         regime=REGIMES.get(regime, regime),
         mean_abs=float(np.mean(np.abs(left * layout.sigma[group.rows]))),
         unit=str(layout.unit[group.rows[0]]),
-        depends_on=layout.conditions[strongest - 1] if is_named else "",
+        depends_on=str(layout.conditions[strongest - 1]) if is_named else "",
         depends_share=float(along[strongest] ** 2 / (left @ left)) if is_named else 0.0,
     )

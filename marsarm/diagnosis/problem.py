@@ -10,13 +10,12 @@ variance. N and S are the sensitivities, which are computed once for a campaign,
 finds the few hypotheses whose amplitudes are not 0.
 """
 
-import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -28,15 +27,11 @@ from sim.effects.effect import Effect as PlantEffect
 from simgap import Effect, Size
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
-from simgap.selection.checkpoint import pack, unpack
 
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
-_READ_ERRORS: Final = (
-    *(OSError, EOFError, BadZipFile, zlib.error),
-    *(RuntimeError, ValueError, KeyError, TypeError),
-)
+_READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
 """Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
 BOUND_SHARE: Final = 0.9
 """Largest share of the way to a bound at which a fit starts, or a random effect is."""
@@ -183,8 +178,8 @@ class FeatureLayout:
     condition does not apply."""
     key: Texts
     """Name that is equal in every log of a session: session, motion, channel, number."""
-    conditions: tuple[str, ...]
-    """Names of the conditions."""
+    conditions: Texts
+    """Names of the conditions, shape (c,)."""
 
     @property
     def size(self) -> int:
@@ -301,15 +296,15 @@ class Sensitivities:
         )
 
 
-def save_sensitivities(path: Path, found: Sensitivities) -> None:
-    """Save sensitivities, without what they are of, to an .npz file without pickled objects.
+_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
+"""Arrays of sensitivities beside those of their layout."""
 
-    BadOutput if it cannot be written.
-    """
-    arrays: list[Array] = []
-    document = json.dumps(pack(replace(found, hypotheses=(), nuisances=()), arrays))
+
+def save_sensitivities(path: Path, found: Sensitivities) -> None:
+    """Save sensitivities, without what they are of, to an .npz file; BadOutput if it cannot be written."""
+    arrays = {one.name: getattr(found.layout, one.name) for one in fields(FeatureLayout)}
     with atomic_write(path, "sensitivities") as file:
-        np.savez(file, *arrays, document=np.array(document))
+        np.savez(file, **arrays, **{name: getattr(found, name) for name in _ARRAYS})
 
 
 def load_sensitivities(
@@ -321,9 +316,9 @@ def load_sensitivities(
     """
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = [file[f"arr_{k}"] for k in range(len(file.files) - 1)]
-            found = cast("Sensitivities", unpack(json.loads(str(file["document"])), arrays, {}, "marsarm"))
-            return replace(found, hypotheses=tuple(hypotheses), nuisances=tuple(nuisances))
+            layout = FeatureLayout(**{one.name: file[one.name] for one in fields(FeatureLayout)})
+            arrays = {name: file[name] for name in _ARRAYS}
+            return Sensitivities(layout, tuple(hypotheses), tuple(nuisances), **arrays)
     except _READ_ERRORS as error:
         raise BadRequest(
             f"{path}: no sensitivities ({error}); remove it, and they are computed anew"

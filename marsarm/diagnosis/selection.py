@@ -188,7 +188,7 @@ class FeatureResiduals:
         self.repeat_of = ("",) * len(self.motions)
         self.joint_of: Ints = np.zeros(layout.size, np.intp)
         self.time_s = np.arange(layout.size, dtype=float)  # whitened features have no memory
-        self._condition = dict(zip(layout.conditions, layout.condition.T, strict=True))
+        self._condition = dict(zip(layout.conditions.tolist(), layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates in noise floors, (n_candidates, m).

@@ -131,5 +131,5 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
-        conditions=CONDITIONS,
+        conditions=np.array(CONDITIONS),
     )
