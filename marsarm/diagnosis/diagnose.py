@@ -119,12 +119,12 @@ def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> I
         rows: Residuals as in `Explanation.residuals`, in the units of the channels, shape (m,) each.
         sigma: Standard deviation of the noise in the same units, shape (m,).
     """
-    for channel in np.unique(layout.channel):
+    for channel in dict.fromkeys(layout.channel.tolist()):
         own = layout.channel == channel
         nominal, base, explained = (float(np.mean(np.abs(one[own]))) for one in rows)
         floor = NORMAL_MEAN * float(np.mean(sigma[own]))
-        name, unit = layout.channels[channel], layout.units[channel]
-        yield JointError(name, unit, nominal, base, explained, floor, FeatureResiduals.kind)
+        unit = str(layout.unit[own][0])
+        yield JointError(channel, unit, nominal, base, explained, floor, FeatureResiduals.kind)
 
 
 def _describe_findings(
@@ -235,12 +235,12 @@ def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, by_direct
     along = np.abs(condition_directions(layout, group.rows).T @ left)
     strongest = int(np.argmax(along))
     is_named = by_direction and strongest > 0
-    regime = "all motion" if group.regime is None else layout.regimes[group.regime]
+    regime = group.regime or "all motion"
     return Remainder(
-        joint=layout.channels[group.channel],
+        joint=group.channel,
         regime=REGIMES.get(regime, regime),
         mean_abs=float(np.mean(np.abs(left * layout.sigma[group.rows]))),
-        unit=layout.units[group.channel],
-        depends_on=layout.conditions[strongest - 1] if is_named else "",
+        unit=str(layout.unit[group.rows[0]]),
+        depends_on=str(layout.conditions[strongest - 1]) if is_named else "",
         depends_share=float(along[strongest] ** 2 / (left @ left)) if is_named else 0.0,
     )

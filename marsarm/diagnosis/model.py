@@ -86,9 +86,9 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
     sigma = np.array([sensitivities.nuisances[index].sigma for index in drawn])
     L = sensitivities.nuisance[:, drawn] * sigma / layout.sigma[:, None]
     scatter = []
-    for block in range(len(layout.blocks)):
+    for block in dict.fromkeys(layout.block.tolist()):
         rows = np.flatnonzero(layout.block == block)
-        if rows.size and np.any(L[rows]):
+        if np.any(L[rows]):
             scatter.append(_block_covariance(rows, L[rows]))
     return Whitener(layout.sigma, tuple(scatter))
 
@@ -194,9 +194,9 @@ def fit_linear(equations: NormalEquations, y: Array, chosen: Collection[int]) ->
 class FeatureGroup:
     """Features that are tested together for structure."""
 
-    channel: int
-    regime: int | None
-    """Index of the regime; None for all regimes together."""
+    channel: str
+    regime: str | None
+    """None for all regimes together."""
     rows: Ints
     Q: Array
     """Orthonormal directions, shape (n, d)."""
@@ -323,15 +323,15 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Ar
 def group_features(layout: FeatureLayout) -> tuple[FeatureGroup, ...]:
     """Form the groups of the lack-of-fit test, before data."""
     result = []
-    for channel in np.unique(layout.channel):
+    for channel in dict.fromkeys(layout.channel.tolist()):
         mine = layout.channel == channel
-        regimes = np.unique(layout.regime[mine])
-        for regime in [None, *(int(one) for one in regimes)] if regimes.size > 1 else [None]:
+        regimes = dict.fromkeys(layout.regime[mine].tolist())
+        for regime in [None, *regimes] if len(regimes) > 1 else [None]:
             rows = np.flatnonzero(mine if regime is None else mine & (layout.regime == regime))
             if rows.size >= MIN_GROUP_FEATURES:
                 U, s, _ = np.linalg.svd(condition_directions(layout, rows), full_matrices=False)
                 Q = U[:, s > MIN_DIRECTION_SHARE * s[0]]
-                result.append(FeatureGroup(int(channel), regime, rows, Q))
+                result.append(FeatureGroup(channel, regime, rows, Q))
     return tuple(result)
 
 

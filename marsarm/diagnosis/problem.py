@@ -10,13 +10,12 @@ variance. N and S are the sensitivities, which are computed once for a campaign,
 finds the few hypotheses whose amplitudes are not 0.
 """
 
-import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -28,15 +27,11 @@ from sim.effects.effect import Effect as PlantEffect
 from simgap import Effect, Size
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
-from simgap.selection.checkpoint import pack, unpack
 
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
-_READ_ERRORS: Final = (
-    *(OSError, EOFError, BadZipFile, zlib.error),
-    *(RuntimeError, ValueError, KeyError, TypeError),
-)
+_READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
 """Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
 BOUND_SHARE: Final = 0.9
 """Largest share of the way to a bound at which a fit starts, or a random effect is."""
@@ -44,6 +39,7 @@ ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
 
 Ints = NDArray[np.intp]
+Texts = NDArray[np.str_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,27 +162,24 @@ class Nuisance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureLayout:
-    """Description of m features."""
+    """Description of m features; texts and numbers of shape (m,)."""
 
     sigma: Array
-    """Noise floor: standard deviation between repeats, in the unit of the channel, shape (m,)."""
-    block: Ints
-    """Index of the motion under one condition: the unit of the bootstrap, shape (m,)."""
-    channel: Ints
-    """Index of the measured quantity, shape (m,)."""
-    regime: Ints
-    """Index of the regime of motion, shape (m,)."""
+    """Noise floor: standard deviation between repeats, in the unit of the channel."""
+    block: Texts
+    """Motion under one condition: the unit of the bootstrap."""
+    channel: Texts
+    """Measured quantity with its place."""
+    unit: Texts
+    regime: Texts
+    """Regime of motion."""
     condition: Array
     """Conditions that a residual may depend on, such as temperature, load and speed, shape (m, c); 0 where a
     condition does not apply."""
-    blocks: tuple[str, ...]
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    """Units of the channels."""
-    regimes: tuple[str, ...]
-    conditions: tuple[str, ...]
-    keys: tuple[str, ...] = ()
-    """Keys of the m features, equal in every log of a session: session, motion, channel, number."""
+    key: Texts
+    """Name that is equal in every log of a session: session, motion, channel, number."""
+    conditions: Texts
+    """Names of the conditions, shape (c,)."""
 
     @property
     def size(self) -> int:
@@ -194,10 +187,9 @@ class FeatureLayout:
         return self.sigma.size
 
     def select(self, rows: Ints) -> "FeatureLayout":
-        """Return the layout of some features, in the order of `rows`; all names stay."""
-        arrays = ("sigma", "block", "channel", "regime", "condition")
-        keys = tuple(self.keys[row] for row in rows) if self.keys else ()
-        return replace(self, keys=keys, **{name: getattr(self, name)[rows] for name in arrays})
+        """Return the layout of some features, in the order of `rows`."""
+        names = [one.name for one in fields(self) if one.name != "conditions"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 Departures = Mapping[Hypothesis, Array]
@@ -304,15 +296,15 @@ class Sensitivities:
         )
 
 
-def save_sensitivities(path: Path, found: Sensitivities) -> None:
-    """Save sensitivities, without what they are of, to an .npz file without pickled objects.
+_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
+"""Arrays of sensitivities beside those of their layout."""
 
-    BadOutput if it cannot be written.
-    """
-    arrays: list[Array] = []
-    document = json.dumps(pack(replace(found, hypotheses=(), nuisances=()), arrays))
+
+def save_sensitivities(path: Path, found: Sensitivities) -> None:
+    """Save sensitivities, without what they are of, to an .npz file; BadOutput if it cannot be written."""
+    arrays = {one.name: getattr(found.layout, one.name) for one in fields(FeatureLayout)}
     with atomic_write(path, "sensitivities") as file:
-        np.savez(file, *arrays, document=np.array(document))
+        np.savez(file, **arrays, **{name: getattr(found, name) for name in _ARRAYS})
 
 
 def load_sensitivities(
@@ -324,9 +316,9 @@ def load_sensitivities(
     """
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = [file[f"arr_{k}"] for k in range(len(file.files) - 1)]
-            found = cast("Sensitivities", unpack(json.loads(str(file["document"])), arrays, {}, "marsarm"))
-            return replace(found, hypotheses=tuple(hypotheses), nuisances=tuple(nuisances))
+            layout = FeatureLayout(**{one.name: file[one.name] for one in fields(FeatureLayout)})
+            arrays = {name: file[name] for name in _ARRAYS}
+            return Sensitivities(layout, tuple(hypotheses), tuple(nuisances), **arrays)
     except _READ_ERRORS as error:
         raise BadRequest(
             f"{path}: no sensitivities ({error}); remove it, and they are computed anew"

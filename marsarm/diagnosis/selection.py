@@ -183,12 +183,12 @@ class FeatureResiduals:
             one.key: np.flatnonzero(sensitivities.owner == h)
             for h, one in enumerate(sensitivities.hypotheses)
         }
-        present, self.motion_of = np.unique(layout.block, return_inverse=True)
-        self.motions = tuple(layout.blocks[block] for block in present)
+        number = {block: k for k, block in enumerate(dict.fromkeys(layout.block.tolist()))}
+        self.motions, self.motion_of = tuple(number), np.array([number[one] for one in layout.block.tolist()])
         self.repeat_of = ("",) * len(self.motions)
         self.joint_of: Ints = np.zeros(layout.size, np.intp)
         self.time_s = np.arange(layout.size, dtype=float)  # whitened features have no memory
-        self._condition = dict(zip(layout.conditions, layout.condition.T, strict=True))
+        self._condition = dict(zip(layout.conditions.tolist(), layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates in noise floors, (n_candidates, m).

@@ -71,7 +71,6 @@ COMPARING_MODULES: Final = (
     "simgap.serial_arm.chain",
     "marsarm.diagnosis.problem",
     "marsarm.diagnosis.model",
-    "simgap.selection.checkpoint",
 )
 """Modules outside the simulator and this package that influence the result."""
 NUMERICS_SHARE: Final = 0.1

@@ -179,14 +179,14 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     sessions = np.array([one.recording.name for one in features])
     is_moving = np.array([one.key.startswith("motion ") for one in features])
     layout = case.layout
-    for channel in np.unique(layout.channel[is_moving]):
+    for channel in dict.fromkeys(layout.channel[is_moving].tolist()):
         for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
             rows = np.flatnonzero(is_moving & (layout.channel == channel) & (sessions == session))
             yield Trace(
-                layout.channels[channel],
+                channel,
                 FeatureResiduals.kind,
                 str(session),
-                layout.units[channel],
+                str(layout.unit[rows[0]]),
                 np.asarray(np.arange(rows.size) * BIN_TICKS / CYCLE_HZ, np.float64),
                 measured[rows],
                 nominal[rows],
@@ -242,7 +242,7 @@ def _judge_held_out(
     base = residual - N @ found.nuisance
     rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error(held.layout.keys, rows, sigma, arm.feature_set.arm.params)
+    tool = compute_tool_error(held.layout.key.tolist(), rows, sigma, arm.feature_set.arm.params)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 
@@ -254,7 +254,7 @@ def _find_missing(case: CaseSimulator, campaign: CampaignModel) -> tuple[str, ..
     """
     layout = campaign.model.sensitivities.layout
     every, shared = (
-        {key.split("/", 1)[0] for key in keys} for keys in (layout.keys, layout.select(case.rows).keys)
+        {key.split("/", 1)[0] for key in keys.tolist()} for keys in (layout.key, layout.key[case.rows])
     )
     names = ", ".join(sorted(every - shared))
     if case.rows.size < MIN_FEATURE_SHARE * layout.size:

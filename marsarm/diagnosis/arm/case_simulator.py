@@ -84,9 +84,8 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimula
     The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
     later shifts a start by a part of a bin, and its mean current by many noise floors.
     """
-    number = {key: k for k, key in enumerate(arm.layout.keys)}
-    rows = np.array([row for row, key in enumerate(layout.keys) if key in number], np.intp)
-    at = np.array([number[layout.keys[row]] for row in rows], np.intp)
+    _, rows, at = np.intersect1d(layout.key, arm.layout.key, return_indices=True)
+    rows, at = np.sort(rows), at[np.argsort(rows)]
     predicted = arm.predict_effects(())
     difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & np.isfinite(predicted[at])
@@ -207,7 +206,7 @@ def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
     is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in nuisances])
     second_order = model.sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
     curved = np.abs(second_order) > MIN_CURVED * layout.sigma
-    return {layout.blocks[b] for b in np.unique(layout.block[curved])}
+    return {*layout.block[curved].tolist()}
 
 
 def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Array) -> NuisanceFit:

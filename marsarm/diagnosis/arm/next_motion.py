@@ -99,14 +99,14 @@ def propose_motion(
     old = [_slopes(model.sensitivities, own) for own in settings]
     known = np.ones(len(planned.shared_nuisances))
     priors = [np.concatenate([known, np.full(_sizes(own).size, np.inf)]) for own in settings]
-    blocks = np.unique(planned.layout.block)
+    blocks = [*dict.fromkeys(planned.layout.block.tolist())]
     rows = [np.flatnonzero(planned.layout.block == block) for block in blocks]
 
     def differentiate(some: Sequence[int]) -> list[Slopes]:
         return [[scale_slopes(new[k][rows[m]], old[k], priors[k]) for k in range(len(group))] for m in some]
 
     choice = choose_motion([white[:, own] for own in rows], differentiate)
-    named = tuple(words[planned.layout.blocks[block]] for block in blocks)
+    named = tuple(words[block] for block in blocks)
     curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
     keys = tuple(one.effect for one in group)
     return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
@@ -137,14 +137,14 @@ def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
 def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
     """Draw what rivals predict in the channels in which they differ most, and by more than the noise."""
     layout, curves = planned.layout, []
-    for channel in np.unique(layout.channel[rows]):
+    for channel in dict.fromkeys(layout.channel[rows].tolist()):
         own = rows[layout.channel[rows] == channel]
         if own.size == 1:  # a reading at rest
             continue
         predicted, noise = changes[:, own], float(np.mean(layout.sigma[own]))
         time_s = BIN_s * np.arange(float(own.size))
         differing = predicted - predicted.mean(axis=0)
-        curves.append(Curve(layout.channels[channel], layout.units[channel], time_s, differing, noise))
+        curves.append(Curve(channel, str(layout.unit[own[0]]), time_s, differing, noise))
     peaks = [float(np.max(np.abs(one.values))) / one.noise for one in curves]
     order = sorted(range(len(curves)), key=lambda k: -peaks[k])[:MOST_DRAWN]
     return [curves[k] for k in order if peaks[k] > 1.0]

@@ -12,7 +12,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import family_of, locate
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, simulate_features
 from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
-from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Ints, Parameter
+from marsarm.diagnosis.problem import LOG_UNIT, FeatureLayout, Hypothesis, Parameter
 from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect
@@ -123,26 +123,13 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
         sigma: Noise floor in the units of the channels, shape (m,).
     """
     features = feature_set.list_features()
-    named = [feature.channel_name for feature in features]
-    blocks, regimes = (
-        tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "regime")
-    )
-    units = {name: UNITS[f.channel] for name, f in zip(named, features, strict=True)}
     return FeatureLayout(
         sigma=sigma,
-        block=_name_indices(blocks, [f.block for f in features]),
-        channel=_name_indices(tuple(units), named),
-        regime=_name_indices(regimes, [f.regime for f in features]),
-        condition=np.array([f.condition for f in features]).reshape(-1, len(CONDITIONS)),
-        blocks=blocks,
-        channels=tuple(units),
-        units=tuple(units.values()),
-        regimes=regimes,
-        conditions=CONDITIONS,
-        keys=tuple(f"{one.recording.name}/{one.key}" for one in features),
+        block=np.array([one.block for one in features], str),
+        channel=np.array([one.channel_name for one in features], str),
+        unit=np.array([UNITS[one.channel] for one in features], str),
+        regime=np.array([one.regime for one in features], str),
+        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
+        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
+        conditions=np.array(CONDITIONS),
     )
-
-
-def _name_indices(names: tuple[str, ...], of: list[str]) -> Ints:
-    number = {name: k for k, name in enumerate(names)}
-    return np.array([number[name] for name in of], np.intp)

@@ -31,10 +31,10 @@ def test_an_effect_has_its_interval_and_says_what_is_the_same(results):
     assert "; the same here as effect " in aliased.text
 
 
-def test_structure_is_reported_where_it_is(results, made):
+def test_structure_is_reported_where_it_is(results):
     for name, expected in (("unknown", True), ("beside", True), ("named", False), ("nothing", False)):
         assert bool(results[name].remaining) is expected
-    assert results["unknown"].remaining[0].joint == made.layout.channels[6]
+    assert results["unknown"].remaining[0].joint == "place 2.a"
 
 
 def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):
@@ -49,8 +49,8 @@ def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):
 def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, campaign, rng):
     first, second = 10, 16
     assert made.hypotheses[first].place != made.hypotheses[second].place
-    layout = made.layout
-    strange = 3.0 * layout.sigma * layout.condition[:, 1] * layout.condition[:, 3] * (layout.channel == 12)
+    layout, c = made.layout, made.layout.condition
+    strange = 3.0 * layout.sigma * c[:, 1] * c[:, 3] * (layout.channel == "place 4.a")
     t = sized(made, campaign, first, 8.0) + sized(made, campaign, second, 8.0)
     diagnosis = _diagnose(made, campaign, rng, t, strange)
     assert diagnosis.remaining

@@ -23,7 +23,7 @@ BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
 
 def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, results):
     """All blocks but one are made blind; the one that is left has to be chosen."""
-    blind = np.where(made.layout.block == 6, 1.0, 1e6)
+    blind = np.where(made.layout.block == "motion 6", 1.0, 1e6)
     layout = replace(made.layout, sigma=0.1 * blind * made.layout.sigma)
     rivals = results["undecided"].rivals
     proposal = propose_motion(campaign, rivals, replace(made, layout=layout), BLOCKS)
@@ -98,7 +98,8 @@ def propose(tmp_path, monkeypatch, made, campaign, results):
 
     def compute(logs, kept_in, run, progress, kinds, steps_of, arm):
         assert set(kinds) <= {one.effect for one in made.hypotheses}
-        layout = replace(made.layout, blocks=tuple(recorded[:15]), sigma=0.01 * made.layout.sigma)
+        block = np.array([recorded[int(one.split()[1])] for one in made.layout.block])
+        layout = replace(made.layout, block=block, sigma=0.01 * made.layout.sigma)
         return replace(made, layout=layout)
 
     for name, stand_in in (("diagnose", diagnose), ("record_campaign", record)):

@@ -30,6 +30,7 @@ class World(Sensitivities):
         A robot, by number, has the same nuisances in every campaign.
         """
         layout, same = self.layout, rng if robot is None else np.random.default_rng(robot)
+        block_of = np.cumsum(layout.block != np.roll(layout.block, 1)) - 1
         value = layout.sigma * rng.standard_normal(layout.size)
         if t is not None:
             value += self.effect @ t + self.curve @ t**2
@@ -37,10 +38,8 @@ class World(Sensitivities):
             value += extra
         for index, nuisance in enumerate(self.nuisances):
             each = nuisance.random_per_block
-            draw = rng.standard_normal(len(layout.blocks)) if each else same.standard_normal(1)
-            value += (
-                self.nuisance[:, index] * nuisance.sigma * np.resize(draw, len(layout.blocks))[layout.block]
-            )
+            draw = rng.standard_normal(block_of[-1] + 1) if each else same.standard_normal(1)
+            value += self.nuisance[:, index] * nuisance.sigma * np.resize(draw, block_of[-1] + 1)[block_of]
         return value
 
 
@@ -63,8 +62,8 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     channels = tuple(f"{names[1][c // 3]}.{'abc'[c % 3]}" for c in range(3 * places))
     sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
     layout = FeatureLayout(
-        sigma, block, channel, block % 3, condition, names[0], channels, ("u",) * len(channels), REGIMES,
-        CONDITIONS,
+        sigma, np.array(names[0])[block], np.array(channels)[channel], np.full(m, "u"),
+        np.array(REGIMES)[block % 3], condition, np.arange(m).astype(str), np.array(CONDITIONS),
     )  # fmt: skip
     basis = _basis(condition, channel)
     shapes = [
@@ -106,7 +105,7 @@ def sized(made, campaign, one, times):
 def strange(made):
     """Return structure (m,) in one channel that no hypothesis imitates."""
     c, layout = made.layout.condition, made.layout
-    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == 6)
+    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == "place 2.a")
 
 
 def indices(model, diagnosis):

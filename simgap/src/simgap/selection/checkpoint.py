@@ -203,17 +203,14 @@ def pack(value: object, arrays: list[Array]) -> Any:
     return value
 
 
-def unpack(
-    document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect], package: str = "simgap"
-) -> Any:
+def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]) -> Any:
     """Make the result of a document, the inverse of `pack`; KeyError if an effect or a record is not there.
 
     Args:
         arrays: Arrays of the result, (...) of any units.
-        package: Name of the package whose records the result has.
     """
     if isinstance(document, list):
-        return [unpack(one, arrays, effects, package) for one in document]
+        return [unpack(one, arrays, effects) for one in document]
     if not isinstance(document, dict):
         return document
     if "effect" in document:
@@ -221,12 +218,12 @@ def unpack(
     if "array" in document:
         return arrays[document["array"]]
     if "tuple" in document:
-        return tuple(unpack(document["tuple"], arrays, effects, package))
+        return tuple(unpack(document["tuple"], arrays, effects))
     module, name = document["record"]
-    record = vars(sys.modules[module])[name] if module.startswith(f"{package}.") else None
+    record = vars(sys.modules[module])[name] if module.startswith("simgap.") else None
     if not (isinstance(record, type) and is_dataclass(record)):
         raise KeyError(name)
-    return record(*unpack(document["fields"], arrays, effects, package))
+    return record(*unpack(document["fields"], arrays, effects))
 
 
 def digest_code() -> str:

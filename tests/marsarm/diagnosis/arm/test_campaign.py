@@ -274,7 +274,7 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     np.testing.assert_array_equal(first.effect, again.effect)
     biases = [one.effect == "resolver-bias" for one in first.hypotheses]
     assert np.linalg.matrix_rank(first.effect[:, biases]) == len(Joint) == sum(biases)
-    assert first.layout.channels[0] == "azimuth resolver-encoder"
+    assert first.layout.channel[0] == "azimuth resolver-encoder"
     _stiffness_has_the_slope_of_its_nuisance(first)
 
 
