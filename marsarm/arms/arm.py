@@ -215,12 +215,20 @@ def _draw_arm(axes: Any, layout: ArmLayout, vertical: int) -> None:
     draw_outlines(axes, arm, facecolor=svg.LIGHT, edgecolor=svg.MUTED, alpha=0.35)
     for number, link in enumerate(LINK_NAMES):
         X = layout.X_RF[link]
-        _draw_triad(axes, Pose(X.R[list(plane)], X.p[list(plane)]), link.title(), is_above=number % 2 == 0)
+        p = X.p[list(plane)]
+        _draw_triad(axes, Pose(X.R[list(plane)], p))
+        shift = (8, 14) if number % 2 == 0 else (-34, -28)
+        name = link.title()
+        axes.annotate(name, p, xytext=shift, textcoords="offset points", fontsize=9, bbox=BEHIND_NAME)
     p = np.array([X.p for X in layout.X_RF.values()])[:, plane]
     low, high = p.min(axis=0) - MARGIN_M, p.max(axis=0) + MARGIN_M
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for axis, colour in AXES:
         axes.plot([], [], color=colour, linewidth=2.0, label=f"{axis} axis")
+
+
+BEHIND_NAME: Final = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0}
+"""Box that parts a name from the lines behind it."""
 
 
 def _draw_turret(axes: Any, layout: ArmLayout) -> None:
@@ -232,14 +240,13 @@ def _draw_turret(axes: Any, layout: ArmLayout) -> None:
         X = layout.X_RF[tool]
         R, p = turret.R.T @ X.R, turret.R.T @ (X.p - turret.p)
         axes.plot((0.0, p[0]), (0.0, p[1]), color=svg.FAINT)
-        _draw_triad(axes, Pose(R[:2], p[:2]), tool, is_above=True)
+        _draw_triad(axes, Pose(R[:2], p[:2]))
+        axes.text(*(0.75 * p[:2]), tool, ha="center", va="center", bbox=BEHIND_NAME)
     axes.set(title="Tools, in Arm6, along its z axis", xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.margins(0.25)
 
 
-def _draw_triad(axes: Any, X: Pose, name: str, is_above: bool) -> None:
-    """Draw the axes and the name of a frame; R (2, 3) and p (2,) are in the plane of the picture."""
+def _draw_triad(axes: Any, X: Pose) -> None:
+    """Draw the axes of a frame; R (2, 3) and p (2,) are in the plane of the picture."""
     for k, (_, colour) in enumerate(AXES):
         axes.plot(*np.array([X.p, X.p + TRIAD_M * X.R[:, k]]).T, color=colour, linewidth=2.0)
-    shift = (6, 7) if is_above else (-26, -26)
-    axes.annotate(name, X.p, xytext=shift, textcoords="offset points", color=svg.INK, fontsize=9)

@@ -114,8 +114,8 @@ def watch_log(path: Path) -> WatchedRun:
     named = log.header.get("arm", "")
     if params.model.name != arm.model.name:
         raise BadRequest(
-            f"log {path}: is of the drawing {params.model.name!r}, which {named!r} does not name here; view "
-            "it where the folder of that drawing is"
+            f"log {path}: is of the drawing {params.model.name!r}, which {named!r} does not name here; call "
+            f"`marsarm view` in the folder where it does, in which the run was recorded"
         )
     samples = Samples.of_log(log)
     if samples.true_rad is not None and not is_known:

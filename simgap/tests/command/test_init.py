@@ -124,7 +124,7 @@ def test_units_come_from_names_and_velocities_from_the_change_of_positions(tmp_p
     assert elbow["command"] == {"column": "elbow_target", "unit": "deg"}
     assert elbow["velocity"]["unit"] == "rpm"
     assert any("kp_Nm_rad" in one for one in document["questions"])
-    assert any("Write its rate, below 10000" in one for one in document["questions"])
+    assert any("Write that rate, below 10000" in one for one in document["questions"])
 
 
 def test_degrees_and_percent_are_a_question(tmp_path):

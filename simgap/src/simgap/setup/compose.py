@@ -204,7 +204,8 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
     draft.reasons["control_rate_Hz",] = "the rate of the log"
     most_Hz = f"{rate_Hz / SLOWEST:g}"
     draft.ask(
-        f"does the loop that computes torques run faster than the log? Write its rate, below {most_Hz}",
+        "are torques computed more often than logged, as by a motor's own controller or by MuJoCo's "
+        f"actuators (at each time step)? Write that rate, below {most_Hz}",
         "control_rate_Hz",
     )
     sites = [model.site(k).name for k in range(model.nsite)]
