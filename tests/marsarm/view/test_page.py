@@ -141,6 +141,8 @@ def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
         browser.open(page.as_uri() + "#t=2&x=20&camera=tool", 1400, 900)
         assert browser.evaluate("[player.playing, player.time, Math.round(player.factor)]") == [False, 2, 20]
         assert browser.evaluate("player.orbit.distance") == pytest.approx(1.3)
+        counts = browser.evaluate("[[0.8, 9.2], [-1, 1]].map((ends) => ticksBetween(...ends).length)")
+        assert all(2 <= count <= 5 for count in counts)
         shown = browser.evaluate("""(() => { const plot = player.plots[0];
           player.show(1, 3); player.point(1.5); player.draw(); plot.choose(2, true);
           return [player.range, plot.shown, plot.labels[0].value.textContent]; })()""")
