@@ -181,7 +181,11 @@ def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tupl
         return False, "the effect is in no set that was reported" if findings else "the effect was not found"
     if any(one not in right for one in named):
         return False, "the effect was found, but another was named beside it"
-    return True, f"the {level(right[0])} was reported"
+    known = level(right[0])
+    return (
+        True,
+        "something was reported, and no place for it" if known == "none" else f"the {known} was reported",
+    )
 
 
 def holds(model: DiagnosisModel, finding: Finding, alike: Sequence[int]) -> bool:
