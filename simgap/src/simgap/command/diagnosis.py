@@ -269,11 +269,13 @@ def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
     """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
     if made.request.report is not None:
         save_page_of(made, made.request.report)
-    folder = made.request.patch
+    folder, apart = made.request.patch, None
     if made.patch is not None and folder is not None:
         try:
             if isinstance(made.patch, Patch):
                 write_patch(made.patch, folder)
+                if made.patch.runtime:
+                    apart = f"{folder / RUNTIME_FILE} has what {MODEL_FILE} lacks: train with both"
             else:
                 folder.mkdir(exist_ok=True)
                 _write_arm(made, made.patch, folder / ARM_FILE, "named")
@@ -281,7 +283,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
                     _write_arm(made, made.fitted.found.arm, folder / CALIBRATED_FILE, "fitted")
         except OSError as error:
             raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
-    return file_lines({"report": made.request.report, "patch": folder})
+    return file_lines({"report": made.request.report, "patch": folder, "runtime": apart})
 
 
 def save_page_of(made: RobotDiagnosis, path: Path) -> None:
