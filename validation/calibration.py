@@ -84,6 +84,7 @@ def campaign(context: Context, arms: int = 20, closed_loop: bool = False) -> Doc
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {
+        "no fit is refused": not any(r["refused"] for r in results),
         "five times better on held-out poses": min(r["factor"] for r in results) >= 5,
         "under 5 mm": max(r["held_out_max_mm"] for r in results) < 5,
         "held out within 1.3 of what is expected": max(r["held_out_over_expected"] for r in results) <= 1.3,

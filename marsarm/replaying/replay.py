@@ -226,7 +226,7 @@ def difference_lines(found: Differences) -> Iterator[str]:
     if driven is not None:
         yield (
             f"note      the joints are driven otherwise from {_at(driven.first_tick)} on; the sensors answer "
-            "the recorded drive, so what follows is no prediction"
+            "the recorded drive, so what comes later is no prediction"
         )
     for c in found.channels:
         yield from _channel_lines(c)
@@ -243,7 +243,7 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
         f"{c.compared} ticks, by up to {c.greatest:.3g} at {_at(c.greatest_tick)}"
     )
     first = _component_name(c.channel, c.first_component)
-    yield f"          {first} there: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
+    yield f"          {first} at {_at(c.first_tick)}: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
 
 
 def _evr_line(one: EvrDifference) -> str:

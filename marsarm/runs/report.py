@@ -210,6 +210,7 @@ def hardstop_document(report: "HardstopReport") -> dict[str, Any]:
         "max_current_ratio": float(result.max_current_ratio.max()),
         "duration_s": result.duration_s,
         "evrs": [evr_document(*one) for one in result.evrs],
+        "picture": request.picture,
     }
 
 
@@ -228,6 +229,7 @@ def hardstop_parts(report: "HardstopReport") -> list[str | ReportTable]:
         ReportTable((*head, "most on stop N m"), rows, title),
         "errors are against the true hardstop of this arm, which flight software cannot see",
         *events,
+        *file_lines({"picture": request.picture}),
     ]
 
 
