@@ -181,11 +181,9 @@ def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tupl
         return False, "the effect is in no set that was reported" if findings else "the effect was not found"
     if any(one not in right for one in named):
         return False, "the effect was found, but another was named beside it"
-    known = level(right[0])
-    return (
-        True,
-        "something was reported, and no place for it" if known == "none" else f"the {known} was reported",
-    )
+    if level(right[0]) == "none":
+        return True, "something was reported, and no place for it"
+    return True, f"the {level(right[0])} was reported"
 
 
 def holds(model: DiagnosisModel, finding: Finding, alike: Sequence[int]) -> bool:

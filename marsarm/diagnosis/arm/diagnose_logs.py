@@ -66,6 +66,11 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     fitted = load_checked_recordings(logs, base, arm)
     params = base or fitted[0].params
     judged = load_checked_recordings(held_out, params, arm)
+    digests = {
+        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        for kind, paths in (("logs", logs), ("held-out logs", held_out))
+        if paths
+    }
     _check_sessions((*logs, *held_out), fitted, judged)
     missing = find_missing_motion(fitted)
     if missing:
@@ -85,11 +90,6 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     found = diagnose_case(
         fitted, judged, campaign, request.seed, (*effects_of_params(params, arm.params), *patch)
     )
-    digests = {
-        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
-        for kind, paths in (("logs", logs), ("held-out logs", held_out))
-        if paths
-    }
     return replace(found, params=params, digests=digests | {"parameters": digest(params)})
 
 

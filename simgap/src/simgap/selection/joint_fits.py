@@ -131,11 +131,8 @@ def add_effects(
     if isinstance(model, Blocks):  # what was explained is no memory of the noise
         model = cut_into_blocks(model.whole, together)
         context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    scales, fits, more = (
-        scale_residuals(model, together),
-        (*present.fits, *found),
-        (*present.effects, *effects),
-    )
+    scales = scale_residuals(model, together)
+    fits, more = (*present.fits, *found), (*present.effects, *effects)
     while True:
         context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
         fits = resume_step(fit_joints, context, more, sizes, fits)
