@@ -93,40 +93,31 @@ class Checkpoint:
         """Read the complete lines into `done`, and return their length in bytes."""
         if not os.path.isfile(self._path):
             raise self._refuse("this is not a regular file")
-        text = self._path.read_bytes()
-        head, *lines = text.splitlines(keepends=True) or [b""]
-        begin = f'{{"{REQUEST}"'.encode()
-        if not head.startswith(begin) and not begin.startswith(text):
+        text, begin = self._path.read_bytes(), f'{{"{REQUEST}"'.encode()
+        if not text.startswith(begin) and not begin.startswith(text):
             raise self._refuse("holds something else")
-        if not head.endswith(b"\n"):
-            return 0
-        self._check_request(self._parse(1, head)[REQUEST])
-        if lines and not lines[-1].endswith(b"\n"):
-            lines.pop()
-        for number, line in enumerate(lines, start=2):
-            result = self._parse(number, line)
+        whole = text[: text.rfind(b"\n") + 1]
+        for number, line in enumerate(whole.splitlines(), start=1):
+            try:
+                result = json.loads(line)
+            except ValueError as error:
+                raise self._refuse(f"line {number} is not JSON") from error
+            if number == 1:
+                self._check_request(result[REQUEST])
+                continue
             try:
                 read(result)
             except (KeyError, TypeError, ValueError) as error:
                 raise self._refuse(f"line {number} is no result") from error
             self.done.append(result)
-        return sum(map(len, (head, *lines)))
-
-    def _parse(self, number: int, line: bytes) -> dict[str, Any]:
-        try:
-            return dict(json.loads(line))
-        except ValueError as error:
-            raise self._refuse(f"line {number} is not JSON") from error
-        except TypeError as error:
-            raise self._refuse(f"line {number} is no result") from error
+        return len(whole)
 
     def _check_request(self, recorded: Any) -> None:
-        if recorded == self._request:
-            return
         old = recorded if isinstance(recorded, dict) else {}
-        names = [name for name in self._request if old.get(name) != self._request[name]]
-        changes = ", ".join(f"{name} {old.get(name)} there, {self._request[name]} now" for name in names)
-        raise self._refuse(f"of another request ({changes})")
+        if recorded != self._request:
+            names = [name for name in self._request if old.get(name) != self._request[name]]
+            changes = ", ".join(f"{name} {old.get(name)} there, {self._request[name]} now" for name in names)
+            raise self._refuse(f"of another request ({changes})")
 
     def _refuse(self, why: str) -> BadRequest:
         return BadRequest(f"results {self._path}: {why}; {NEW_FILE}")

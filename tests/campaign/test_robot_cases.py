@@ -19,10 +19,10 @@ from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
 from validation.cases.bars import LEVELS
-from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs, write_robot
+from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
-from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times
+from validation.cases.robot_setup import HELD_OUT, PLAN, sample_times, write_robot
 from validation.cases.sealed import (
     SealedTruth,
     case_path,
@@ -119,17 +119,17 @@ def test_the_counts_of_the_bars_are_those_of_an_exact_test(of, rate, most):
 
 
 def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path):
-    robot, times = load_robot("pendulum"), sample_times()
+    times = sample_times()
     signal = Signal(times, np.sin(times))
     joint = JointLog(position=signal, command=signal, temperature=signal)
     motions = tuple(Motion(name, {"swing": joint}, {"swing": 1.0}) for name, _ in PLAN)
-    write_robot(tmp_path / "robot", robot, HELD_OUT, tuple(one.name for one in motions))
+    robot_file = write_robot(tmp_path / "robot", "pendulum")
     write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
     table = pq.read_table(tmp_path / "log.parquet")
     columns = "motion repeat t_s command_swing position_swing temperature_swing"
     assert table.column_names == columns.split()
     assert not table.schema.metadata
-    read = load(tmp_path / "robot" / "robot.toml", tmp_path / "log.parquet")
+    read = load(robot_file, tmp_path / "log.parquet")
     assert (len(read.fit), len(read.judged)) == (8, 4)
     assert read.motions[3].joints["swing"].position.value == pytest.approx(signal.value)
 

@@ -5,7 +5,6 @@ motion is proposed. The true servo makes it, and the case is diagnosed again wit
 part in solving as the servo does: it makes the motion, and says which cases count.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from simgap.robot import Robot
 from validation.campaigns import Context, Document
 from validation.cases import robot_draw, sealed
 from validation.cases.bars import score_bars
-from validation.cases.robot import DIAGNOSIS_SEED, INDEX_FILE, ROBOT_FILE, ROBOTS_FOLDER, to_document
+from validation.cases.robot import DIAGNOSIS_SEED, find_robot_file, to_document
 from validation.cases.robot_score import SealedCase, members, pair_up, plain_place
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
@@ -50,9 +49,8 @@ class NextCases(ServoCases):
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a log, and again with the proposed motion where that counts."""
-        model = json.loads((folder / INDEX_FILE).read_bytes())[case.stem]
         truth = next(one for one in sealed.load_truth(folder, self).cases if one.name == case.stem)
-        robot = Robot.from_toml(folder / ROBOTS_FOLDER / model / ROBOT_FILE)
+        robot = Robot.from_toml(find_robot_file(folder, case.stem))
         logs = load(robot, case)
         try:
             found, usable = _diagnose(robot, logs)

@@ -17,7 +17,6 @@ from simgap.checks.audit import audit
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
 from simgap.common.report import to_json
-from simgap.common.toml import toml_text
 from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import Logs
@@ -27,12 +26,11 @@ from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
 from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
-from validation.cases.robot_setup import ARMS, HELD_OUT, MODELS, PLAN, load_robot
+from validation.cases.robot_setup import ARMS, ROBOT_FILE, load_robot, write_robot
 from validation.cases.robot_table import entries_of
 from validation.cases.sealed import CaseScore, SealedTruth
 
 ROBOTS_FOLDER: Final = "robots"
-ROBOT_FILE: Final = "robot.toml"
 INDEX_FILE: Final = "cases.json"
 """Robot of each case: all that solving is told."""
 DIAGNOSIS_SEED: Final = 1
@@ -86,9 +84,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         if drawn != [(one.seed, one.kind) for one in plans]:
             raise BadRequest(f"out {folder}: holds drafts of another seed or number; give a new folder")
         for model in self.models:
-            names = tuple(name for name, _ in PLAN)
-            robot = load_robot(model)
-            write_robot(folder / ROBOTS_FOLDER / model, robot, HELD_OUT, names, MODELS[model].is_servo)
+            write_robot(folder / ROBOTS_FOLDER / model, model)
         sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
         return drafts
 
@@ -155,46 +151,6 @@ def to_document(found: Diagnosis) -> Document:
     names = ("findings", "remaining", "errors")
     document = {name: to_json(getattr(found, name)) for name in names}
     return {**document, "refused": "; ".join(one.reason for one in found.refused)}
-
-
-def write_robot(
-    folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...], is_servo: bool = False
-) -> None:
-    """Write robot file, model and split of a robot; logs of a servo have its gain and its power."""
-    servo = {"gain_column": "gain", "enabled": {"column": "enabled", "unit": "flag"}} if is_servo else {}
-    folder.mkdir(parents=True, exist_ok=True)
-    robot_table = {
-        "name": robot.name,
-        "model": "model.xml",
-        "split": "split.toml",
-        "time_step_s": float(robot.model.opt.timestep),
-        "control_rate_Hz": 1.0 / robot.control_period_s,
-        "tool_site": robot.tool_site,
-        "time": {"column": "t_s", "unit": "s"},
-        "motion": {"columns": ["motion"], "repeat_column": "repeat"},
-        "joints": {
-            joint.name: {
-                "mode": "position",
-                **{name: getattr(joint, name) for name in ("kp_Nm_rad", "kd_Nms_rad", "torque_limit_Nm")},
-                "is_known": joint.is_known,
-                **servo,
-                **{
-                    name: {"column": f"{name}_{joint.name}", "unit": unit}
-                    for name, unit in (("command", "rad"), ("position", "rad"), ("temperature", "degC"))
-                },
-            }
-            for joint in robot.joints
-        },
-    }
-    split = {
-        "default": "fit",
-        "parts": {"fit": [name for name in motions if name not in held_out], "held_out": sorted(held_out)},
-        "splits": {"fit": {"fit": ["fit"], "held_out": ["held_out"]}},
-    }
-    texts = {ROBOT_FILE: toml_text(robot_table), "split.toml": toml_text(split)}
-    texts["model.xml"] = robot.model_xml.strip() + "\n"
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
 
 
 def write_logs(path: Path, logs: Logs) -> None:

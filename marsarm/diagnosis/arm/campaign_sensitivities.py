@@ -25,9 +25,9 @@ import sim
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, in_order
-from marsarm.diagnosis.arm.arm_effects import list_nuisances
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_layout
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
@@ -41,7 +41,6 @@ from marsarm.diagnosis.arm.finite_differences import (
     step_error,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses, moves
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,

@@ -19,14 +19,16 @@ from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
+    LONG_SETTLING,
+    ArmSimulator,
     CaseSimulator,
     NuisanceFit,
     build_case_simulator,
+    build_layout,
     fit_nuisances,
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
-from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_layout
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Sensitivities

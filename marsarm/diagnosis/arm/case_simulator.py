@@ -1,4 +1,4 @@
-"""Case simulator, which predicts the features of one case in the order of the campaign, and its nuisances.
+"""Simulators of the arm of a campaign, and of one case in the order of its features; nuisances of the case.
 
 A case may lack features of the campaign, or have others. Repeats of a motion got the same drive, so only the
 first of them is simulated.
@@ -9,7 +9,7 @@ effect; fitted beside it, they give way to it. So they are fitted alone first, a
 then.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,16 +17,21 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.feature_set import measure_features
-from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
-from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
+from marsarm.diagnosis.arm.arm_effects import moves
+from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features, simulate_features
+from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
+from sim.loop import SimulationOptions
 from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
 
+SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
+"""Settling time before a recording, shorter than in the closed loop: sufficient for differences."""
+LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
+"""Settling time that suffices for comparison with a case."""
 MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed", "sine of the angle", "cosine of the angle", "direction")
 )
@@ -45,6 +50,49 @@ MAX_SIGMAS: Final = 10.0
 
 MAX_UPDATES: Final = 3
 """Greatest number of resimulations of nuisances alone, and of those beside effects."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmSimulator:
+    """Arm simulator bound to a campaign.
+
+    It uses the nominal arm. Flight parameters do not change it, only effects do.
+    """
+
+    feature_set: FeatureSet
+    layout: FeatureLayout
+    """Layout of its m features, with their noise floor."""
+    options: SimulationOptions = SHORT_SETTLING
+    patch: tuple[Effect, ...] = ()
+    """Effects that are always on."""
+
+    def predict_effects(
+        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
+    ) -> Array:
+        """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
+
+        PlantDiverged if MuJoCo counted a warning.
+        """
+        return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
+
+
+def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
+    """Describe the features; every place has its own channels.
+
+    Args:
+        sigma: Noise floor in the units of the channels, shape (m,).
+    """
+    features = feature_set.list_features()
+    return FeatureLayout(
+        sigma=sigma,
+        block=np.array([one.block for one in features], str),
+        channel=np.array([one.channel_name for one in features], str),
+        unit=np.array([UNITS[one.channel] for one in features], str),
+        regime=np.array([one.regime for one in features], str),
+        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
+        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
+        conditions=np.array(CONDITIONS),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

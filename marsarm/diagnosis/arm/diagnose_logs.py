@@ -15,14 +15,13 @@ from fsw.dictionary.params import Params, digest
 from marsarm.common.effects import parse_effects
 from marsarm.common.pool import select_runner
 from marsarm.common.requests import load_fitting_params, select_arm
-from marsarm.diagnosis.arm.arm_effects import effects_of_params
+from marsarm.diagnosis.arm.arm_effects import effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest, LogsRequest
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import ArmModel
 from sim.effects.catalogue import catalogue, effect_name, has_flight_parameter

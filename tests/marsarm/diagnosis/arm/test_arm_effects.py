@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import _read_params
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects

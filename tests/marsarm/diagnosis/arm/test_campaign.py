@@ -10,9 +10,15 @@ from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import feature_set
-from marsarm.diagnosis.arm.arm_effects import list_nuisances
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.case_simulator import build_case_simulator, resimulate
+from marsarm.diagnosis.arm.case_simulator import (
+    SHORT_SETTLING,
+    ArmSimulator,
+    build_case_simulator,
+    build_layout,
+    resimulate,
+)
 from marsarm.diagnosis.arm.feature_set import (
     FeatureSet,
     build_feature_set,
@@ -43,7 +49,6 @@ from marsarm.diagnosis.arm.finite_differences import (
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_layout, list_hypotheses
 from marsarm.diagnosis.problem import Hypothesis, Sensitivities
 from sim.arm_model.load import default_arm
 from sim.effects.effect import Effect

@@ -7,6 +7,7 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.common.effects import parse_effects
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses
 from marsarm.diagnosis.arm.diagnose_logs import (
     NothingToWrite,
     diagnose,
@@ -17,7 +18,6 @@ from marsarm.diagnosis.arm.diagnose_logs import (
     patch_text,
 )
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.arms import nominal_params, params_over_nominal
 from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness

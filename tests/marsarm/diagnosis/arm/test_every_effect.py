@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, simulate_features
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from sim.effects.effect import Effect
 from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart

@@ -6,11 +6,11 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.statics import settle_output
+from marsarm.diagnosis.arm.case_simulator import SHORT_SETTLING
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, rests_moved_by, simulate_features
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING
 from sim.arms import nominal_params
 from sim.effects.structure import LinkCreep
 
@@ -68,9 +68,7 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: Feature
     change = np.array([by_rad * (feature.channel == RESOLVER) for feature in one.features])
     for joint in Joint:
         turned = motor_rad + by_rad * (np.arange(len(Joint)) == joint)[:, None]
-        before, after = (
-            settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned)
-        )
+        before, after = (settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned))
         found = rests_moved_by(rests, change, joint)
         shift = found[-3 * motor_rad.shape[1] :].reshape(3, -1)
         expected = np.einsum("kin,kn->in", before.R, after.p - before.p)
