@@ -10,7 +10,7 @@ from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, SetParam, Stop, Unstow
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import Booted, CommandRefused
+from fsw.dictionary.evrs import Booted
 from fsw.dictionary.params import digest
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.state import boot, outputs_at_rest
@@ -135,14 +135,6 @@ def test_the_configuration_is_what_the_parameters_say():
     np.testing.assert_array_equal(config.half_backlash_rad, [j.backlash_rad / 2 for j in joints])
     np.testing.assert_array_equal(config.hardstop_rad, [j.hardstop_rad for j in joints])
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
-
-
-def test_a_tool_without_switches_is_not_guarded():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "portion"))
-    rig.cycle(rig.touch("portion", 0.05))
-    assert rig.state.mode is Mode.DEPLOYED
-    refusals = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
-    assert refusals == ["portion has no contact switch to end a guarded move"]
 
 
 def test_the_cycle_is_the_only_public_function_of_its_file():

@@ -172,19 +172,6 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(w
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("world", "pose"), [("mars, 25 deg", "straight"), ("earth", "ready")])
-def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
-    coarse, fine = (
-        lab.load(lab.plant(WORLDS[world], step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)
-    )
-    for plant in (coarse, fine):
-        lab.hold_by_motors(plant)
-        lab.run(plant, 6.0)
-        np.testing.assert_allclose(plant.motor_rad(), POSES[pose], atol=2e-5)
-    assert lab.tool_distance_mm(coarse, fine) < STOPPED_MM
-
-
-@pytest.mark.slow
 def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step():
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
     coarse, fine = (move_arm(WORLDS["mars, 25 deg"], step_s, goal) for step_s in (None, FINE_S))

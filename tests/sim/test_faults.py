@@ -46,6 +46,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.setting import World
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
+from tests.sim.test_repeatable import bits
 from tests.tools import SWITCHES, switch_index
 
 NOW_S = 0.0
@@ -144,17 +145,6 @@ def moving() -> ClosedLoop:
 
 def now_s() -> float:
     return float(moving().plant.data.time)
-
-
-def bits(record) -> tuple:
-    """Return all outputs of a cycle, bit for bit."""
-    sensors, drive, truth = record.sensors, record.outputs.drive, record.truth
-    arrays = (
-        sensors.encoder_count, sensors.resolver_rad, sensors.current_A, sensors.winding_C,
-        sensors.gravity_R_m_s2, drive.setpoint_count, drive.setpoint_rate_rad_s, truth.output_rad,
-        truth.p_RoTo_R_m,
-    )  # fmt: skip
-    return record.tick, sensors.cycle, record.outputs.evrs, *(array.tobytes() for array in arrays)
 
 
 def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():

@@ -109,7 +109,8 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
             if not inside:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
         elif not os.path.isfile(path):
-            raise BadRequest(f"{what} {path}: there is no such log or folder")
+            why = "is not a regular file; give" if os.path.exists(path) else "there is no such"
+            raise BadRequest(f"{what} {path}: {why} log or folder")
         found += inside
     return tuple(found)
 

@@ -1,7 +1,5 @@
 """Single commands: their arguments, their effect, stops, faults and cleared faults."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,6 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import HardstopMissed
 from fsw.kinematics.closed_form import BRANCHES
-from fsw.state import Sequence
 from helpers.marks import slow_but
 from tests.fsw.executive.lab import (
     COMMANDS,
@@ -197,24 +194,6 @@ def test_all_joints_are_calibrated_by_commands_of_their_own_until_a_stop_ends_th
     assert {CommandAborted("CalibrateAll"), CommandAborted("Calibrate"), CommandCompleted("Stop")} <= evrs
     assert rig.state.mode is Mode.DEPLOYED
     assert rig.state.sequence is None
-
-
-@pytest.mark.parametrize("when", ["when all is over", "in every cycle"])
-def test_after_a_fault_and_its_clearing_the_calibration_of_all_joints_does_not_go_on(when):
-    rig = deployed()
-    rig.until_moving(MoveJoint(Joint.TURRET, float(START[Joint.TURRET]) + 0.05))
-    rig.state = replace(rig.state, sequence=Sequence("CalibrateAll", (Calibrate(Joint.WRIST),)))
-    rig.cycle(winding_C=[NAN] * 5)
-    if when == "in every cycle":
-        while rig.state.mode is Mode.FAULTED:
-            rig.cycle(ClearFault())
-    else:
-        rig.run(at_most=60)
-        rig.cycle(ClearFault())
-    rig.run(at_most=60)
-    assert CommandAccepted("Calibrate") not in rig.evrs
-    assert rig.evrs.count(CommandAborted("CalibrateAll")) == 1
-    assert rig.state.mode is Mode.DEPLOYED
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from itertools import product
 from typing import get_args
 
-import numpy as np
 import pytest
 
 from fsw.dictionary import evrs
@@ -24,7 +23,7 @@ from fsw.dictionary.commands import (
     Unstow,
 )
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.faults import ContactLost, GravityImplausible, NoContact, OverTemperature, SensorNotFinite
+from fsw.dictionary.faults import ContactLost, NoContact, OverTemperature
 from fsw.executive.context import EVENT_OF, TRANSITIONS, ModeEvent, next_mode
 from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
@@ -137,8 +136,6 @@ def test_every_event_in_every_mode(mode, event):
 CONFIG = config_of()
 START = facing(CONFIG, "apxs")
 RESPONDED = evrs.FaultResponse("BRAKE_AND_REFUSE")
-NO_NUMBER = {"current_A": [np.nan] * 5}
-NO_GRAVITY = {"gravity_R_m_s2": [0.0, 0.0, 0.0]}
 
 
 def respond(rig, before, *found):
@@ -184,23 +181,3 @@ def test_only_a_fault_brakes_the_move_and_where_it_happened_is_remembered(mode):
     assert after.evrs == (*found, RESPONDED)
     calm = respond(rig, before, found[1])
     assert (calm.mode, calm.move, calm.fault, calm.evrs) == (mode, rig.state.move, None, found[1:])
-
-
-def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():
-    rig = moving()
-    for _ in range(10):
-        rig.cycle(**NO_NUMBER)
-        rig.cycle(**NO_GRAVITY)
-        rig.cycle(winding_C=[np.inf] * 5)
-    kinds = [type(evr) for evr in rig.evrs]
-    for kind in (GravityImplausible, evrs.FaultResponse, evrs.CommandAborted):
-        assert kinds.count(kind) == 1
-    # once for each sensor
-    unreadable = [evr.sensor for evr in rig.evrs if isinstance(evr, SensorNotFinite)]
-    assert len(unreadable) == len(set(unreadable)) == 2
-    assert rig.outputs.drive.power_on.any() is np.False_
-    rig.evrs.clear()
-    rig.cycle(ClearFault())
-    rig.cycle(**NO_GRAVITY)
-    assert any(isinstance(evr, GravityImplausible) for evr in rig.evrs)
-    assert RESPONDED in rig.evrs

@@ -154,10 +154,6 @@ def test_events_are_missing_added_or_changed():
     assert kinds(was, now) == [("changed", 3, "Moved"), ("missing", 4, "Stopped"), ("added", 5, "Stalled")]
 
 
-def test_an_event_at_another_tick_is_missing_there_and_added_here():
-    assert kinds([evr(3, "Done")], [evr(5, "Done")]) == [("missing", 3, "Done"), ("added", 5, "Done")]
-
-
 def test_the_order_within_a_tick_counts():
     assert kinds([evr(3, "A"), evr(3, "B")], [evr(3, "B"), evr(3, "A")]) == [
         ("changed", 3, "A"),

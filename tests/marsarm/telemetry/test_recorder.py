@@ -82,14 +82,6 @@ def test_a_log_is_written_where_a_link_points_to(make: Any, tmp_path: Path) -> N
     assert len(read_log(tmp_path / "run.mcap")["/sensors"]) == 1
 
 
-def test_closing_twice_is_closing_once(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run.mcap", {})
-    recorder.close()
-    size = (tmp_path / "run.mcap").stat().st_size
-    recorder.close()
-    assert (tmp_path / "run.mcap").stat().st_size == size
-
-
 def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
     """Run a program on this tree; all warnings are errors except that of a fork with threads."""
     fork = "ignore:This process:DeprecationWarning"

@@ -25,16 +25,7 @@ from tests.fsw.executive.faults.lab import (
     moving,
 )
 from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, levers_m, made_once
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
-
-
-@pytest.mark.parametrize("switch", SWITCHES)
-def test_a_contact_in_free_space_faults_at_once(switch):
-    rig = moving()
-    rig.cycle(**closed(switch))
-    assert rig.evrs[:2] == [faults.ContactInFreeSpace(switch), REFUSED]
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 
 @pytest.mark.parametrize("tool", slow_but([tool for tool in TOOLS if TOOL_SWITCHES[tool]], "apxs", "drill"))
@@ -294,13 +285,3 @@ def test_one_wild_encoder_reading_does_not_become_a_set_point_under_power():
     # no farther than a motor may follow
     bound = np.ceil(CONFIG.params.monitors.following_error_rad / CONFIG.rad_per_count)
     assert (np.abs(drive.setpoint_count - before) <= bound).all()
-
-
-@pytest.mark.parametrize("wild_m_s2", [0.0, 0.99, 20.1, 1e6, 1e200])
-def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
-    rig = Rig(CONFIG)
-    rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
-    for _ in range(64):
-        rig.cycle()
-    assert np.isfinite(rig.state.joints.backlash_state).all()
-    assert np.isfinite(rig.state.load.torque_Nm).all()
