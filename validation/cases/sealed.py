@@ -137,7 +137,9 @@ def run_steps(
     with TemporaryDirectory() as scratch:
         folder = context.out or Path(f"{maker.name}-{context.seed}" if is_kept else scratch)
         run, document = context.run, Document()
-        making, solving = (_stage(context.progress, step, begin) for begin in (0.0, 0.5))
+        making = solving = context.progress
+        if step == "all":  # the share of each is a guess
+            making, solving = (as_guess(part_of(making, begin, begin + 0.5)) for begin in (0.0, 0.5))
         if step in ("all", "make"):
             digest, recorded = make_cases(folder, maker, cases, context.seed, run, making)
             document |= {"digest": digest, "cases": cases, "recorded": recorded}
@@ -149,11 +151,6 @@ def run_steps(
             (folder / "score.md").write_text(found.markdown(), encoding="utf-8")
             document |= {**found.document, "in_bounds": found.in_bounds}
         return document
-
-
-def _stage(progress: Progress, step: str, begin: float) -> Progress:
-    """Return the progress of making or of solving; where both are done, the share of each is a guess."""
-    return progress if step != "all" else as_guess(part_of(progress, begin, begin + 0.5))
 
 
 def _uncounted(progress: Progress) -> Progress:

@@ -236,7 +236,11 @@ def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
 
 
 def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
-    anew = {name: _changes(values) for name, values in drive.items()}
+    changed = {
+        name: (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+        for name, values in drive.items()
+    }
+    anew = {name: [True, *flags.tolist()] for name, flags in changed.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
         for name, values in drive.items():
@@ -244,12 +248,6 @@ def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]
                 value = values[tick]
                 last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
         yield ActuatorCommand(**last)
-
-
-def _changes(values: NDArray[Any]) -> list[bool]:
-    """Return for every tick whether a value changed; True for the first."""
-    other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
-    return [True, *other.tolist()]
 
 
 def _drive_packets(log: Log) -> NDArray[np.void]:

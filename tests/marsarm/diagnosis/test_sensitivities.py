@@ -1,6 +1,6 @@
 """Sensitivities, their normal equations, and the features as residuals of the shared selection."""
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -34,6 +34,7 @@ from marsarm.diagnosis.problem import (
 )
 from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, select_simulated
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from tests.marsarm.diagnosis.worlds import world
 
 
@@ -53,15 +54,8 @@ def kept(made):
 def test_what_is_kept_comes_back(kept, tmp_path):
     save_sensitivities(tmp_path / "s.npz", kept)
     again = load_sensitivities(tmp_path / "s.npz", kept.hypotheses, kept.nuisances)
-    assert _plain(again) == _plain(kept)
+    assert to_json(again) == to_json(kept)
     assert [path.name for path in tmp_path.iterdir()] == ["s.npz"]
-
-
-def _plain(value):
-    """Convert nested records to dictionaries."""
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
