@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from marsarm.common.rates import RateBar, check_rate
-from validation.cases.sealed import CaseScore, Table
+from validation.cases.sealed import CaseScore
 
 LEVELS: Final = ("place", "family", "effect")
 
@@ -55,5 +55,4 @@ def score_bars(
          "met" if bar.is_met else "missed")
         for name, bar in bars.items()
     ]  # fmt: skip
-    table = Table("Sealed cases", ("", "wanted", "found", ""), tuple(rows))
-    return CaseScore(document, (table,), in_bounds and all(bar.is_met for bar in bars.values()))
+    return CaseScore(document, tuple(rows), in_bounds and all(bar.is_met for bar in bars.values()))

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -110,7 +110,7 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
     def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
         found = score_cases(solved)
         has_alarms = found.document["bars"]["false alarms"]["hits"] > 0
-        return CaseScore(found.document, found.tables, not has_alarms) if self.is_quiet else found
+        return replace(found, in_bounds=not has_alarms) if self.is_quiet else found
 
 
 def find_robot_file(folder: Path, case: str) -> Path:

@@ -63,29 +63,17 @@ class SealedTruth(Generic[Case]):
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """Table of a score."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class CaseScore:
-    """Score as a document and as tables."""
+    """Score as a document and as a table of its bars: each with what is wanted, what was found, a verdict."""
 
     document: Document
-    tables: tuple[Table, ...]
+    rows: tuple[tuple[str, str, str, str], ...]
     in_bounds: bool
 
     def markdown(self) -> str:
-        """Return the tables as a page."""
-        lines: list[str] = []
-        for one in self.tables:
-            lines += [f"# {one.title}", "", f"| {' | '.join(one.columns)} |", "|---" * len(one.columns) + "|"]
-            lines += [*(f"| {' | '.join(row)} |" for row in one.rows), ""]
-        return "\n".join(lines)
+        """Return the table as a page."""
+        lines = ["# Sealed cases", "", "|  | wanted | found |  |", "|---" * 4 + "|"]
+        return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in self.rows), ""])
 
 
 class CaseMaker(Generic[Case]):
@@ -330,7 +318,7 @@ def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore
         )
     solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
     found = maker.score(folder, solved)
-    return CaseScore({"digest": truth.digest(), **found.document}, found.tables, found.in_bounds)
+    return replace(found, document={"digest": truth.digest(), **found.document})
 
 
 _RESULT_ADAPTER: Final = TypeAdapter(dict[str, Any])

@@ -142,14 +142,8 @@ class Recording:
 
     def motor_rad(self) -> Array:
         """Return the motor angles by the encoders, on the output side [rad], shape (5, n)."""
-        return self._angles_rad(self.sensors["encoder_count"])
-
-    def setpoint_rad(self) -> Array:
-        """Return the commanded motor angles, on the output side [rad], shape (5, n)."""
-        return self._angles_rad(self.drive[COUNTS])
-
-    def _angles_rad(self, counts: NDArray[Any]) -> Array:
-        return np.asarray(counts.T * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
+        counts = self.sensors["encoder_count"].T
+        return np.asarray(counts * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
 
 
 def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:

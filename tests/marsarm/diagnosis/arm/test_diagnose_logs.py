@@ -19,7 +19,6 @@ from marsarm.diagnosis.arm.diagnose_logs import (
     diagnose,
     effects_of_findings,
     expand_logs,
-    new_params,
     params_text,
     patch_text,
 )
@@ -29,7 +28,6 @@ from marsarm.diagnosis.arm.request import DiagnoseRequest
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
 from sim.effects.effect import params_with_effects
-from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness
 from sim.params import params_table
 from simgap.common.errors import BadRequest
@@ -71,12 +69,17 @@ def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
         diagnose(DiagnoseRequest(*paths, **options))
 
 
+def diagnosed(results, key, value):
+    """Return a diagnosis of the effect of this key, whose first parameter has this value."""
+    (one,) = (one for one in list_hypotheses() if one.key == key)
+    first = one.parameters[0]
+    return replace(results["alike"], effects=(one,), sizes=(((value - first.neutral) / first.typical,),))
+
+
 @pytest.fixture
 def softer(results):
     """Return a diagnosis with a softer gear."""
-    (one,) = (one for one in list_hypotheses() if one.key == "elbow: gear-stiffness")
-    size = float(np.log(0.8)) / one.parameters[0].typical
-    return replace(results["alike"], effects=(one,), sizes=((size,),))
+    return diagnosed(results, "elbow: gear-stiffness", float(np.log(0.8)))
 
 
 def test_a_finding_is_the_effect_of_the_size_that_was_found_and_the_patch_switches_it_on(softer, tmp_path):
@@ -96,7 +99,7 @@ def test_without_a_name_or_a_flight_parameter_there_is_no_file(results):
     with pytest.raises(NothingToWrite, match="no effect was found"):
         patch_text(results["unknown"])
     with pytest.raises(NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):
-        new_params(nominal_params(), (CoulombFriction(Joint.ELBOW, 5.0),))
+        params_text(diagnosed(results, "elbow: coulomb-friction", 5.0), nominal_params(), nominal_params())
 
 
 def numbers(table: object) -> list[float]:
