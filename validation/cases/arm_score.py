@@ -17,8 +17,7 @@ from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from simgap.common.toml import read_json
 from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
-from validation.cases.bars import JudgedEffect, level_bars, score_bars
-from validation.cases.sealed import CaseScore
+from validation.cases.sealed import CaseScore, JudgedEffect, level_bars, score_bars
 
 CLASSES_FILE: Final = "classes.json"
 

@@ -19,12 +19,11 @@ import numpy as np
 
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
-from validation.cases.bars import JudgedEffect, level_bars, score_bars
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
 from validation.cases.robot_table import BASE, SUPPLY, Entry, PlacedEntry, list_hypotheses
 from validation.cases.robot_truth import TrueEffect
-from validation.cases.sealed import CaseScore
+from validation.cases.sealed import CaseScore, JudgedEffect, level_bars, score_bars
 
 WRONG_RATES: Final = (0.05, 0.10, 0.15)
 """Bars of wrong places, families and effects outside the catalogue."""
