@@ -161,11 +161,7 @@ def _poses(report: BudgetReport) -> str:
 
 
 def _draw_shares(figure: Any, budget: Budget) -> None:
-    _draw_bars(figure.subplots(), budget)
-
-
-def _draw_bars(bars: Any, budget: Budget) -> None:
-    share = budget.share_m * 1e3
+    bars, share = figure.subplots(), budget.share_m * 1e3
     order = np.argsort(share.sum(axis=1))
     names = [name.replace("_", " ") for name in budget.case.sources]
     left = np.zeros(len(names))

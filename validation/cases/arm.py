@@ -58,8 +58,8 @@ SMALL_SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
 SMALL_KINDS: Final = ("resolver-bias",)
 
 
-class NoDiagnosis(ValueError):
-    """Case that cannot be diagnosed; the message says why."""
+NO_DIAGNOSIS: Final = (NotForDiagnosis, PlantDiverged)
+"""Errors of a case that cannot be diagnosed; their message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,23 +116,20 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
         """Diagnose a case, with a catalogue that lacks one effect if named.
 
-        NoDiagnosis if a log cannot be compared, most motions are missing, or the plant diverges.
+        NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged as it says.
         """
         campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
         if without:
             campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
-        try:
-            arm = arm_named(self.arm).model
-            fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
-            return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
-        except (NotForDiagnosis, PlantDiverged) as error:
-            raise NoDiagnosis(str(error)) from error
+        arm = arm_named(self.arm).model
+        fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
+        return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a case; "unknown" without effects if it cannot be diagnosed."""
         try:
             return self.diagnose(folder, case)
-        except NoDiagnosis as why:
+        except NO_DIAGNOSIS as why:
             return {"verdict": "unknown", "refused": str(why), "findings": []}
 
     def score(self, folder: Path, solved: Sequence[tuple[TrueCase, Document]]) -> CaseScore:
@@ -143,7 +140,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         bars, spurious = found.document["bars"], found.document["named, but not of the case"]
         is_right = bars["set coverage"]["hits"] == bars["reported"]["of"]
         in_bounds = bars["false alarms"]["hits"] == spurious["hits"] == 0 and is_right
-        return CaseScore(found.document, found.tables, in_bounds or self.kinds is None)
+        return replace(found, in_bounds=in_bounds or self.kinds is None)
 
 
 @cache
@@ -245,7 +242,7 @@ def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
     """Diagnose a case without its effect in the catalogue."""
     try:
         return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)
-    except NoDiagnosis:
+    except NO_DIAGNOSIS:
         return {"verdict": "unknown", "findings": []}
 
 

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from marsarm.diagnosis.arm import demo
@@ -223,19 +222,8 @@ def _secret_numbers(case: TrueCase) -> set[float]:
 
 
 def _log_bytes(path: Path) -> bytes:
-    """Return the unpacked contents of all records."""
-    found: list[bytes] = [path.name.encode()]
+    """Return the unpacked texts and bytes of all records."""
     with path.open("rb") as file:
-        for record in StreamReader(file).records:
-            found += _record_bytes(record)
-    return b"\0".join(found)
-
-
-def _record_bytes(record: Any) -> list[bytes]:
-    if isinstance(record, Message | Schema | Attachment):
-        return [record.data]
-    if isinstance(record, Metadata):
-        return [json.dumps(record.metadata, ensure_ascii=False).encode()]
-    if isinstance(record, Channel):
-        return [json.dumps([record.topic, record.metadata], ensure_ascii=False).encode()]
-    return []
+        found = [value for record in StreamReader(file).records for value in vars(record).values()]
+    texts = [value if isinstance(value, bytes) else str(value).encode() for value in found if value]
+    return b"\0".join([path.name.encode(), *texts])

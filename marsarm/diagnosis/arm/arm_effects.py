@@ -208,11 +208,6 @@ def locate(effect: str, place: str) -> str:
     return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
 
 
-def family_of(kind: type[Effect]) -> StrEnum:
-    """Return the family of an effect that a diagnosis can name; a test holds the table to the catalogue."""
-    return next(family for family, kinds in FAMILIES.items() if kind in kinds)
-
-
 def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
     if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
@@ -235,7 +230,8 @@ def list_hypotheses(
     recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
     kinds = catalogue.catalogue()
     every = catalogue.hypotheses(kinds if names is None else {name: kinds[name] for name in names}, tools)
-    return (to_hypothesis(one, family_of(one.kind)) for one in every if not issubclass(one.kind, recorded))
+    family_of = {kind: family for family, kinds in FAMILIES.items() for kind in kinds}
+    return (to_hypothesis(one, family_of[one.kind]) for one in every if not issubclass(one.kind, recorded))
 
 
 def to_hypothesis(one: catalogue.EffectHypothesis, family: StrEnum) -> Hypothesis:

@@ -187,33 +187,24 @@ def patch_text(diagnosis: Diagnosis) -> str:
     return effect_file_text(effects_of_findings(diagnosis), comments)
 
 
-def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
-    """Return flight parameters that include the effects, as far as there are parameters for them.
+def params_text(diagnosis: Diagnosis, base: Params, drawing: Params) -> str:
+    """Return the parameter file for --params: all values of `base` and the findings that are not nominal.
 
     NothingToWrite if there is no parameter for any effect, or flight software refuses the values.
     """
-    params = params_with_effects(effects, base)
+    effects = effects_of_findings(diagnosis)
+    params, texts = params_with_effects(effects, base), [effect_text(effect) for effect in effects]
     if params == base:
-        names = ", ".join(effect_text(effect) for effect in effects)
-        raise NothingToWrite(f"there is no flight parameter for {names}")
+        raise NothingToWrite(f"there is no flight parameter for {', '.join(texts)}")
     try:
         check_params(params, "flight software would not take them")
     except BadParams as error:
         raise NothingToWrite(str(error)) from error
-    return params
-
-
-def params_text(diagnosis: Diagnosis, base: Params, drawing: Params) -> str:
-    """Return the parameter file for --params: all values of `base` and the findings that are not nominal.
-
-    NothingToWrite if there are no new parameters.
-    """
-    effects = effects_of_findings(diagnosis)
-    params, kinds = new_params(base, effects), [type(effect) for effect in effects]
+    kinds = [type(effect) for effect in effects]
     unknown = [effect_name(kind) for kind in kinds if not has_flight_parameter(kind)]
     comments = [
         "Flight parameters with the findings of a diagnosis; all others are nominal.",
-        *(f"Effect: {effect_text(effect)}" for effect in effects),
+        *(f"Effect: {text}" for text in texts),
         *(f"There is no flight parameter for {name}." for name in unknown),
     ]
     return params_toml(drawing, params, comments)
