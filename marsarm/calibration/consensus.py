@@ -9,18 +9,13 @@ In all functions, `output_jacobian` are screws of the turret frame in its axes p
 (6, n, 5). Flags and angles of outputs have shape (5, n).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from marsarm.calibration.campaign_data import MeasuredPoses
-from simgap import Fit, FitParameter, fit, leave_one_out_distance
-from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import FALSE_ALARM, MAX_OUTLIER_SHARE, ResidualModel
 
 REST_SIGMA_RAD: Final = 3e-6
 """Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""
@@ -132,59 +127,3 @@ def find_consensus(outputs: OutputErrors) -> Flags:
         (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)
     )
     return agree
-
-
-class TooManyOutliers(BadRequest):
-    """Error: more poses are outliers than are allowed."""
-
-
-def reject_outliers(
-    parameters: Sequence[FitParameter],
-    model: ResidualModel,
-    start: Array | None = None,
-    used: Flags | None = None,
-    false_alarm: float = FALSE_ALARM,
-) -> Fit:
-    """Fit, leave out the worst pose beyond the limit, and repeat until all remaining poses agree.
-
-    Poses that agree with the last fit are included again. If all poses have more noise than stated, the
-    limit rises, so that no outliers appear.
-
-    Args:
-        start: Initial values of the parameters, (p,); zeros by default.
-        used: Poses to fit, (n,); all by default.
-
-    Raises:
-        TooManyOutliers: Too many poses would be left out.
-    """
-    found = fit(parameters, model, start, used)
-    selected = found.used
-    count = int(np.count_nonzero(selected))
-    while True:
-        share = _share_of_limit(found, false_alarm / count)
-        worst = int(np.argmax(np.where(found.used, share, -np.inf)))
-        if share[worst] <= 1.0:
-            break
-        keep = found.used & (np.arange(share.size) != worst)
-        if np.count_nonzero(selected & ~keep) > MAX_OUTLIER_SHARE * count:
-            raise TooManyOutliers(
-                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
-                "explains them all"
-            )
-        found = fit(parameters, model, found.values, keep)
-    restored = selected & ~found.used & (share <= 1.0)
-    if restored.any():
-        found = fit(parameters, model, found.values, found.used | restored)
-    return found
-
-
-def _share_of_limit(fitted: Fit, false_alarm: float) -> Array:
-    """Compute the squared distance of each pose from its prediction by the others, over its limit, (n,).
-
-    Poses with fewer informative components have a lower limit.
-    """
-    components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
-    distance = leave_one_out_distance(fitted)
-    typical = float(np.median((distance / chi2.median(components))[fitted.used]))
-    limit: Array = chi2.isf(false_alarm, components) * max(1.0, typical)
-    return distance / limit
