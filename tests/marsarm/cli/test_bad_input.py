@@ -16,7 +16,7 @@ from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
-from tests.marsarm.telemetry.conftest import cycle_at
+from tests.marsarm.telemetry.lab import cycle_at
 
 SEVERAL = re.compile(r"\d+ things are wrong, one in each line:")
 
