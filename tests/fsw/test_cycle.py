@@ -15,7 +15,7 @@ from fsw.dictionary.params import digest
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.state import boot, outputs_at_rest
 from sim.arms import nominal_params
-from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors
+from tests.fsw.rig import Rig, alive, config_of, content, facing, floats, quiet_sensors
 from tests.tools import tool_index
 
 CONFIG = config_of()
@@ -32,20 +32,6 @@ def seal(record) -> None:
     elif isinstance(record, tuple):
         for item in record:
             seal(item)
-
-
-def content(record):
-    """A record as plain values that compare bit by bit."""
-    if isinstance(record, np.ndarray):
-        return record.dtype.str, record.shape, record.tobytes()
-    if is_dataclass(record):
-        return type(record).__name__, tuple(content(getattr(record, f.name)) for f in fields(record))
-    if isinstance(record, tuple):
-        return tuple(content(item) for item in record)
-    if type(record).__name__ == "Trajectory":
-        times = np.linspace(0.0, record.duration, 7)
-        return tuple(str(record.at_time(t)) for t in times)
-    return record
 
 
 def session():

@@ -44,9 +44,9 @@ from sim.effects.faults import (
 from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.setting import World
+from tests.fsw.rig import content
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
-from tests.sim.test_repeatable import bits
 from tests.tools import SWITCHES, switch_index
 
 NOW_S = 0.0
@@ -153,15 +153,15 @@ def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
     troubled = first.fork((JointSeized(now_s(), Joint.ELBOW), TiltStep(now_s(), 0.3, 0.0)))
     for _ in range(100):
         troubled.cycle()
-    ahead = [bits(first.cycle()) for _ in range(400)]
+    ahead = [content(first.cycle()) for _ in range(400)]
     again = snapshot.fork()
-    assert [bits(snapshot.cycle()) for _ in range(400)] == ahead
-    assert [bits(again.cycle()) for _ in range(400)] == ahead
+    assert [content(snapshot.cycle()) for _ in range(400)] == ahead
+    assert [content(again.cycle()) for _ in range(400)] == ahead
 
 
 def test_nothing_happens_before_its_time():
     calm, waiting = moving().fork(), moving().fork((WeakMotor(now_s() + 1.0, Joint.ELBOW, 0.1),))
-    same = [bits(calm.cycle()) == bits(waiting.cycle()) for _ in range(100)]
+    same = [content(calm.cycle()) == content(waiting.cycle()) for _ in range(100)]
     assert all(same[:64])
     assert not any(same[70:])
 

@@ -13,7 +13,7 @@ from fsw.kinematics.roots import (
     refine_roots,
     solve_fixed_point,
 )
-from fsw.kinematics.statics import settle, settle_output, task_error, task_jacobian
+from fsw.kinematics.statics import settle, settle_output, task_error
 from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import (
@@ -87,27 +87,6 @@ def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravit
         found = refine_roots(config.arm, "apxs", far, a, gravity, q)
         assert not found.converged.any()
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
-
-
-def test_the_task_jacobian_agrees_with_finite_differences():
-    config, h = config_of("calibrated:3"), 1e-6
-    q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
-    rng = np.random.default_rng(3)
-    for angles in q.T:
-        X = tool_pose(config.arm, forward(config.arm, angles), "mahli")
-        p = X.p + rng.normal(0, 0.01, 3)
-        a = X.R[:, 0] + rng.normal(0, 0.05, 3)
-        a /= np.linalg.norm(a)
-
-        def error(angles, p=p, a=a):
-            return task_error(tool_pose(config.arm, forward(config.arm, angles), "mahli"), p, a)
-
-        J = task_jacobian(forward(config.arm, angles), X, a)
-        for joint in range(5):
-            e = h * np.eye(5)[joint]
-            np.testing.assert_allclose(
-                (error(angles + e) - error(angles - e)) / (2 * h), J[:, joint], atol=1e-8
-            )
 
 
 def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():

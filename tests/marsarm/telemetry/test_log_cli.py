@@ -5,7 +5,6 @@ import json
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -21,6 +20,7 @@ from sim.record import CycleRecord
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
+from tests.marsarm.telemetry.lab import cycle_at, packet_of, record
 from validation.benchmarks import record_log
 
 CYCLES = 130
@@ -102,10 +102,10 @@ HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
 
 
 @pytest.fixture(scope="module")
-def log(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Log:
-    hostile = make.packet_of(CycleRecord, lambda size: (HOSTILE * size)[:size], tick=40)
-    cycles = [*map(make.cycle_at, range(40)), hostile]
-    return read_log(make.record(tmp_path_factory.mktemp("log") / "run.mcap", cycles))
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    hostile = packet_of(CycleRecord, lambda size: (HOSTILE * size)[:size], tick=40)
+    cycles = [*map(cycle_at, range(40)), hostile]
+    return read_log(record(tmp_path_factory.mktemp("log") / "run.mcap", cycles))
 
 
 def assert_same_bits(log: Log, topic: str, path: Path) -> None:
