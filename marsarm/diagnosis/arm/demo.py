@@ -18,9 +18,8 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
-from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, check_cache_folder, simulator_digest
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, campaign_digest, check_cache_folder
 from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_campaign, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
@@ -229,7 +228,7 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", NOMINAL, Path(record.__file__))[:16]
+    folder = cache_folder("marsarm", "gap-demo") / campaign_digest((), (), NOMINAL)[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, SENSITIVITIES_BEGIN))
