@@ -3,8 +3,6 @@
 The arm is one that a solver does not know: with a random effect of detectable size, and a background.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -36,7 +34,7 @@ from sim.scenario.effects import effect_text
 from sim.tolerances import draw_calibration_errors
 from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import cache_folder
+from simgap.common.files import cache_folder, json_sha256
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.report.sentences import level
@@ -188,7 +186,7 @@ class DemoTruth:
 
     def digest(self) -> str:
         """Return the SHA-256 of the truth."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return json_sha256(asdict(self))
 
 
 @dataclass(frozen=True, slots=True)
