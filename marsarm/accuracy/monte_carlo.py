@@ -215,8 +215,7 @@ def check_coverage(
         sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         budgets[tool] = compute_tool_budget(model, model.case[case], poses, sensitivity)
     budget = Budget(case, model.case[case], budgets)
-    error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
-    errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
+    errors = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
     return CoverageReport(
         arms=len(trials),
         error=errors,
@@ -295,4 +294,4 @@ def _estimate_three_sigma(
     if len(trials) < 2 or len(trials[0]) < 2:
         return None
     error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
-    return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
+    return {name: estimate_accuracy(error[part]) for name, part in PARTS.items()}
