@@ -28,7 +28,7 @@ from marsarm.accuracy.propagation import (
     load_error_model,
     sources_sha256,
 )
-from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
+from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.accuracy.trial import MeasuredPlacement, run_trial
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.rates import (
@@ -127,36 +127,24 @@ MEASURED: Final = ("output_rad", "error", "backlash_position")
 """Arrays of a placement in the results."""
 
 
-@dataclass(frozen=True, slots=True)
-class ArmJob:
-    """Job for one arm of a Monte Carlo; its result does not depend on other jobs."""
+ArmJob = tuple[MonteCarloRequest, Params, int]
+"""Request, parameters of flight software, and number of an arm; no result depends on another job.
 
-    case: str
-    built: ArmKind
-    """Kind of arm.
-
-    sampled: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with
-    the sources that it does not have itself.
-    """
-    places: int
-    move_model: MoveModel
-    seed: int
-    arm: int
-    params: Params
-    """Parameters of flight software; for a calibrated arm, those before its calibration."""
+The parameters are those before its calibration for a calibrated arm.
+"""
 
 
 def run_job(job: ArmJob) -> dict[str, Any]:
     """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
-    model = load_error_model()
-    case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
-    built = None if job.built == "sampled" else f"{job.built}:{job.seed + job.arm}"
+    (request, params, arm), model = job, load_error_model()
+    case, seed = model.case[request.case], np.random.SeedSequence(request.seed, spawn_key=(arm,))
+    built = None if request.built == "sampled" else f"{request.built}:{request.seed + arm}"
     try:
-        found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
+        found = run_trial(model, case, built, params, request.places, request.move_model, seed)
     except RuntimeError as error:
-        return {"arm": job.arm, "failed": str(error)}
+        return {"arm": arm, "failed": str(error)}
     return {
-        "arm": job.arm,
+        "arm": arm,
         "tool": found[0].tool,
         "places": [{name: getattr(m, name).tolist() for name in MEASURED} for m in found],
     }
@@ -166,17 +154,17 @@ def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
     """Run all jobs without a record; return all records in order."""
-    wanted = {job.arm for job in jobs}
+    wanted = {arm for *_, arm in jobs}
     known = () if results is None else results.done
     records = {record["arm"]: record for record in known if record["arm"] in wanted}
-    missing = [job for job in jobs if job.arm not in records]
+    missing = [job for job in jobs if job[-1] not in records]
     progress(len(records), len(jobs), "arms")
     for record in runner(run_job, missing):
         records[record["arm"]] = record
         if results is not None:
             results.add(record)
         progress(len(records), len(jobs), "arms")
-    return [records[job.arm] for job in jobs]
+    return [records[arm] for *_, arm in jobs]
 
 
 def check_arm_record(record: dict[str, Any]) -> None:
@@ -227,8 +215,7 @@ def check_coverage(
         sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         budgets[tool] = compute_tool_budget(model, model.case[case], poses, sensitivity)
     budget = Budget(case, model.case[case], budgets)
-    error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
-    errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
+    errors = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
     return CoverageReport(
         arms=len(trials),
         error=errors,
@@ -268,8 +255,7 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     _check(request, model)
     params = select_arm("nominal", request.params, request.mismatch).params
     params_sha256 = digest(params)
-    case = (request.case, request.built, request.places, request.move_model, request.seed)
-    jobs = [ArmJob(*case, arm, params) for arm in range(request.arms)]
+    jobs = [(request, params, arm) for arm in range(request.arms)]
     runner = select_runner(request.workers, request.cluster)
     file = (
         None
@@ -308,4 +294,4 @@ def _estimate_three_sigma(
     if len(trials) < 2 or len(trials[0]) < 2:
         return None
     error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
-    return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
+    return {name: estimate_accuracy(error[part]) for name, part in PARTS.items()}

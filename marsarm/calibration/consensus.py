@@ -9,7 +9,6 @@ In all functions, `output_jacobian` are screws of the turret frame in its axes p
 (6, n, 5). Flags and angles of outputs have shape (5, n).
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -56,18 +55,6 @@ def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tu
     return W, W @ J
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OutputErrors:
-    """Angle errors of some outputs of one joint, as the tracker measures them."""
-
-    error_rad: Array
-    """Measured angle less modelled angle, shape (k,)."""
-    noise_rad: Array
-    """Independent noise of each error, one sigma, shape (k,)."""
-    shared_rad2: Array
-    """Covariance that comes from the uncertainty of the model, shape (k, k)."""
-
-
 def confirm_sides(
     measured: MeasuredPoses,
     output_jacobian: Array,
@@ -101,29 +88,32 @@ def confirm_sides(
         for side in (backlash_rad[joint] < 0, backlash_rad[joint] >= 0):
             poses = np.flatnonzero(uncertain[joint] & side)
             B = output_sensitivity[joint, poses]
-            outputs = OutputErrors(output_error_rad[joint, poses], noise[joint, poses], B @ covariance @ B.T)
-            found[joint, poses] = find_consensus(outputs)
+            errors_rad = output_error_rad[joint, poses]
+            found[joint, poses] = find_consensus(errors_rad, noise[joint, poses], B @ covariance @ B.T)
     return found
 
 
-def find_consensus(outputs: OutputErrors) -> Flags:
+def find_consensus(error_rad: Array, noise_rad: Array, shared_rad2: Array) -> Flags:
     """Find the outputs, (k,), that agree with the model and with most outputs on the same side.
 
     Model uncertainty shifts all of them together, so only independent noise separates them.
+
+    Args:
+        error_rad: Angles of outputs of one joint that the tracker measures less modelled angles, shape (k,).
+        noise_rad: Independent noise of each error, one sigma, shape (k,).
+        shared_rad2: Covariance that comes from the uncertainty of the model, shape (k, k).
     """
-    if outputs.error_rad.size == 0:
+    if error_rad.size == 0:
         return np.zeros(0, bool)
-    shared = np.diag(outputs.shared_rad2)
-    total = np.sqrt(outputs.noise_rad**2 + shared)
-    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * outputs.shared_rad2, 0.0))
-    agree_pairwise = (
-        np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
-    )
+    shared = np.diag(shared_rad2)
+    total = np.sqrt(noise_rad**2 + shared)
+    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * shared_rad2, 0.0))
+    agree_pairwise = np.abs(error_rad - error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
     most = agree_pairwise[int(np.argmax(agree_pairwise.sum(axis=1)))]
     # compare with all of them, because the output with most agreement has noise of its own
     most = agree_pairwise[:, most].mean(axis=1) >= 0.5
     enough = most.sum() >= max(MIN_OUTPUTS, 0.5 * most.size)
-    agree: Flags = (np.abs(outputs.error_rad) < CONSENSUS_SIGMAS * total) & (
-        (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)
+    agree: Flags = (np.abs(error_rad) < CONSENSUS_SIGMAS * total) & (
+        (most & enough) | (total <= KNOWN_SIGMAS * noise_rad)
     )
     return agree

@@ -3,8 +3,6 @@
 The arm is one that a solver does not know: with a random effect of detectable size, and a background.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -18,9 +16,8 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
-from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, check_cache_folder, simulator_digest
+from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, campaign_digest, check_cache_folder
 from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_campaign, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
@@ -37,7 +34,7 @@ from sim.scenario.effects import effect_text
 from sim.tolerances import draw_calibration_errors
 from simgap import Diagnosis, Finding, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import cache_folder
+from simgap.common.files import cache_folder, json_sha256
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.report.sentences import level
@@ -189,7 +186,7 @@ class DemoTruth:
 
     def digest(self) -> str:
         """Return the SHA-256 of the truth."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        return json_sha256(asdict(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +226,7 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("marsarm", "gap-demo") / simulator_digest("", NOMINAL, Path(record.__file__))[:16]
+    folder = cache_folder("marsarm", "gap-demo") / campaign_digest((), (), NOMINAL)[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, SENSITIVITIES_BEGIN))

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from helpers.serial_planar import Planar, parameters
-from marsarm.calibration.consensus import OutputErrors, find_consensus
+from marsarm.calibration.consensus import find_consensus
 from simgap.common.errors import RobotError
 from simgap.serial_arm.fit import fit_without_outliers
 
@@ -15,15 +15,15 @@ WIDTH_RAD = 2e-4
 
 
 def on_one_side(off_rad, width_rad=WIDTH_RAD):
-    """Return outputs that were dragged to one side."""
+    """Return errors, noise and covariance of outputs that were dragged to one side."""
     off = np.array(off_rad)
-    return OutputErrors(off, np.full(off.size, NOISE_RAD), np.full((off.size, off.size), width_rad**2))
+    return off, np.full(off.size, NOISE_RAD), np.full((off.size, off.size), width_rad**2)
 
 
 def test_outputs_that_are_off_by_one_angle_lie_where_they_were_dragged_to():
     rng = np.random.default_rng(0)
     off = 3e-4 + NOISE_RAD * rng.standard_normal(40)
-    assert np.mean(find_consensus(on_one_side(off))) > 0.95
+    assert np.mean(find_consensus(*on_one_side(off))) > 0.95
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_outputs_that_are_off_by_one_angle_lie_where_they_were_dragged_to():
     ids=["two slipped", "no two agree", "too few", "width known", "width known, off", "no built arm"],
 )
 def test_outputs_agree_with_the_model_and_with_most_others_of_their_side(off_rad, width_rad, agree):
-    assert find_consensus(on_one_side(off_rad, width_rad)).tolist() == agree
+    assert find_consensus(*on_one_side(off_rad, width_rad)).tolist() == agree
 
 
 def test_outliers_are_found_named_and_left_out():

@@ -60,7 +60,8 @@ def start_two_nodes() -> Iterator[LoopbackCluster]:
 
 def list_arms(count: int, seed: int) -> list[ArmJob]:
     """List jobs of the Monte Carlo of the error budget, one place each."""
-    return [ArmJob("mars", "sampled", 1, "statics", seed, arm, nominal_params()) for arm in range(count)]
+    request = MonteCarloRequest("mars", move_model="statics", seed=seed)
+    return [(request, nominal_params(), arm) for arm in range(count)]
 
 
 def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], None] = lambda _: None) -> str:

@@ -118,7 +118,7 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recor
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
     arm = simulator_of(campaign)
-    found = build_case_simulator(arm, arm.layout)
+    found = build_case_simulator(arm, arm.layout, 0)
     assert found.rows.size == arm.layout.size - 1
 
 
@@ -126,7 +126,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     """Rests and touches are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout) for one in (arm, replace(arm, patch=patch)))
+    before, after = (build_case_simulator(one, arm.layout, 0) for one in (arm, replace(arm, patch=patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([
         feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)
