@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
@@ -14,7 +14,7 @@ from simgap.effects.forces import LoadFriction
 from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
-from test_patch import SCALES, made
+from test_patch import made
 
 ROBOT = pendulum()
 TIME_s = np.arange(0.0, 3.0, 0.002)
@@ -47,7 +47,7 @@ def read(tmp_path, text, model_xml):
 
 @pytest.mark.parametrize("kind", COMMANDS, ids=lambda kind: kind.__name__)
 def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
-    effect, command = kind.at(ROBOT, "swing", SCALES), waves(TIME_s, seed=3)
+    effect, command = at_swing(kind, ROBOT), waves(TIME_s, seed=3)
     size, memory = np.array([[COMMANDS[kind]]]), {}
     whole = effect.shape_command(size, command[None, :], 0.002)[0]
     single = [effect.next_command(size, np.array([one]), 0.002, memory)[0] for one in command]
