@@ -65,8 +65,7 @@ def test_no_gain_is_asked_where_torques_are_compared(tmp_path):
     logs = load(robot, write_csv(tmp_path))
     assert [one.name for one in list_kinds(robot, logs.motions, None)] == ["inverse dynamics"]
     assert math.isnan(simulate_nominal(Models(robot), logs.motions[0]).mean_abs_rad["shoulder"])
-    assert "motor of shoulder" not in make_patch(robot, [], []).model_xml
-    assert not any("kp" in one for one in make_patch(robot, [], []).changes if "shoulder" in one)
+    assert '<motor name="shoulder"' in make_patch(robot, [], []).model_xml  # it keeps what it has
     path.write_text(path.read_text().replace('torque = { column = "m2", unit = "N m" }\n', ""))
     with pytest.raises(RobotError, match=r"joints.shoulder.kp_Nm_rad: is 0 or missing"):
         Robot.from_toml(path)
