@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from helpers import pendulum as lab
-from helpers.effect_lab import play
+from helpers.effect_lab import own_effect, play
 from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
+from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
 from simgap.effects.command import (
     AccelerationLimit,
     ClampHigh,
+    ClampLow,
     CommandDelay,
     EncoderScale,
     JointZero,
@@ -25,7 +27,7 @@ from simgap.effects.command import (
 )
 from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.logs import Signal
+from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch, save_patch
 from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
 
@@ -199,3 +201,86 @@ def test_a_limit_that_differs_by_direction_is_refused(of_joint, range_, said, tm
     actuator = f'<position joint="swing" kp="4" gear="2" forcerange="{range_}"/>'
     with pytest.raises(RobotError, match=f"joints.swing.torque_limit_Nm: {said}"):
         read(tmp_path, actuator, of_joint=of_joint)
+
+
+PLAIN = pendulum()
+FINE_s = np.arange(0.0, 3.0, 0.002)
+COMMANDS = {CommandDelay: 0.0123, VelocityLimit: 2.0, AccelerationLimit: 0.3, ClampLow: 1.2, ClampHigh: 0.4}
+
+
+def read_runtime(tmp_path, text, model_xml):
+    (tmp_path / "runtime.toml").write_text(text)
+    return RuntimeEffects.from_toml(mujoco.MjModel.from_xml_string(model_xml), tmp_path / "runtime.toml")
+
+
+@pytest.mark.parametrize("kind", COMMANDS, ids=lambda kind: kind.__name__)
+def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
+    effect, command = at_swing(kind, PLAIN), waves(FINE_s, seed=3)
+    size, memory = np.array([[COMMANDS[kind]]]), {}
+    whole = effect.shape_command(size, command[None, :], 0.002)[0]
+    single = [effect.next_command(size, np.array([one]), 0.002, memory)[0] for one in command]
+    assert np.array(single) == pytest.approx(whole, abs=1e-12)
+    assert np.abs(whole - command).max() > 1e-3
+
+
+def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
+    (tmp_path / "own.py").write_text(own_effect())
+    logs = Logs((motion(FINE_s, waves(FINE_s, 1), waves(FINE_s, 1)),))
+    (pull,) = load_effects(tmp_path / "own.py", PLAIN, logs)
+    patch = make_patch(PLAIN, [pull], [(0.2,)])
+    assert f'file = "{tmp_path / "own.py"}"' in patch.runtime
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = read_runtime(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
+    runtime.act(model, data, np.zeros(1))
+    mujoco.mj_step(model, data, runtime.n_steps)
+    assert data.qfrc_applied[0] == pytest.approx(0.2)
+
+
+def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
+    patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
+    data = mujoco.MjData(model)
+    gain, limited = model.actuator_gainprm.copy(), model.actuator_forcelimited.copy()
+    runtime.act(model, data, np.array([0.3]))
+    mujoco.mj_step(model, data, runtime.n_steps)
+    assert np.array_equal(model.actuator_gainprm, gain)
+    assert np.array_equal(model.actuator_forcelimited, limited)
+    assert math.isclose(data.time, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
+        ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
+        ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ("", "", "use the patched model"),
+    ],
+)
+def test_a_runtime_file_of_another_format_effect_or_model_is_refused(tmp_path, old, new, said):
+    patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
+    assert old in patch.runtime
+    with pytest.raises(RobotError, match=said):
+        read_runtime(tmp_path, patch.runtime.replace(old, new), patch.model_xml if old else "<mujoco/>")
+
+
+def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
+    robot = pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
+    effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
+    command = np.repeat(waves(FINE_s[::5], seed=5), 5)
+    off = np.repeat(abs(FINE_s[::5] - 1.3) < 0.3, 5)
+    enabled = Signal(FINE_s, np.where(off, 0.0, 1.0))
+    log = motion(FINE_s, 0.0 * FINE_s, command, gain={"swing": 0.6}, enabled=enabled)
+    engine = simulated(robot, log, *zip(effects, sizes, strict=True))
+    patch = make_patch(robot, effects, sizes)
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = read_runtime(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
+    shown = []
+    for k in range(FINE_s.size):
+        shown.append(data.qpos[0])
+        if k % 5 == 0:
+            runtime.act(model, data, command[[k]], gain=0.6, is_on=not off[k])
+        mujoco.mj_step(model, data)
+    assert shown[::5] == pytest.approx(engine[::5], abs=1e-9)
+    assert np.ptp(shown) > 0.3

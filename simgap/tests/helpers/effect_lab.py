@@ -57,6 +57,29 @@ PENDULUM_XML = """
 """
 
 
+OWN = """
+from dataclasses import dataclass
+from simgap.effects.effect import Effect, Family, JointEffect, Size
+
+@dataclass(frozen=True, slots=True)
+class Mine(JointEffect):
+    name = "mine"
+    family = Family.EXTERNAL
+
+    @property
+    def sizes(self):
+        return {sizes}
+
+    {hook}
+"""
+HOOK = "def torque_Nm(self, size, state): return size[:, 0] + 0.0 * state.time_s"
+
+
+def own_effect(sizes='(Size("push_Nm", 0.0, 1.0, 0.1),)', hook=HOOK):
+    """Return the text of a file with an effect of the user's own."""
+    return OWN.format(sizes=sizes, hook=hook)
+
+
 def robot_of(xml, tool_site="tool", mode=ControlMode.POSITION):
     """Return a robot whose joints all have an actuator in the order of the joints."""
     model = mujoco.MjModel.from_xml_string(xml)
