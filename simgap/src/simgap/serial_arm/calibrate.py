@@ -15,9 +15,7 @@ from simgap.common.errors import RobotError
 from simgap.serial_arm.chain import IDENTITY, Pose, PoseSeries, compose, forward_kinematics, norm, repeat_pose
 from simgap.serial_arm.fit import Fit, fit, fit_without_outliers, validate_hold_out
 from simgap.serial_arm.model import (
-    GEOMETRY,
     NON_PERIODIC,
-    PERIODIC,
     SerialArm,
     SerialModel,
     TrackerSetup,
@@ -112,9 +110,6 @@ def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
     return "see that this is the arm of the file, and that positions and joints have their order and signs"
 
 
-NOT_LINKS = ("base", "target")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialCalibration:
     """Result of a calibration."""
@@ -202,28 +197,6 @@ class JointTerms:
     """Root mean square periodic error at the measured poses."""
     periodic_peak_rad: float
     """Largest periodic error at the measured poses."""
-
-
-def contributions_m(found: SerialCalibration) -> dict[str, float]:
-    """Compute the root mean square motion of the target that each term causes."""
-    fit, sigma_m = found.fit, found.model.arm.repeatability.position_m
-    J = fit.at.jacobian[:, 3:]
-    contributions = {}
-    for term in found.model.terms:
-        is_of_term = np.array([term_of(one.name) == term for one in fit.parameters])
-        shift = J[:, :, is_of_term] @ fit.values[is_of_term] * sigma_m
-        contributions[term] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-    return contributions
-
-
-def term_of(parameter: str) -> str | None:
-    """Return the term of a parameter by its name; None for base and target."""
-    place, _, number = parameter.rpartition(".")
-    if place in NOT_LINKS:
-        return None
-    if number in NON_PERIODIC:
-        return number
-    return PERIODIC if number.startswith(("cos", "sin")) else GEOMETRY
 
 
 def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:

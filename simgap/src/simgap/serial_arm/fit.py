@@ -185,6 +185,23 @@ def _flat(jacobian: Array) -> Array:
     return jacobian.reshape(-1, jacobian.shape[-1])
 
 
+class BlockEquations:
+    """Normal equations of a fit in units of the scales, by block of time."""
+
+    def __init__(self, fitted: Fit, n_blocks: int):
+        self.fit = fitted
+        self.scale = np.array([one.scale for one in fitted.parameters])
+        prior = self.scale / np.array([one.prior_sigma for one in fitted.parameters])
+        self.J = fitted.at.jacobian[fitted.used] * self.scale
+        self.r = fitted.at.residual[fitted.used]
+        self.block: Integers = np.arange(len(self.r)) * n_blocks // len(self.r)
+        parts = [self.block == k for k in range(n_blocks)]
+        self.H = np.array([_flat(self.J[part]).T @ _flat(self.J[part]) for part in parts])
+        self.g = np.array([_flat(self.J[part]).T @ self.r[part].ravel() for part in parts])
+        self.penalty = np.diag(prior**2 + MIN_SENSITIVITY**2)
+        self.pull = prior**2 * fitted.values / self.scale
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HoldOutValidation:
     """Residuals of held-out poses, and their variance by noise and covariance of the fit; whitened.
