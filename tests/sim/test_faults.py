@@ -188,7 +188,7 @@ EXPECTED = {
 }
 
 
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("name", slow_but(EXPECTED, *list(EXPECTED)[::2]))
 def test_a_fault_in_the_middle_of_a_move_ends_on_the_brakes_by_the_response_of_the_table(name):
     fault, kind = EXPECTED[name]
     loop = moving().fork((replace(fault, at_s=now_s() + 0.25),))
