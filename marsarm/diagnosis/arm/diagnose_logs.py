@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.params import Params, digest
-from marsarm.common.effects import parse_effects
 from marsarm.common.pool import select_runner
-from marsarm.common.requests import load_fitting_params, select_arm
+from marsarm.common.requests import load_fitting_params, parse_effects, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs

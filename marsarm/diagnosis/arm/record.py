@@ -19,8 +19,7 @@ from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
-from marsarm.common.effects import fit_effects, parse_effects
-from marsarm.common.requests import select_arm
+from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json

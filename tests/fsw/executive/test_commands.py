@@ -1,5 +1,7 @@
 """Single commands: their arguments, their effect, stops, faults and cleared faults."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from fsw.dictionary.commands import (
     Preload,
     Retract,
     Stop,
+    Stow,
     Unstow,
 )
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode
@@ -79,17 +82,22 @@ def test_a_tool_move_says_which_branch_it_takes():
     assert chosen[0].branch in BRANCHES
 
 
-def test_unstow_leads_past_the_way_points_to_the_ready_pose():
-    rig = stowed()
+def test_unstow_leads_past_the_way_points_to_the_ready_pose_and_stow_leads_back():
+    drawn = CONFIG.params.joints.in_order()
+    joints = {joint.name.lower(): replace(drawn[joint], speed_rad_s=0.1) for joint in Joint}
+    config = with_params(joints=joints)
+    poses = config.params.poses
+    rig = Rig(config, Mode.STOWED, poses.stowed_rad)
     evrs = rig.run(Unstow())
     assert CommandCompleted("Unstow") in evrs
-    assert rig.state.mode is Mode.DEPLOYED
     # friction holds a joint that is there already within this bound
-    held_rad = 2 * CONFIG.output_friction_Nm / CONFIG.arm.gear_stiffness_Nm_rad + 1e-5
-    error_rad = np.abs(rig.state.joints.output_rad - CONFIG.params.poses.ready_rad)
-    assert (error_rad < held_rad).all()
+    held_rad = 2 * config.output_friction_Nm / config.arm.gear_stiffness_Nm_rad + 1e-5
+    assert (np.abs(rig.state.joints.output_rad - poses.ready_rad) < held_rad).all()
     modes = [(evr.before, evr.after) for evr in evrs if isinstance(evr, ModeChanged)]
     assert modes == [(Mode.STOWED, Mode.FREE_SPACE), (Mode.FREE_SPACE, Mode.DEPLOYED)]
+    assert CommandCompleted("Stow") in rig.run(Stow())
+    assert rig.state.mode is Mode.STOWED
+    np.testing.assert_allclose(rig.state.joints.output_rad, poses.stowed_rad, atol=1e-4)
 
 
 @pytest.mark.parametrize("joint", Joint)

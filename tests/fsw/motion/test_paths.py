@@ -117,27 +117,6 @@ def without_play(name):
     return in_the_open(config)
 
 
-def settled(config, start_rad=None):
-    """Return a rig after some estimates of the load."""
-    rig = Rig(config, start_rad=start_rad)
-    for _ in range(3 * config.params.motion.load_period_cycles):
-        rig.cycle()
-    return rig
-
-
-@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
-@pytest.mark.parametrize("tool", TOOLS)
-def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
-    config = without_play(name)
-    rig = settled(config, facing(config, tool))
-    path = straight(plan_guarded(config, rig.state.joints, rig.touch(tool, 0.15)))
-    X, _ = along(config, tool, path, likely(rig.state.joints))
-    off_m, turn_rad, length_m = line_errors(X)
-    assert length_m == pytest.approx(0.15, abs=1e-6)
-    assert off_m < STRAIGHT_M
-    assert turn_rad < AXIS_RAD
-
-
 CROSSING = [
     *(
         (tool, kind, start)

@@ -6,13 +6,10 @@ import sim.loop
 from fsw.config import CYCLE_HZ
 from fsw.cycle import step
 from marsarm.replaying.replay import ReplayRequest, replay, replay_document, replay_parts
-from marsarm.runs.request import RunFiles, RunRequest
-from marsarm.runs.scenario import run_scenario
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, run_header
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from tests.marsarm.command import SHORT_RUN
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
@@ -79,21 +76,6 @@ def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
     assert changed["/drive.power_on"] == changed["/drive.brake_release"] == 100
     assert min(changed.values()) == 100
     assert any("SoftwareError" in line for line in replay_parts(report))
-
-
-MISSED = '[[fault]]\ntype = "MISSED_CYCLES"\nduring = 1\nafter_s = 1\ncount = 2\n\n[[check]]'
-
-
-@pytest.mark.slow
-def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(tmp_path):
-    scenario = tmp_path / "short.toml"
-    scenario.write_text(SHORT_RUN.replace("[[check]]", MISSED))
-    log = tmp_path / "run.mcap"
-    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), no_progress)
-    found = replayed(tmp_path, log=log).differences
-    assert found.identical
-    assert found.tolerance == 0.0
-    assert "CyclesSkipped" in [evr.name for evr in read_log(log).evrs]
 
 
 def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):

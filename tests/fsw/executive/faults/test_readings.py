@@ -6,10 +6,10 @@ import pytest
 from fsw.dictionary import evrs
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.faults import CyclesMissed, Fault, GravityImplausible, SensorFrozen, SensorNotFinite
+from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
 from tests.fsw.executive.faults.lab import BOUNDS, CONFIG, START, STOPPED, found, moving, skip
 from tests.fsw.protect.test_readings import BAD, QUIET, corrupted
-from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats, made_once
+from tests.fsw.rig import MARS_R_m_s2, Rig, floats, made_once
 
 MOVES = {
     "joints": lambda rig: MoveJoints(floats(START + 0.05)),
@@ -122,21 +122,3 @@ def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
     skip(rig, 20)
     assert rig.evrs == [CyclesMissed(20, BOUNDS.missed_cycles), STOPPED]
     assert rig.state.mode is Mode.DEPLOYED
-
-
-def turned(angle_rad, about):
-    """Gravity turned about a level axis of the rover."""
-    level = np.array([np.cos(about), np.sin(about), 0.0])
-    down = np.array([0.0, 0.0, 1.0])
-    return np.linalg.norm(MARS_R_m_s2) * (np.cos(angle_rad) * down + np.sin(angle_rad) * level)
-
-
-def test_gravity_may_turn_between_moves_and_the_next_move_begins_from_there():
-    rig = Rig(CONFIG, start_rad=START)
-    rig.run(MoveJoints(floats(START + 0.01)))
-    for k in range(600):
-        rig.cycle(gravity_R_m_s2=turned(0.2, 0.3) + alive(k))
-    rig.cycle(MoveJoints(floats(START)), gravity_R_m_s2=turned(0.2, 0.3))
-    while rig.outputs.joint.busy:
-        rig.cycle(gravity_R_m_s2=turned(0.2, 0.3) + alive(rig.cycles))
-    assert not found(rig, Fault)

@@ -10,7 +10,7 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.common.effects import parse_effects
+from marsarm.common.requests import parse_effects
 from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import (
