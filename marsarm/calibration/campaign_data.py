@@ -35,11 +35,6 @@ class MeasuredPoses:
     covariance: Array
     """Covariance of the screw from true to measured pose, in its axes, rotation first, shape (n, 6, 6)."""
 
-    @property
-    def whitener(self) -> Array:
-        """Compute the matrices that make this screw independent with unit variance, shape (n, 6, 6)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BelievedPoses:
