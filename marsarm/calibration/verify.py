@@ -212,14 +212,15 @@ HARDSTOP_TARGETS: Final = 10
 """Number of targets that last as long as the hardstops of all joints, for the progress."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class PlaceErrors:
-    """Tool errors at the targets of one environment; arrays of shape (n,)."""
+    """Tool errors at the targets of one environment."""
 
     name: str
-    total_m: Array
-    lateral_m: Array
-    axis_rad: Array
+    rms_m: float
+    max_m: float
+    max_lateral_m: float
+    max_axis_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +253,8 @@ def verify_calibration(
         for one in _tool_errors(known, reference, world, effects, targets, seed):
             found.append(one)
             moving(k * targets + len(found), len(where) * targets, name)
-        places.append(PlaceErrors(name, *np.array(found).T))
+        rms_m = float(np.sqrt(np.mean(np.array(found)[:, 0] ** 2)))
+        places.append(PlaceErrors(name, rms_m, *np.max(found, axis=0).tolist()))
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
