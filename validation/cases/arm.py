@@ -222,13 +222,9 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
 
 def list_clear_cases(cases: Sequence[TrueCase], classes: EquivalenceClasses) -> list[TrueCase]:
     """List the cases with one effect from the limit of the selection on, the largest first."""
-
-    def size(case: TrueCase) -> float:
-        (one,) = case.effects
-        return one.times_limit / classes.family_wise_share(one.name, one.place)
-
-    single = [case for case in cases if case.kind == "single"]
-    return sorted((case for case in single if size(case) >= 1.0), key=size, reverse=True)
+    sizes = {case.name: classes.times_limit(*case.effects) for case in cases if case.kind == "single"}
+    clear = (case for case in cases if sizes.get(case.name, 0.0) >= 1.0)
+    return sorted(clear, key=lambda case: sizes[case.name], reverse=True)
 
 
 def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
