@@ -163,21 +163,13 @@ def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -
     return reorder_poses(parts, believed.motor_rad.shape[1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TruthComparison:
-    """Difference of the calibrated arm from the true arm."""
+def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> tuple[Array, Array]:
+    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal.
 
-    error: Array
-    """Screws from calibrated to true poses, at the believed positions in the backlash, shape (6, n)."""
-    sigmas: Array
-    """Error along each combination, over its stated sigma.
-
-    Only combinations that the data determine better than the prior are included.
+    Returns:
+        Screws from calibrated to true poses, at the believed positions in the backlash, shape (6, n). The
+        error along each combination that the data determine better than the prior, over its stated sigma.
     """
-
-
-def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> TruthComparison:
-    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal."""
     fitted = residual_model(found.nominal, found.campaign, found.preliminary)
     truth = MeasuredPoses(
         true_poses(arm, found.campaign.believed, motor_error_rad), found.campaign.measured.covariance
@@ -188,7 +180,7 @@ def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array
     share, along = np.linalg.eigh(J @ found.best.covariance @ J.T)
     determined = share > MIN_DATA_SHARE
     error = along[:, determined].T @ at_best.residual[found.best.used].ravel()
-    return TruthComparison(model.errors(found.best.values), error / np.sqrt(share[determined]))
+    return model.errors(found.best.values), error / np.sqrt(share[determined])
 
 
 COLD_C: Final = -35.0
