@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
-from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers.pendulum import motion, pendulum, recorded, waves
 from helpers.robot_folder import write_csv, write_robot
 from helpers.verdicts import diagnosis
 from simgap.arrays import Array
@@ -87,13 +87,9 @@ DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement d
 ZONE = EFFECTS["swing: dead zone"]
 
 
-def swing(log, delay_s, seed):
-    noise = np.random.default_rng(seed).normal(0.0, 3e-4, TIME_s.size)
-    position = Signal(TIME_s, simulated(ROBOT, log, (DELAY, (delay_s,))) + noise)
-    return replace(log, joints={"swing": replace(log.joints["swing"], position=position)})
-
-
-LOGS = Logs(tuple(swing(one, 0.02, k) for k, one in enumerate(PLANNED)))
+LOGS = Logs(
+    tuple(recorded(ROBOT, one, (DELAY, (0.02,)), noise_rad=3e-4, seed=k) for k, one in enumerate(PLANNED))
+)
 
 
 def rival(effect, size, p=0.3):

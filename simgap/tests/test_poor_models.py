@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers.pendulum import motion, pendulum, recorded, waves
 from helpers.toy import CATALOGUE, NAMES, Toy, draw_toy
 from helpers.verdicts import ARMATURE, FRICTION, GAIN
 from simgap.assemble import doubt_names, list_base
@@ -31,9 +31,7 @@ def swing(seed, on):
     """Record a damped pendulum whose motor has power where `on` is 1."""
     command = waves(TIME_s, seed)
     log = motion(TIME_s, 0.0 * TIME_s + command[0], command, f"m{seed}", enabled=Signal(TIME_s, on))
-    truth = pendulum(kp=4.0, kd=TRUE_KD, damping=TRUE_DAMPING)
-    joint = replace(log.joints["swing"], position=Signal(TIME_s, simulated(truth, log)))
-    return replace(log, joints={"swing": joint})
+    return recorded(pendulum(kp=4.0, kd=TRUE_KD, damping=TRUE_DAMPING), log)
 
 
 def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_power():
