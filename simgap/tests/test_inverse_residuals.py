@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from helpers.real_robots import load_real
-from helpers.two_joint_arm import arm, check_promises, rms, scales, simulated
+from helpers.two_joint_arm import arm, check_promises, rms, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.command import EncoderScale, JointZero
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction, PositionTorque, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
 from simgap.effects.transmission import JointCompliance
@@ -42,7 +43,7 @@ def residuals_of(*motions):
 
 def at(joint, *kinds):
     robot = arm()
-    return [kind.at(robot, joint, scales(robot, log())) for kind in kinds]
+    return [kind.at(robot, joint, joint_scales(robot, [log()])) for kind in kinds]
 
 
 def of_joint(model, values, joint):
@@ -208,7 +209,7 @@ def test_logs_without_torques_and_logs_that_are_shorter_than_the_filter_are_refu
 def kr300(folder):
     robot, logs = load_real(folder, "kr300")
     effects = {effect.key: effect for effect in catalogue(robot, logs)}
-    shared = {"a2": scales(robot, *logs.motions)["a2"]}
+    shared = {"a2": joint_scales(robot, logs.motions)["a2"]}
     base = [kind.at(robot, "a2", shared) for kind in FRICTION]
     return robot, InverseResiduals(robot, logs.motions), base, effects
 

@@ -17,6 +17,7 @@ from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.command.next_motion import command_table
 from simgap.common.errors import RobotError
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
@@ -142,7 +143,7 @@ def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion
 def test_torques_are_compared_along_the_motion_though_no_command_is_known():
     logs = Logs(tuple(two_joint_arm.simulated(two_joint_arm.arm(), seed, noise_rad=1e-5) for seed in (1, 2)))
     logs = Logs(tuple(replace(one, name=str(k)) for k, one in enumerate(logs.motions)))
-    robot, ranges = two_joint_arm.arm(), two_joint_arm.scales(two_joint_arm.arm(), *logs.motions)
+    robot, ranges = two_joint_arm.arm(), joint_scales(two_joint_arm.arm(), logs.motions)
     friction, weight = CoulombFriction.at(robot, "elbow", ranges), LinkMass("elbow", 2.0)
     rivals = [
         Rival("elbow: Coulomb friction", one.key, 0.5, "inverse dynamics", (one,), ((size,),), 1)
