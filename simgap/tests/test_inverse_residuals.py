@@ -243,19 +243,3 @@ def test_friction_alone_leaves_4_newton_metres_at_axis_2_of_the_kr300(real_data)
 def test_a_counterbalance_of_the_first_order_predicts_the_other_batch(real_data, fitted):
     errors = axis_2_errors_Nm(real_data, fitted, ["position-dependent torque"], [0, 1, 2, 3])
     assert errors[1 - fitted] < 0.8
-
-
-@pytest.mark.real_data
-@pytest.mark.parametrize("batch", [0, 1])
-def test_no_mass_of_a_link_within_its_bounds_is_a_counterbalance(real_data, batch):
-    robot, model, base, effects = kr300(real_data)
-    mass = effects["a2: link mass"]
-    bounds = mass.sizes[0].low, mass.sizes[0].high
-    rows = (model.joint_of == 1) & (model.motion_of == batch)
-    slopes = model.residuals(base, np.vstack((np.zeros(2), np.eye(2))))[:, rows]
-    columns = (slopes[:1] - slopes[1:]).T
-    nominal, *others = (
-        rms(rest - columns @ np.linalg.lstsq(columns, rest)[0]) / robot.joint("a2").gear_ratio
-        for rest in model.residuals([mass], np.array([[0.0], *([bound] for bound in bounds)]))[:, rows]
-    )
-    assert min(others) > 0.9 * nominal

@@ -107,29 +107,6 @@ def test_the_logs_load_and_are_split(real_data, name, fitted, judged, joints):
             assert np.ptp(one.position.value) < 2 * np.pi
 
 
-@pytest.mark.real_data
-def test_logged_velocities_are_those_of_the_logged_positions(real_data):
-    for name, joint in (("so101", "shoulder_lift"), ("pendulum", "servo"), ("kr300", "a2")):
-        logs = load(robot_path(name), [real_data / one for one in LOGS[name]])
-        signals = [motion.joints[joint] for motion in logs.motions]
-        slope = np.concatenate([np.gradient(one.position.value, one.position.time_s) for one in signals])
-        speed = np.concatenate([one.velocity.value for one in signals])
-        # A unit that is off by 57 or 1000 is far outside; noise and filters of the drives are inside.
-        assert 0.7 < slope @ speed / (speed @ speed) < 1.4
-
-
-@pytest.mark.real_data
-def test_torques_of_the_kr300_are_at_the_joint_with_the_sign_of_the_model(real_data):
-    robot = Robot.from_toml(robot_path("kr300"))
-    for motion in load(robot, [real_data / one for one in LOGS["kr300"]]).motions:
-        joints = [motion.joints[one.name] for one in robot.joints]
-        measured = np.stack([one.torque.value for one in joints], axis=1)[::25]
-        q = np.stack([one.position.value for one in joints], axis=1)[::25]
-        gravity = np.array([_terms(robot.model, one, np.zeros(6))[0] for one in q])
-        # Gravity is most of what axis 3 carries: its mean torque is that of the model within friction.
-        assert np.mean(measured[:, 2]) == pytest.approx(np.mean(gravity[:, 2]), rel=0.25)
-
-
 LIFT, ELBOW = "shoulder_lift", "elbow_flex"
 MOVING = (LIFT, ELBOW)
 GAIN_RATIO = {LIFT: 0.4, ELBOW: 0.15}

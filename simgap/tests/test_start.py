@@ -89,9 +89,7 @@ def test_every_effect_of_the_catalogue_and_a_delay_of_all_joints_can_be_a_start(
     assert [repr(one) for one in again] == [repr(one) for one in effects]
 
 
-def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp_path, late):
-    with pytest.raises(RobotError, match=r"has no effects\.toml; give the folder of a patch"):
-        read_found(MODEL, tmp_path)
+def test_a_result_of_another_robot_is_refused(tmp_path, late):
     save_patch(MODEL, diagnosis(effects=(late,), sizes=((DELAY_s,),)), tmp_path)
     other = replace(MODEL, joints=(replace(MODEL.joints[0], name="lift"),))
     with pytest.raises(RobotError, match=r"are \['swing'\], and the robot has \['lift'\]"):
