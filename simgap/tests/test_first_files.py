@@ -85,11 +85,11 @@ def by_name(**changes):
     return {name: values for name, values in (columns | changes).items() if values is not None}
 
 
-def make(folder, log, model=MODEL, unit=""):
+def make(folder, log, model=MODEL):
     """Write a first robot file; return its joints, its questions, and the remarks of the check."""
     path = folder / "robot.toml"
     (folder / "model.xml").write_text(model)
-    draft = draft_robot_file(folder / "model.xml", (log,), path, unit, no_progress)
+    draft = draft_robot_file(folder / "model.xml", (log,), path, "", no_progress)
     path.write_text("\n".join(robot_file_lines(draft, "a test")))
     robot = Robot.from_toml(path)
     remarks = audit(robot, load(robot, log)).remarks

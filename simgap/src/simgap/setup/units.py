@@ -68,10 +68,9 @@ def guess_position_units(
         own = {joint: one for joint, one in values.items() if one.is_slide == is_slide and joint not in found}
         if own and unit == "count" and not is_slide:
             found |= dict.fromkeys(own, _counts(tuple(own.values()), TOLD))
-        elif own and unit == "percent" and not is_slide:
-            found |= {joint: _percent(one, -100.0, TOLD) for joint, one in own.items()}
         elif own and unit and not is_slide:
-            found |= dict.fromkeys(own, UnitGuess(unit, TOLD))
+            is_share, plain = unit == "percent", UnitGuess(unit, TOLD)
+            found |= {key: _percent(one, -100.0, TOLD) if is_share else plain for key, one in own.items()}
         elif own:
             found |= _guess_slides(own) if is_slide else _guess_hinges(own)
     return found
