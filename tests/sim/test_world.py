@@ -9,25 +9,12 @@ from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.arms import nominal_params
-from sim.frames import FLIP, P_NR_M, gravity_in_rover, p_R_from_N, random_surface
+from sim.frames import FLIP, P_NR_M, p_R_from_N, random_surface
 from sim.setting import Surface, World
 from sim.world import WrongMujoco, add_rock, build, inside_rover
 
 APEX = (2.1, 0.1, -0.3)
 NORMAL = (-0.6, 0.1, -0.7)
-
-
-@pytest.mark.parametrize(
-    ("roll", "pitch", "down"),
-    [
-        (0.0, 0.0, [0.0, 0.0, 1.0]),
-        (0.0, 0.1, [-np.sin(0.1), 0.0, np.cos(0.1)]),
-        (0.1, 0.0, [0.0, np.sin(0.1), np.cos(0.1)]),
-    ],
-    ids=["level", "nose up", "right side down"],
-)
-def test_gravity_pulls_down_to_the_rear_or_to_the_right(roll, pitch, down):
-    assert gravity_in_rover(roll, pitch, 3.711) == pytest.approx(3.711 * np.array(down))
 
 
 @pytest.mark.parametrize("seed", range(10))

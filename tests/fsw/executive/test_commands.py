@@ -125,15 +125,6 @@ def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way
             assert reason.endswith("where turret may be calibrated")
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_a_joint_may_begin_anywhere_between_its_hardstop_and_its_place(joint):
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    for angle_rad in (stop - 0.01, stop + 0.01, 0.5 * (stop + START[joint])):
-        rig = Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, angle_rad, START))
-        rig.cycle(Calibrate(joint))
-        assert CommandAccepted("Calibrate") in rig.evrs
-
-
 def next_to_its_stop(joint):
     """Return a rig without hardstops, with this joint close to the angle of its hardstop."""
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
