@@ -95,7 +95,3 @@ def _computes_when_read(node):
     """Return whether a record keeps a value that it computes when it is read; slots have no room for it."""
     marks = [mark for part in node.body for mark in getattr(part, "decorator_list", [])]
     return any(getattr(mark, "id", "") == "cached_property" for mark in marks)
-
-
-def test_there_is_something_to_look_at():
-    assert len(FILES) > 20
