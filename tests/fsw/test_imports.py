@@ -28,10 +28,6 @@ FORBIDDEN_CALLS = {"open", "print", "input", "exec", "eval", "compile", "__impor
 FORBIDDEN_NAMES = {"random", "load", "save", "fromfile", "tofile", "genfromtxt", "loadtxt", "memmap"}
 
 
-def name_of(path):
-    return str(path.relative_to(ROOT))
-
-
 def imported(tree):
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -44,7 +40,7 @@ def allowed(module):
     return module in ALLOWED or module.split(".")[0] in {"fsw", "numpy", "ruckig"}
 
 
-@pytest.fixture(scope="module", params=FILES, ids=name_of)
+@pytest.fixture(scope="module", params=FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def tree(request):
     return ast.parse(request.param.read_text())
 

@@ -245,11 +245,11 @@ def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, off
 @pytest.mark.parametrize("stiffness", slow_but([0.8, 1.15], 1.15))
 def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
     rig = pressed(stiffness, force_N=100.0)
-    for force_N in (200.0, 300.0, 150.0):
+    for force_N in (200.0, 150.0):
         press(rig, force_N, stiffness)
         assert rig.state.preload.model_N * stiffness == pytest.approx(force_N, rel=0.04)
     assert preloads(rig) == [
-        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 300.0, 150.0)
+        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 150.0)
     ]
 
 

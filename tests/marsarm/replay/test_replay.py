@@ -20,10 +20,6 @@ LOG = FOLDER / "joints.mcap"
 TURNS_SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
 
 
-def ticks_of(log) -> int:
-    return read_log(log)["/sensors"].size
-
-
 def replayed(tmp_path, toml: str = "", **request):
     path = tmp_path / "other.toml"
     path.write_text(toml)
@@ -85,7 +81,7 @@ def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
     added = [one for one in report.differences.evrs if one.recorded is None]
     assert [(one.event.tick, one.event.name) for one in added] == [(100, "SoftwareError")]
     assert "nobody thought of that" in added[0].replayed.message
-    assert report.differences.ticks == (ticks_of(LOG), 101)
+    assert report.differences.ticks == (read_log(LOG)["/sensors"].size, 101)
     changed = {one.channel: one.first_tick for one in report.differences.channels}
     assert changed["/drive.power_on"] == changed["/drive.brake_release"] == 100
     assert min(changed.values()) == 100
