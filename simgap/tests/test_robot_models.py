@@ -12,6 +12,7 @@ from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load, read_split
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
+from simgap.serial_arm.files import read_arm, read_mapping
 
 PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}
 
@@ -57,11 +58,12 @@ def test_the_two_halves_of_the_so101_share_no_motion_and_have_all():
         assert fast in parts[part]
 
 
-def test_the_ur10_points_to_its_serial_arm():
+def test_the_ur10_points_to_its_serial_arm_and_to_mappings_of_its_poses():
     found = read_robot_file(robot_path("ur10"))
     assert isinstance(found, SerialFile)
     folder = robot_path("ur10").parent
-    assert all((folder / name).is_file() for name in (found.serial_arm, *found.poses.values()))
+    assert {read_mapping(folder / one).arm for one in found.poses.values()} == {"UR10"}
+    assert read_arm(folder / found.serial_arm).name == "UR10"
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -35,11 +35,6 @@ def test_the_ur10_of_the_models_has_six_joints_and_the_published_reach():
     assert sum(one.mass_kg for one in arm.links) == pytest.approx(28.435)
 
 
-@pytest.mark.parametrize("name", ["series_a.toml", "series_c.toml"])
-def test_the_mappings_of_the_models_are_of_the_ur10(name):
-    assert read_mapping(repository_file(f"models/robots/ur10/{name}")).arm == "UR10"
-
-
 @pytest.mark.parametrize(
     ("change", "line"),
     [

@@ -252,13 +252,10 @@ class SerialModel:
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
         jacobian = np.concatenate([*columns, *joint_columns], axis=2)
-        return chain.linearise(X_M, jacobian, self.series.X_TM, self._whitener())
-
-    def _whitener(self) -> Array:
-        """Compute the matrices that scale rotation and position by their noise, shape (n, 6, 6)."""
         noise = self.arm.repeatability
         inverse = np.diag(1.0 / np.repeat([noise.rotation_rad, noise.position_m], 3))
-        return np.broadcast_to(inverse, (self.series.count, 6, 6))
+        whitener = np.broadcast_to(inverse, (self.series.count, 6, 6))
+        return chain.linearise(X_M, jacobian, self.series.X_TM, whitener)
 
 
 def serial_model(
