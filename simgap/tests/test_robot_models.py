@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from helpers.effect_lab import motion_of
 from helpers.real_robots import LOADED, LOGS, ROBOTS, robot_path
 from simgap.diagnosis import diagnose
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load, read_split
-from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
 from simgap.serial_arm.files import read_arm, read_mapping
 
@@ -188,11 +188,7 @@ def record(robot, seed):
     shown = np.array(rows) + NOISE_rad * np.random.default_rng(seed).standard_normal(sent.shape)
     shown = COUNT_rad * np.round(shown / COUNT_rad)
     time_s = ROW_s * np.arange(len(shown))
-    joints = {
-        name: JointLog(position=Signal(time_s, shown[:, j]), command=Signal(time_s, sent[:, j]))
-        for j, name in enumerate(MOVING)
-    }
-    return Motion(f"smooth {seed}", joints, {})
+    return motion_of(robot, time_s, shown, sent, f"smooth {seed}")
 
 
 @pytest.mark.slow

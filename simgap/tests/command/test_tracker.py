@@ -6,8 +6,7 @@ import re
 import pytest
 
 from helpers.command import run_simgap
-from helpers.serial_files import MAPPING, write
-from helpers.serial_synthetic import POSITION_M
+from helpers.serial_synthetic import MAPPING, POSITION_M, write
 from simgap.command.diagnosis import diagnose_robot
 from simgap.command.request import DiagnoseRequest
 from simgap.common.errors import BadRequest, RobotError

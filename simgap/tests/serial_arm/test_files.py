@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.real_robots import repository_file
-from helpers.serial_files import MAPPING, rows, text
-from helpers.serial_synthetic import built_arm, drawn_arm
+from helpers.serial_synthetic import MAPPING, built_arm, drawn_arm, rows, text
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_mapping, series_from_table
