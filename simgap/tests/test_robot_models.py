@@ -18,14 +18,10 @@ PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}
 
 
 @pytest.mark.parametrize("name", LOADED)
-def test_gravity_loads_the_joints_that_it_can_move(name):
+def test_gravity_loads_the_joints_that_it_can_move_and_no_number_counts_as_known(name):
     joints = Robot.from_toml(robot_path(name)).joints
     assert {one.name for one in joints if one.is_loaded_by_gravity} == LOADED[name]
-
-
-@pytest.mark.parametrize("name", LOADED)
-def test_no_number_of_a_real_robot_counts_as_known(name):
-    assert not any(one.is_known for one in Robot.from_toml(robot_path(name)).joints)
+    assert not any(one.is_known for one in joints)
 
 
 def test_the_pendulum_has_the_published_mass_at_the_published_distance():
