@@ -1,20 +1,31 @@
-"""Tests of `marsarm run` and `marsarm run --list` as a user runs them."""
+"""Tests of `marsarm run` and `marsarm hardstop` as a user runs them, and memory of a run without a log."""
 
+import gc
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 
-from marsarm.runs.execution import choose_log, draw_picture
-from marsarm.runs.request import RunFiles
+from fsw.dictionary.commands import MoveJoint, Process
+from fsw.dictionary.enums import Joint
+from marsarm.runs.execution import FRAME_CYCLES, choose_log, draw_picture, execute
+from marsarm.runs.request import NO_FILES, RunFiles
 from marsarm.telemetry.read import read_log
 from sim.arm_model.load import default_arm
+from sim.arms import arm_named, nominal_params
+from sim.loop import ClosedLoop
+from sim.scenario.data import Done, GravityHeld, Scenario
 from sim.scenario.file import built_in_scenarios
+from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadOutput
+from simgap.common.progress import no_progress
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
+from tests.sim import lab
 
 REFUSED = SHORT_RUN + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
 MISSED = SHORT_RUN + '\n[[check]]\ntype = "stowed"\n'
@@ -116,3 +127,71 @@ def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
     assert [scenario["name"] for scenario in listed] == list(built_in_scenarios())
     assert all(scenario["summary"] in line for scenario, line in zip(listed, lines, strict=True))
     assert "TOOL_CHANGE" in {scenario["name"]: scenario for scenario in listed}["tool-change"]["commands"]
+
+
+GRAVITY_T = (-0.02, 0.0, -1.0)
+"""Gravity in the axes of the portioner in the ready pose, almost."""
+FIRST, LAST = FRAME_CYCLES, 4 * FRAME_CYCLES
+"""Cycles in the first command and in the second."""
+
+
+@pytest.mark.slow
+def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
+    """No line keeps as many more blocks as there are cycles; caches of NumPy keep a few, never the same."""
+    commands = (Process("portion", GRAVITY_T, 6.0), MoveJoint(Joint.TURRET, 1.4))
+    checks = (Done(), GravityHeld(1, "portion", GRAVITY_T))
+    scenario = Scenario("test", "T", "S.", World(), commands, checks, "ready")
+    arm = arm_named("nominal")
+    loop = ClosedLoop(scenario_setup(scenario, arm, lab.true_reference(arm), 1))
+    run, kept = ScenarioRun(loop, scenario), {}
+
+    def note(record):
+        if record.tick in (FIRST, LAST):
+            gc.collect()
+            kept[record.tick] = tracemalloc.take_snapshot()
+        return run.guess_share(record.tick), 1.0
+
+    tracemalloc.start()
+    try:
+        done = execute(
+            run, loop, {}, NO_FILES, scenario.world, no_progress, note, lambda _: False, arm.model, "T"
+        )
+    finally:
+        tracemalloc.stop()
+    assert done.result.passed
+    lines = kept[LAST].compare_to(kept[FIRST], "lineno")
+    assert max(lines, key=lambda line: line.count_diff).count_diff < LAST - FIRST
+
+
+def test_one_joint_is_found_and_drawn_and_people_see_a_table_and_what_was_said(tmp_path):
+    words = ("--arm", "as-built:5", "--temperature", "-55", "--picture", "turret.png")
+    done = marsarm(tmp_path, "hardstop", "--joint", "turret", *words)
+    assert done.returncode == 0, done.stderr
+    assert "TURRET calibrated" in done.stdout
+    assert "zero error" in done.stdout
+    with PIL.Image.open(tmp_path / "turret.png") as image:
+        assert image.width > 1000
+    assert [path.name for path in tmp_path.iterdir()] == ["turret.png"]
+
+
+@pytest.mark.slow
+def test_every_as_built_joint_finds_its_zero_in_the_cold_one_after_the_other(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--arm", "as-built:3", "--temperature", "-55", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert set(document["joints"]) == {joint.name.lower() for joint in Joint}
+    for joint, params in zip(Joint, nominal_params().joints.in_order(), strict=True):
+        found = document["joints"][joint.name.lower()]
+        assert abs(found["zero_error_mrad"]) < 0.3
+        assert abs(found["uncorrected_error_mrad"]) > 1.0  # wind-up is corrected
+        assert found["max_torque_Nm"] < params.hardstop_rated_Nm
+    assert document["max_current_ratio"] <= 1.0 + 1e-9
+    assert "CommandCompleted" in [evr["name"] for evr in document["evrs"]]
+
+
+def test_a_load_that_hides_the_hardstop_is_refused(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--joint", "elevation", "--scene", "earth", "--json")
+    assert done.returncode == 3
+    document = json.loads(done.stdout)
+    assert (document["outcome"], document["max_current_ratio"]) == ("refused", 0.0)
+    assert "gravity presses it on its hardstop" in document["evrs"][-1]["message"]

@@ -1,4 +1,4 @@
-"""Scenario files: what can be said is read, and what is wrong is refused."""
+"""Scenario files and effect files: what can be said is read, and what is wrong is refused."""
 
 from dataclasses import MISSING, fields
 from typing import get_args, get_type_hints
@@ -16,10 +16,12 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Joint
 from sim.arms import nominal_params
+from sim.effects.catalogue import hypotheses
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
 from sim.scenario import tables
 from sim.scenario.data import Check, Done, Injection, Placed, TaughtPoint
+from sim.scenario.effects import BadEffect, effect_file_text, read_effect_file
 from sim.scenario.file import BadScenario, load_scenario, parse_scenario
 from sim.scenario.records import Findings, field_keys, read_record, upper_snake
 from sim.setting import Surface
@@ -193,3 +195,31 @@ def test_a_scenario_or_file_that_is_not_there_is_told(tmp_path):
         load_scenario("samplin")
     with pytest.raises(BadScenario, match=r"none\.toml: cannot be read .*No such file"):
         load_scenario(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize(
+    "effects", [(), tuple(one.typical(1.0 / 3.0) for one in hypotheses())], ids=["none", "all"]
+)
+def test_effects_come_back_exactly(tmp_path, effects):
+    path = tmp_path / "found.toml"
+    path.write_text(effect_file_text(effects, ["comment"]))
+    assert read_effect_file(path, TOOLS) == effects
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[[effect]]\ntype = "coulomb-frictoin"\n', "effect[1].type: effect 'coulomb-frictoin' is not"),
+        ('arm = "nominal"\n', "found.toml: arm: does not belong in a file of effects; there is only"),
+        ("[[effect]\n", "found.toml: is not TOML"),
+        ("effect = 3\n", "found.toml: effect: is no list of tables"),
+        (None, "cannot be read"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_key(tmp_path, text, expected):
+    path = tmp_path / "found.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BadEffect) as refused:
+        read_effect_file(path, TOOLS)
+    assert expected in str(refused.value)

@@ -1,4 +1,4 @@
-"""What is done about each fault, by the table, in the documents, and in time."""
+"""What is done about each fault, by the table, in the documents, and in time; what motors should not do."""
 
 from dataclasses import replace
 
@@ -18,6 +18,7 @@ from fsw.dictionary.faults import (
     FollowingErrorHigh,
     GravityImplausible,
     MotorStalled,
+    NotSettled,
     OverCurrent,
     OverTemperature,
     ResolverDisagrees,
@@ -32,6 +33,7 @@ from fsw.dictionary.faults import (
 from fsw.motion.move import Phase
 from fsw.protect.responses import RESPONSE_TO, Response
 from fsw.state import Sequence
+from helpers.marks import slow_but
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
@@ -44,6 +46,7 @@ from tests.fsw.executive.faults.lab import (
     currents,
     encoders_at,
     found,
+    in_guarded_motion,
     misplanned,
     moving,
     off_set_point,
@@ -270,3 +273,37 @@ def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the
     rig.run()
     assert CommandAborted("MoveJoints") in rig.evrs
     assert not rig.outputs.drive.power_on.any()
+
+
+@pytest.mark.parametrize("joint", slow_but(Joint, Joint.ELBOW, Joint.TURRET))
+def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
+    """From the very start of the motion to its end, and on the way to a contact."""
+    commands = (MoveJoints(floats(START + 0.02)), MoveJoints(floats(START)))
+    for command in commands:
+        rig = Rig(CONFIG, start_rad=START)
+        rig.cycle(command)
+        while rig.outputs.joint.busy:
+            rate = rig.outputs.drive.setpoint_rate_rad_s[joint]
+            behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
+            lag = resolver_off(rig, joint, -0.9 * behind)  # the output lags as its motor does
+            rig.cycle(**off_set_point(rig, joint, -0.9 * behind), **lag)
+        assert not found(rig, Fault)
+    rig = in_guarded_motion()
+    for _ in range(100):
+        rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
+    assert not found(rig, Fault)
+
+
+def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
+    rig = moving(MoveJoints(floats(START + 0.002)))
+    settle_error = CONFIG.params.motion.settle_error_rad
+    cycles = 0
+    while rig.outputs.joint.busy and cycles < 2000:
+        rig.cycle(**off_set_point(rig, Joint.TURRET, 3 * settle_error))
+        cycles += 1
+    (evr,) = found(rig, NotSettled)
+    assert evr.joint is Joint.TURRET
+    assert evr.error_rad == pytest.approx(3 * settle_error, rel=0.2)
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert cycles > CONFIG.settle_timeout_ticks
