@@ -45,6 +45,7 @@ def test_a_scene_changes_only_the_gravity_of_the_arm(scene: str, gravity_m_s2: f
     for name in ("timestep", "cone", "impratio", "integrator", "tolerance", "disableflags", "enableflags"):
         assert getattr(model.opt, name) == getattr(arm.opt, name)
     assert model.nq == arm.nq
+    assert {model.camera(k).name for k in range(model.ncam)} >= {"overview", "workspace", "side"}
     assert model.body_mass.sum() == pytest.approx(arm.body_mass.sum(), abs=1e-12)
 
 

@@ -1,5 +1,7 @@
 """Forces of contact: touches, pushes and presses."""
 
+from dataclasses import replace
+from functools import cache
 from itertools import chain
 
 import mujoco
@@ -10,7 +12,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import GuardedMove, MoveJoints, PlaceTool, Preload, Retract
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted, ContactMade, FaultResponse, Preloaded
-from fsw.dictionary.faults import ContactInFreeSpace, PreloadOutside
+from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
 from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
@@ -205,6 +207,40 @@ def on_the_rock() -> ClosedLoop:
     arm = arm_named("nominal")
     world = World(surface=Surface(POINT_N_M, tuple(NORMAL)))
     return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
+
+
+@cache
+def half_pressed() -> ClosedLoop:
+    """Return a run with the drill on its rock at half of its preload; tests fork it and never run it."""
+    loop = on_the_rock()
+    for _ in run_sequence(loop, (PLACE, Preload("drill", 300.0))):
+        if loop.state.preload is not None and loop.state.preload.force_N > 150.0:
+            return loop
+    raise AssertionError("the press did not come so far")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("trouble", "kind", "response", "mode"),
+    [
+        (RockGone(NOW_S), ContactLost, "STOP_AND_BRAKE", Mode.PRELOAD),
+        (
+            SensorFault(NOW_S, "resolver_rad", "biased", Joint.ELBOW, -0.004),
+            PreloadOutside,
+            "BRAKE_AND_REFUSE",
+            Mode.FAULTED,
+        ),
+    ],
+    ids=["rock that gives way", "force that resolvers do not believe in"],
+)
+def test_a_press_ends_by_what_goes_wrong_with_it(trouble, kind, response, mode):
+    loop = half_pressed()
+    loop = loop.fork((replace(trouble, at_s=loop.plant.data.time),))
+    evrs = run_to_rest(loop)
+    assert any(isinstance(evr, kind) for evr in evrs)
+    assert FaultResponse(response) in evrs
+    assert loop.state.mode is mode
+    assert not loop.state.drive.power_on.any()
 
 
 def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]]:

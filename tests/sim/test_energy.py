@@ -126,6 +126,7 @@ def test_a_step_that_does_not_divide_the_control_cycle_is_refused():
         lab.plant(time_step_s=1 / 500)
 
 
+SLOW_RAD_S = np.radians(0.1)
 CREEP_RAD = 1e-6
 """Limit for 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
 
@@ -136,6 +137,20 @@ def weightless() -> Plant:
     plant.model.opt.gravity[:] = 0.0
     plant.place(lab.READY_RAD, 0.0)
     return plant
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction: int) -> None:
+    """The motors drag the outputs at a steady rate, so that the gear torque is the friction."""
+    plant, setpoint_rad, transmitted = weightless(), lab.READY_RAD.copy(), []
+    lab.hold_by_motors(plant)
+    for _ in range(9 * lab.CYCLE_HZ):
+        setpoint_rad += direction * SLOW_RAD_S / lab.CYCLE_HZ
+        plant.command(setpoint_rad, np.full(5, direction * SLOW_RAD_S))
+        plant.step()
+        transmitted.append(lab.gear_torque_Nm(plant))
+    mean_Nm = np.mean(transmitted[-lab.CYCLE_HZ :], axis=0)
+    np.testing.assert_allclose(mean_Nm, -direction * lab.OUTPUT_FRICTION_NM, rtol=0.02)
 
 
 def pulled(share: float) -> Plant:

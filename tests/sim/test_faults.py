@@ -29,7 +29,7 @@ from fsw.protect.responses import RESPONSE_TO, Response
 from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.avionics import VIBRATION_N, Avionics
-from sim.effects.effect import Hardware, nominal_hardware
+from sim.effects.effect import Effect, Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import (
     BrakeStuck,
@@ -41,11 +41,14 @@ from sim.effects.faults import (
     Timed,
     WeakMotor,
 )
+from sim.effects.gears import ColdFriction
+from sim.effects.joints import BusSag, CommandDelay
 from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.setting import World
 from tests.fsw.rig import content
 from tests.sim import lab
+from tests.sim.effects.test_cycle_rate import EFFECTS, JOINT
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
 
@@ -125,9 +128,9 @@ def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
         np.testing.assert_array_equal(sensors.sense().switch_closed, expected)
 
 
-def begin_move(faults: tuple[Timed, ...] = ()) -> ClosedLoop:
+def begin_move(faults: tuple[Timed, ...] = (), effects: tuple[Effect, ...] = ()) -> ClosedLoop:
     """Return a run at the start of a move of all joints."""
-    arm = arm_named("nominal")
+    arm = arm_named("nominal").with_effects(effects)
     setup = Setup(arm, World(), joints5(lab.READY_RAD), seed=4, reference=lab.true_reference(arm))
     loop = ClosedLoop(setup, with_truth=True).fork(faults)
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.1)),))
@@ -147,10 +150,18 @@ def now_s() -> float:
     return float(moving().plant.data.time)
 
 
+EACH_CYCLE = (*EFFECTS, CommandDelay(JOINT, 0.04), BusSag(1.0), ColdFriction(JOINT, 1.5))
+"""Effects that look at the arm in each cycle and keep what they saw."""
+
+
 def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
-    first = moving().fork()
+    first = begin_move(effects=EACH_CYCLE)
+    for _ in range(2 * CYCLE_HZ):
+        first.cycle()
+    assert abs(first.state.joints.motor_rate_rad_s).min() > 1e-3
     snapshot = first.fork()
-    troubled = first.fork((JointSeized(now_s(), Joint.ELBOW), TiltStep(now_s(), 0.3, 0.0)))
+    now = float(first.plant.data.time)
+    troubled = first.fork((JointSeized(now, Joint.ELBOW), TiltStep(now, 0.3, 0.0)))
     for _ in range(100):
         troubled.cycle()
     ahead = [content(first.cycle()) for _ in range(200)]

@@ -1,7 +1,6 @@
-"""Runs: they begin as told, and the same seed and drive give the same bits."""
+"""Runs: they begin as told, and the same drive gives the same bits."""
 
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from sim.setting import World
 from tests.sim import lab
 from tests.tools import TOOLS
 
-ROOT = Path(__file__).resolve().parents[2]
 GOAL = tuple(float(a) for a in np.radians([0.4, -60.3, 110.5, 129.0, 91.0]))
 
 

@@ -128,6 +128,28 @@ def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: J
     assert swings[0] == pytest.approx(swings[1], rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
+    """The wrist swings the turret at 1 deg/s through the pose of zero load."""
+    crossings, cycles, rates = [], [], np.radians(-1.0) * (np.arange(5) == Joint.WRIST)
+    for step_s in (None, REFERENCE_STEP_S):
+        plant, setpoint_rad = lab.plant(time_step_s=step_s), np.radians([0.0, -60.0, 60.0, 40.0, 0.0])
+        lab.load(plant, setpoint_rad)
+        lab.hold_by_motors(plant)
+        gears = []
+        for _ in range(60 * lab.CYCLE_HZ):
+            setpoint_rad = setpoint_rad + rates / lab.CYCLE_HZ
+            plant.command(setpoint_rad, rates)
+            plant.step()
+            gears.append(lab.gear_rad(plant))
+        ways = list(zip(np.transpose(gears), lab.HALF_BACKLASH_RAD, strict=True))
+        crossings.append([np.count_nonzero(np.diff(np.sign(way[np.abs(way) >= half]))) for way, half in ways])
+        cycles.append([np.count_nonzero(np.abs(way) < half) for way, half in ways][Joint.WRIST])
+    assert crossings[0] == crossings[1]
+    assert crossings[0][Joint.WRIST] == 1
+    assert cycles[0] == pytest.approx(cycles[1], rel=0.05)
+
+
 def test_the_profiler_of_mujoco_is_off() -> None:
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     seconds = []

@@ -32,7 +32,7 @@ from fsw.state import Sequence, last_setpoint
 from tests.fsw.executive import lab
 from tests.fsw.executive.faults.lab import moving
 from tests.fsw.executive.lab import COMMANDS, RIGS, TOUCHED, TOUCHING
-from tests.fsw.rig import config_of, facing
+from tests.fsw.rig import config_of
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 NO_MOVES = (SetTilt, SetParam, Stop)
@@ -132,7 +132,6 @@ def test_every_event_in_every_mode():
 
 
 CONFIG = config_of()
-START = facing(CONFIG, "apxs")
 
 
 def respond(rig, before, *found):

@@ -17,6 +17,7 @@ from fsw.dictionary.faults import (
     NoContact,
     OverCurrent,
     SensorNotFinite,
+    UnexpectedContact,
 )
 from fsw.dictionary.motion_params import MonitorParams
 from fsw.protect.responses import RESPONSE_TO, Response, StandingFault, decide, identify, response_to
@@ -56,7 +57,8 @@ def test_an_arm_may_touch_where_it_was_to_touch_and_where_it_did(mode):
     other = identify(OverCurrent(Joint.WRIST, 3.0, 2.0))
     assert StandingFault(mode, frozenset()).may_touch is to_touch
     assert StandingFault(mode, frozenset({other})).may_touch is to_touch
-    assert StandingFault(mode, frozenset({other, identify(ContactInFreeSpace("drt_1"))})).may_touch
+    for contact in (ContactInFreeSpace("drt_1"), UnexpectedContact(Joint.ELBOW, 63.4, 52.4)):
+        assert StandingFault(mode, frozenset({other, identify(contact)})).may_touch
 
 
 def test_two_events_are_the_same_news_if_they_are_of_one_class_and_about_the_same():

@@ -1,18 +1,24 @@
 """Tests of the runner on the cores of this machine; `test_cluster.py` has those on a cluster."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from multiprocessing import active_children
 
 import pytest
 
-from marsarm.common.pool import WorkersDied, in_order, local_runner, select_runner
+from marsarm.common.pool import WorkersDied, in_order, local_runner, run_here, select_runner
+from marsarm.ik.reach import reach
+from marsarm.ik.request import ReachRequest
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
+from validation.campaigns import Context
+from validation.hardstops import campaign as hardstops
 
 
 def process(_: int) -> int:
@@ -44,6 +50,14 @@ def test_results_can_come_in_the_order_of_their_jobs(workers):
     assert list(in_order(local_runner(workers), power, [(x, 2) for x in range(50)])) == [
         x * x for x in range(50)
     ]
+
+
+@pytest.mark.slow
+def test_a_reach_map_and_a_campaign_of_the_closed_loop_are_those_of_one_process():
+    request = ReachRequest(samples=20_000, picture=None)
+    assert reach(replace(request, workers=2)).tally == reach(replace(request, workers=1)).tally
+    two, one = (json.dumps(hardstops(Context(3, run), 1, 2, "ELBOW")) for run in (local_runner(2), run_here))
+    assert two == one
 
 
 def test_a_worker_that_dies_costs_the_jobs_under_way_only(tmp_path, capfd):

@@ -4,10 +4,12 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import FileIO
+from mmap import mmap
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
 from marsarm.replaying.replay import ReplayRequest, replay
-from marsarm.telemetry.format import LogNotWritable
+from marsarm.telemetry.format import CHUNK_CYCLES, LogNotWritable
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
+from marsarm.telemetry.recover import recover
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
 from tests.marsarm.command import largest_file
@@ -191,6 +195,34 @@ def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
     assert record_and_end(tmp_path / "run.mcap", 150, lambda _: os.kill(os.getpid(), 9)) == 9
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (128, True)
+
+
+@pytest.mark.slow
+@forks
+def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path: Path) -> None:
+    rng, path, good = np.random.default_rng(54), tmp_path / "run.mcap", tmp_path / "good.mcap"
+    cycles, written = [cycle_at(tick) for tick in range(64)], np.frombuffer(mmap(-1, 8), np.int64)
+    for _ in range(50):
+        written[0], kill_at = 0, rng.integers(CHUNK_CYCLES, 3 * CHUNK_CYCLES)
+        child = os.fork()
+        if child == 0:
+            try:
+                recorder = Recorder(path, {})
+                while True:
+                    recorder.write(replace(cycles[written[0] % 64], tick=int(written[0])))
+                    written[0] += 1
+            finally:
+                os._exit(1)
+        while written[0] <= kill_at:
+            assert os.waitpid(child, os.WNOHANG) == (0, 0)
+            time.sleep(1e-4)
+        os.kill(child, 9)
+        os.waitpid(child, 0)
+        log = read_log(path)
+        recover(path, good, lambda *_: None)
+        assert log.truncated
+        assert len(read_log(good)["/joint"]) == len(log["/joint"])
+        assert written[0] - len(log["/joint"]) <= 1.2 * CYCLE_HZ
 
 
 def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(

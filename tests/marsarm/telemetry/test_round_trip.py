@@ -94,6 +94,13 @@ def test_the_same_records_give_the_same_messages(tmp_path: Path) -> None:
     assert messages("long.mcap", 64) == messages("short.mcap", 1)
 
 
+def test_a_cycle_that_cannot_be_written_leaves_a_whole_log_of_the_earlier_ones(tmp_path: Path) -> None:
+    with pytest.raises(TypeError):
+        record(tmp_path / "run.mcap", [cycle_at(0), replace(cycle_at(1), commands=(object(),))])
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/sensors"]), log.truncated) == (1, False)
+
+
 KEYS = {
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request", "effects"),
     *("params", "params_sha256", "mjcf_sha256", "commands", "commands_sha256", "boot"),

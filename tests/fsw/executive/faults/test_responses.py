@@ -100,7 +100,7 @@ BEYOND = {
 }
 """Readings of a moving arm that pass the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
-"""Tested in tests/fsw/protect and in test_touch.py and test_resistance.py."""
+"""Tested in tests/fsw/protect and in test_touch.py."""
 BY_THE_MOVE = {
     faults.NoContact,
     faults.NotSettled,

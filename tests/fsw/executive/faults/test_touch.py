@@ -142,10 +142,11 @@ def pushed(rig, tool, force_N, cycles, **readings):
             break
 
 
+@pytest.mark.parametrize(("times", "cycles"), [(1.5, LATEST), (10.0, 3)], ids=["some", "large"])
 @pytest.mark.parametrize("tool", PRESSING)
-def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
+def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool, times, cycles):
     rig = in_guarded_motion(tool)
-    pushed(rig, tool, 1.5 * BOUNDS.guarded_force_N, LATEST)
+    pushed(rig, tool, times * BOUNDS.guarded_force_N, cycles)
     (evr,) = found(rig, faults.Fault)
     assert evr == faults.PreloadOutside(tool, 0.0, evr.error_N, evr.bound_N)
     assert evr.error_N > evr.bound_N >= BOUNDS.guarded_force_N
