@@ -181,8 +181,8 @@ def plan_joint_move(
 ) -> Plan:
     """Plan a joint move that ends with each output on a known side of its backlash.
 
-    The load holds an output on one side, or the end of the move drags it to one. If the direct move is too
-    short for that, a first move makes room for the run-up.
+    The load holds an output on one side, or the end of the move drags it to one. If the direct move may not
+    do that, a first move makes room for the run-up.
 
     Args:
         on_known_side: False to move directly, whatever the side at the end.
@@ -202,10 +202,34 @@ def plan_joint_move(
     direction = _reverse_at_limits(config, output_rad, run_up, direction)
     gear = np.where(direction == 0, gear, gear_after_output_turn(gear, direction, bounds))
     motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
-    short = (direction != 0) & (direction * (motor - start.motor_rad) < run_up)
-    via = [np.where(short, motor - direction * run_up, motor)] if short.any() else []
+    end = JointPositions(motor, gear)
+    undragged = _find_undragged(config, joints, start, end, run_up, direction)
+    via = [np.where(undragged, motor - direction * run_up, motor)] if undragged.any() else []
     paths = tuple(joint_path(config, a, b) for a, b in pairwise((start.motor_rad, *via, motor)))
-    return Plan(paths, JointPositions(motor, gear), compensation.backlash_allowance(joints, gear))
+    return Plan(paths, end, compensation.backlash_allowance(joints, gear))
+
+
+def _find_undragged(
+    config: Config,
+    joints: JointEstimate,
+    start: JointPositions,
+    end: JointPositions,
+    run_up_rad: Array,
+    direction: Array,
+) -> Array:
+    """Find the outputs (5,) that a direct move does not surely drag to their side.
+
+    It is shorter than the run-up, or where that begins the load may still hold the output on the other side.
+    """
+    travel = direction * (end.motor_rad - start.motor_rad)
+    share = 1.0 - run_up_rad / np.maximum(travel, run_up_rad)
+    # one pose for each joint: that in which its run-up begins
+    poses = start.output_rad[:, None] + np.outer(end.output_rad - start.output_rad, share)
+    gravity = joints.gravity_R_m_s2
+    load_Nm = np.diagonal(settle_output(config.arm, poses, gravity).torque_Nm)
+    held = direction * load_Nm > config.output_friction_Nm - load_error(config, gravity)
+    undragged: Array = (direction != 0) & (held | (travel < run_up_rad))
+    return undragged
 
 
 def _reverse_at_limits(config: Config, output_rad: Array, run_up_rad: Array, direction: Array) -> Array:
