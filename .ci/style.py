@@ -32,7 +32,6 @@ SAID_ONCE: Final = (
             "calibrate",
             "campaign",
             "campaign_data",
-            "consensus",
             "residual_model",
             "verify",
         )

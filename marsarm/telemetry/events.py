@@ -4,7 +4,6 @@ import json
 import struct
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from enum import IntEnum
-from functools import cache
 from types import NoneType
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
@@ -13,6 +12,7 @@ import numpy as np
 from fsw.dictionary.arguments import MAX_FLOAT
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
+from fsw.dictionary.validity import read_hints
 from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_definition, strip_optional
 
@@ -84,7 +84,7 @@ def command_from_json(name: str, arguments: Any, notes: list[str]) -> Command:
 def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: Any) -> Any:
     if not isinstance(value, dict):
         raise BadJson(f"{place}: {value!r:.80} is not the fields of a {kind.__name__}")
-    hints = _hints(kind)
+    hints = read_hints(kind)
     known = {f.name: f for f in fields(kind)}
     notes += [f"{place}.{name} is not known today: left out" for name in value if name not in known]
     values = {}
@@ -96,12 +96,6 @@ def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: A
             values[name] = _default_of(field, inner, place)
             notes.append(f"{place}.{name} was not known then: today's {values[name]!r:.80} is taken")
     return kind(**values)
-
-
-@cache
-def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of the fields of a record, found once: that is most of the time of decoding."""
-    return get_type_hints(kind, include_extras=True)
 
 
 def _default_of(field: Field[Any], base: Any, place: str) -> Any:

@@ -1,4 +1,4 @@
-"""Effects, also those of one move, change the plant as they claim; flight software can be told of them."""
+"""Effects, also of moves and of heat, change the plant as they claim; flight software can be told of them."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fsw.config import configure, configure_at
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted
@@ -14,10 +15,11 @@ from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
+from marsarm.accuracy.trial import configure_true
 from sim.arms import arm_named, nominal_params
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
-from sim.effects.geometry import FrameError, FramePlay
+from sim.effects.geometry import Expansion, FrameError, FramePlay
 from sim.effects.joints import (
     BacklashWidth,
     GearFriction,
@@ -27,6 +29,7 @@ from sim.effects.joints import (
     ServoError,
     Windup,
 )
+from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
@@ -34,7 +37,9 @@ from sim.placement import Placement, PlacementRun
 from sim.plant import Plant
 from sim.record import LINK_BODIES, frame_body, no_move_disturbance
 from sim.setting import WARM_C, Surface, World
+from sim.tolerances import list_frames
 from tests.sim import lab
+from tests.sim.effects import bench
 from tests.tools import TOOLS, tool_index
 
 PARAMS = nominal_params()
@@ -274,3 +279,49 @@ def test_bodies_are_those_of_the_frames():
     assert [frame_body(frame, None) for frame in list(Frame)[:6]] == list(LINK_BODIES)
     with pytest.raises(ValueError, match="names its tool"):
         frame_body(Frame.TOOL, None)
+
+
+CONFIG = configure(NOMINAL.params)
+HALF = tuple(Expansion(frame, 0.5, tool) for frame, tool in list_frames(NOMINAL.params.tool_names))
+POSES = 40
+"""Poses of each of the five tools."""
+
+
+def growth_errors_m(warming_K: float, compensated_share: float, *effects: Effect) -> np.ndarray:
+    """Compare the tools of MuJoCo with those of flight software at equal joint angles, undeflected."""
+    warm_C = CONFIG.params.heat.calibration_C + warming_K
+    plant, hardware = bench.build_arm(*effects, Ambient(warm_C))
+    heat = replace(CONFIG.params.heat, compensated_share=compensated_share)
+    believed = configure_at(
+        configure(replace(NOMINAL.params, heat=heat)), hardware.structure_C + hardware.structure_offset_K
+    )
+    rng, found = np.random.default_rng(7), []
+    for _ in range(POSES):
+        pose_rad = rng.uniform(CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad)
+        true_m = bench.set_angles(plant, pose_rad).truth().p_RoTo_R_m
+        frames = forward(believed.arm, pose_rad)
+        believed_m = np.array([tool_pose(believed.arm, frames, tool).p for tool in plant.tools])
+        found.append(np.linalg.norm(true_m - believed_m, axis=1))
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("warming_K", [-75.0, 30.0])
+def test_flight_software_compensates_the_growth_of_the_arm(warming_K: float) -> None:
+    left_m, off_m = growth_errors_m(warming_K, 1.0), growth_errors_m(warming_K, 0.0)
+    assert left_m.size == 200
+    assert left_m.max() < 0.02e-3
+    assert np.median(off_m) > 0.02e-3 * abs(warming_K)
+
+
+def test_a_sensor_that_reads_a_kelvin_too_much_costs_what_the_arm_grows_in_a_kelvin() -> None:
+    offset_m = growth_errors_m(0.0, 1.0, StructureSensor(1.0))
+    np.testing.assert_allclose(offset_m, growth_errors_m(1.0, 0.0), rtol=1e-3)
+
+
+def test_what_statics_know_of_an_arm_has_its_temperature_and_coefficients() -> None:
+    warmed = configure_at(CONFIG, CONFIG.params.heat.calibration_C + 0.5 * 30.0).arm
+    true = configure_true(replace(NOMINAL, effects=(*HALF, Ambient(50.0)))).arm
+    pose_rad = np.array(NOMINAL.params.poses.ready_rad)
+    for tool in NOMINAL.params.tool_names:
+        one, other = (tool_pose(arm, forward(arm, pose_rad), tool) for arm in (true, warmed))
+        np.testing.assert_allclose(one.p, other.p, atol=1e-6)

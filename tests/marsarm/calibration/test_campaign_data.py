@@ -17,8 +17,8 @@ from marsarm.calibration.campaign import (
     run_campaign,
 )
 from marsarm.calibration.campaign_data import BadData, MeasuredPoses, read_campaign, save_campaign
-from marsarm.calibration.consensus import whiten_joint_jacobian
 from marsarm.calibration.execution import check_data
+from marsarm.calibration.residual_model import whiten_joint_jacobian
 from marsarm.calibration.verify import simulate_campaign, true_poses, zero_errors_rad
 from sim.arm_check import NoPlan
 from sim.arms import arm_named

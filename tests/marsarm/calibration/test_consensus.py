@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from helpers.serial_planar import Planar, parameters
-from marsarm.calibration.consensus import find_consensus
+from marsarm.calibration.residual_model import find_consensus
 from simgap.common.errors import RobotError
 from simgap.serial_arm.fit import fit_without_outliers
 

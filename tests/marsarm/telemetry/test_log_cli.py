@@ -1,27 +1,34 @@
-"""The verbs of logs: info, recover and export."""
+"""The verbs of logs: info, recover and export; what is recovered, bit for bit; other tools read the logs."""
 
 import csv
 import json
 from dataclasses import replace
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import NonSeekingReader, make_reader
 
 from fsw.dictionary.enums import Mode
 from marsarm.telemetry.export import export, index_suffixes
+from marsarm.telemetry.format import TICK_NS, LogDamaged, LostMessages
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recover import RecoveryReport, recover
 from marsarm.telemetry.tables import channels_document
 from sim.record import CycleRecord
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from tests.marsarm.command import marsarm
+from simgap.files.mcap_log import BadMessage, make_decoder
+from tests.marsarm.command import SHORT_RUN, marsarm
+from tests.marsarm.runs.conftest import initialise_exactly
 from tests.marsarm.telemetry.lab import cycle_at, packet_of, record
 from validation.benchmarks import record_log
+from validation.broken_logs import CUT_EVERY, change_records, flip_bits, is_part, original, truncate_file
 
 CYCLES = 130
 
@@ -180,3 +187,183 @@ def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
     assert (flags["min"], flags["max"]) == (0, 1)
     every = sum(len(packets.dtype.names or ()) for packets in log.packets.values())
     assert len(select_channels(log)) == every
+
+
+N_CYCLES = 12
+PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the log of another run, longer than the first."""
+    short_logs = tmp_path_factory.mktemp("other")
+    cycles = map(cycle_at, range(2 * N_CYCLES))
+    return bytes(record(short_logs / "run.mcap", cycles, chunk_cycles=1).read_bytes())
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    short_logs = tmp_path_factory.mktemp("log")
+    path = record(short_logs / "run.mcap", map(cycle_at, range(N_CYCLES)), chunk_cycles=1)
+    return path.read_bytes()
+
+
+def chunk_of(data: bytes, tick: int) -> int:
+    """Return the byte where the chunk with the messages of a tick begins."""
+    found = original(data).chunks
+    return next(one.at for one in found if one.first_ns <= tick * TICK_NS <= one.last_ns)
+
+
+def saved(short_logs: Path, data: bytes) -> RecoveryReport:
+    (short_logs / "bad.mcap").write_bytes(data)
+    return recover(short_logs / "bad.mcap", short_logs / "good.mcap", lambda *_: None)
+
+
+def broken(data: bytes, *places: int) -> bytes:
+    changed = bytearray(data)
+    for at in places:
+        changed[at] ^= 1
+    return bytes(changed)
+
+
+def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    due = {topic: LostMessages(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
+    lost = {one.topic: one for one in recovered.lost}
+    assert {topic: lost[topic] for topic in PACKETS} == due
+    assert (lost["/evr"].count, lost["/command"].count) == (2, 2)
+    with pytest.raises(LogDamaged):
+        read_log(tmp_path / "bad.mcap")
+    log = read_log(tmp_path / "good.mcap")
+    assert log.lost == recovered.lost
+    assert log.ticks("/joint").tolist() == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert not log.truncated
+
+
+def test_losses_at_the_end_are_of_an_unknown_number(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
+    assert recovered.lost == (LostMessages(None, None, (N_CYCLES - 2) * TICK_NS, None),)
+    assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.156250 s"
+
+
+def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(tmp_path: Path) -> None:
+    cycles = [cycle_at(tick) if tick < 3 else replace(cycle_at(tick), commands=()) for tick in range(8)]
+    data = record(tmp_path / "run.mcap", cycles, chunk_cycles=1).read_bytes()
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    assert LostMessages("/command", None, 4 * TICK_NS, 6 * TICK_NS) in recovered.lost
+
+
+def test_losses_at_the_beginning_are_reported(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
+    assert LostMessages("/joint", 1, None, TICK_NS) in recovered.lost
+
+
+def test_an_undamaged_log_loses_nothing(tmp_path: Path, data: bytes) -> None:
+    assert saved(tmp_path, data).lost == ()
+    assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "bad.mcap"))
+
+
+@pytest.mark.parametrize("end", ["closed", "killed"])
+def test_two_runs_in_one_file_do_not_become_one_log(
+    tmp_path: Path, data: bytes, other: bytes, end: str
+) -> None:
+    first = data if end == "closed" else data[: chunk_of(data, 8)]
+    recovered = saved(tmp_path, first + other)
+    (tmp_path / "first.mcap").write_bytes(first)
+    assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "first.mcap"))
+    assert recovered.saved["/joint"] == (N_CYCLES if end == "closed" else 8)
+    assert "after the end of the log are left out" in recovered.notes[0]
+
+
+@pytest.mark.parametrize("behind", [b"garbage", b"\0" * 4096])
+def test_bytes_after_a_log_are_reported_and_cost_no_message(
+    tmp_path: Path, data: bytes, other: bytes, behind: bytes
+) -> None:
+    for rest in (behind, other):
+        (tmp_path / "run.mcap").write_bytes(data + rest)
+        log = read_log(tmp_path / "run.mcap")
+        assert (log.truncated, log.trailing_bytes, len(log["/joint"])) == (False, len(rest), N_CYCLES)
+
+
+def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
+    a, b = (chunk_of(data, tick) for tick in (4, 5))
+    recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
+    assert "duplicate messages left out" in recovered.notes[0]
+    assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
+
+
+def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
+    at = data.index(b"nominal")
+    recovered = saved(tmp_path, broken(data, at))
+    assert recovered.header_lost
+    log = read_log(tmp_path / "good.mcap")
+    assert (len(log["/joint"]), list(log.header)) == (N_CYCLES, ["channels"])
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
+def test_bits_flipped_anywhere(tmp_path: Path, data: bytes, kept: float) -> None:
+    found = flip_bits(original(data[: int(kept * len(data))]), 30, 6, tmp_path)
+    assert found.wrong == []
+    assert found.read["detected"] > 10
+
+
+def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
+    found = truncate_file(original(data), CUT_EVERY // 4, tmp_path)
+    assert found.wrong == []
+    assert found.read["cut"] > 5
+
+
+def test_records_that_do_not_fit_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
+    found = change_records(original(data[: int(0.6 * len(data))]), 60, 6, tmp_path)
+    assert (found.wrong, found.read.keys()) == ([], {"read", "refused"})
+
+
+ROCK = "[world.surface]\nposition_m = [2.05, 0.1, -0.25]\nnormal = [-0.5, 0.1, -0.85]\n\n[[command]]"
+KINDS = ["run", "recovered"]
+
+
+@pytest.fixture(scope="module")
+def short_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a short_logs with a log, a copy with a broken chunk, and the log recovered from it."""
+    made = tmp_path_factory.mktemp("viewers")
+    (made / "short.toml").write_text(SHORT_RUN.replace("[[command]]", ROCK))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("marsarm.runs.execution.initialise_joints", initialise_exactly)
+        ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
+    assert ran.returncode == 0, ran.stderr
+    data = bytearray((made / "run.mcap").read_bytes())
+    chunks = read_records(bytes(data)).chunks
+    data[chunks[len(chunks) // 2][0] + 80] ^= 1
+    (made / "broken.mcap").write_bytes(data)
+    recover(made / "broken.mcap", made / "recovered.mcap", lambda *_: None)
+    return made
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_readers_of_mcap_take_it(short_logs: Path, kind: str) -> None:
+    path = short_logs / f"{kind}.mcap"
+    counts = {topic: len(times) for topic, times in read_log(path).time_ns.items()}
+    for reader in (make_reader, NonSeekingReader):
+        with path.open("rb") as file:
+            found: dict[str, int] = {}
+            for _, channel, _ in reader(file, validate_crcs=True).iter_messages():
+                found[channel.topic] = found.get(channel.topic, 0) + 1
+        assert counts == {topic: found[topic] for topic in counts}
+
+
+def test_messages_follow_their_definitions(short_logs: Path) -> None:
+    log = read_log(short_logs / "run.mcap")
+    found: dict[str, list[Any]] = {}
+    with (short_logs / "run.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            decode = make_decoder(channel.message_encoding, schema.encoding, schema.name, schema.data)
+            assert decode is not None
+            with pytest.raises(BadMessage):  # the definition reaches to the last byte
+                decode(message.data[:-1])
+            found.setdefault(channel.topic, []).append(decode(message.data))
+    for topic, packets in log.packets.items():
+        for name in packets.dtype.names or ():
+            values = [np.ravel(getattr(one, name.lower())) for one in found[topic]]
+            np.testing.assert_array_equal(values, packets[name].reshape(len(values), -1))
+    assert [one.name for one in found["/evr"]] == [one.name for one in log.evrs]

@@ -11,9 +11,8 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, run_header
-from marsarm.view.frames import compute_frames
 from marsarm.view.scene import build_scene
-from marsarm.view.watched_run import watch_log
+from marsarm.view.watched_run import compute_frames, watch_log
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params
 from sim.effects.geometry import ToolOffset
