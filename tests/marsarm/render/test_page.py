@@ -239,7 +239,7 @@ SERIES_APART = 20.0
 """For thin lines that lie beside each other."""
 TRACES = ("nominal", "explained")
 STYLE = "".join(
-    files("simgap").joinpath(name).read_text() for name in ("common/report.css", "report/figures.css")
+    files("simgap").joinpath(name).read_text() for name in ("common/page.css", "report/figures.css")
 )
 SERIES = [
     tuple(re.findall(rf"--{name}: (#\w+)", STYLE)[scheme] for name in ("paper", "ink", "muted", *TRACES))
