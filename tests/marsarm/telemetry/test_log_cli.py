@@ -196,15 +196,15 @@ PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
 @pytest.fixture(scope="module")
 def other(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the log of another run, longer than the first."""
-    short_logs = tmp_path_factory.mktemp("other")
+    folder = tmp_path_factory.mktemp("other")
     cycles = map(cycle_at, range(2 * N_CYCLES))
-    return bytes(record(short_logs / "run.mcap", cycles, chunk_cycles=1).read_bytes())
+    return bytes(record(folder / "run.mcap", cycles, chunk_cycles=1).read_bytes())
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    short_logs = tmp_path_factory.mktemp("log")
-    path = record(short_logs / "run.mcap", map(cycle_at, range(N_CYCLES)), chunk_cycles=1)
+    folder = tmp_path_factory.mktemp("log")
+    path = record(folder / "run.mcap", map(cycle_at, range(N_CYCLES)), chunk_cycles=1)
     return path.read_bytes()
 
 
@@ -214,9 +214,9 @@ def chunk_of(data: bytes, tick: int) -> int:
     return next(one.at for one in found if one.first_ns <= tick * TICK_NS <= one.last_ns)
 
 
-def saved(short_logs: Path, data: bytes) -> RecoveryReport:
-    (short_logs / "bad.mcap").write_bytes(data)
-    return recover(short_logs / "bad.mcap", short_logs / "good.mcap", lambda *_: None)
+def saved(folder: Path, data: bytes) -> RecoveryReport:
+    (folder / "bad.mcap").write_bytes(data)
+    return recover(folder / "bad.mcap", folder / "good.mcap", lambda *_: None)
 
 
 def broken(data: bytes, *places: int) -> bytes:
@@ -324,7 +324,7 @@ KINDS = ["run", "recovered"]
 
 @pytest.fixture(scope="module")
 def short_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a short_logs with a log, a copy with a broken chunk, and the log recovered from it."""
+    """Return a folder with a log, a copy with a broken chunk, and the log recovered from it."""
     made = tmp_path_factory.mktemp("viewers")
     (made / "short.toml").write_text(SHORT_RUN.replace("[[command]]", ROCK))
     with pytest.MonkeyPatch.context() as patch:
