@@ -1,6 +1,5 @@
 """Report of a calibration: what it shows on the console and on its page, with a plot like paper Figure 7."""
 
-from dataclasses import asdict
 from functools import partial
 from math import degrees
 from typing import Any, Final
@@ -79,10 +78,7 @@ def _verification_document(found: Verification) -> dict[str, Any]:
     return {
         "zero_moved_rad": found.zero_rad,
         "zero_expected_rad": found.expected_rad,
-        "places": {
-            one.name: {key: value for key, value in asdict(one).items() if key != "name"}
-            for one in found.places
-        },
+        "places": found.places,
     }
 
 
@@ -142,13 +138,13 @@ def _zero_table(found: Calibration) -> ReportTable:
 def _verification_table(found: Verification) -> ReportTable:
     rows = [
         (
-            place.name,
+            name,
             f"{1e3 * place.rms_m:.2f} mm",
             f"{1e3 * place.max_m:.2f} mm",
             f"{1e3 * place.max_lateral_m:.2f} mm",
             f"{degrees(place.max_axis_rad):.3f} deg",
         )
-        for place in found.places
+        for name, place in found.places.items()
     ]
     difference = 1e3 * np.abs(found.zero_rad - found.expected_rad).max()
     title = f"Fresh targets, full turret; new hardstops within {difference:.3f} mrad of the parameters"
@@ -188,12 +184,12 @@ def calibration_requirements(report: CalibrateReport) -> list[Requirement]:
     ]
     if report.verification is None:
         return [*rows, Requirement("tool error at new targets, which --verify N measures", "-", "-", None)]
-    return [*rows, *(_place_requirement(place) for place in report.verification.places)]
+    return [*rows, *(_place_requirement(*one) for one in report.verification.places.items())]
 
 
-def _place_requirement(place: PlaceErrors) -> Requirement:
-    bound_m = MAX_EARTH_ERROR_M if place.name == "earth" else MAX_MARS_ERROR_M
-    text = f"largest tool error at new targets, {place.name}"
+def _place_requirement(name: str, place: PlaceErrors) -> Requirement:
+    bound_m = MAX_EARTH_ERROR_M if name == "earth" else MAX_MARS_ERROR_M
+    text = f"largest tool error at new targets, {name}"
     return Requirement(text, f"{1e3 * bound_m:.0f} mm", f"{1e3 * place.max_m:.2f} mm", place.max_m < bound_m)
 
 

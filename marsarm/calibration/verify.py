@@ -4,7 +4,7 @@ The arm finds its hardstops again and moves the full turret to fresh targets on 
 In all functions, `motor_error_rad` are true less believed motor angles, (5,).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -208,7 +208,6 @@ HARDSTOP_TARGETS: Final = 10
 class PlaceErrors:
     """Tool errors at the targets of one environment."""
 
-    name: str
     rms_m: float
     max_m: float
     max_lateral_m: float
@@ -223,7 +222,7 @@ class Verification:
     """Encoder zeros with the new parameters less those with the old parameters, shape (5,)."""
     expected_rad: Array
     """Change of the hardstop angles, shape (5,)."""
-    places: tuple[PlaceErrors, ...]
+    places: Mapping[str, PlaceErrors]
 
 
 def verify_calibration(
@@ -239,15 +238,15 @@ def verify_calibration(
     changed_rad = configure(params).hardstop_rad - configure(arm.params).hardstop_rad
     cold = (Ambient(COLD_C),)
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
-    places = []
+    places = {}
     for k, (name, world, effects) in enumerate(where):
         found = []
         for one in _tool_errors(known, reference, world, effects, targets, seed):
             found.append(one)
             moving(k * targets + len(found), len(where) * targets, name)
         rms_m = float(np.sqrt(np.mean(np.array(found)[:, 0] ** 2)))
-        places.append(PlaceErrors(name, rms_m, *np.max(found, axis=0).tolist()))
-    return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
+        places[name] = PlaceErrors(rms_m, *np.max(found, axis=0).tolist())
+    return Verification(reference.zero_rad - before.zero_rad, changed_rad, places)
 
 
 def _tool_errors(
