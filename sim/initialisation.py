@@ -26,7 +26,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
 from sim.scenario.effects import parse_effect_text
-from sim.sequence import Outcome, observe_cycles, run_sequence
+from sim.sequence import Outcome, SequenceRun
 from sim.setting import World
 from sim.world import build
 
@@ -87,31 +87,24 @@ class InitialisationResult:
     """Exception that ended flight software, or None."""
 
 
-class InitialisationRun:
+class InitialisationRun(SequenceRun):
     """Hardstop initialisation in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, command: Calibrate | CalibrateAll):
-        self.loop = loop
-        self._command = command
-        self._outcome = Outcome.SOFTWARE_ERROR
-        self._evrs: list[tuple[float, Evr]] = []
+        super().__init__(loop, (command,))
         self._stops: list[HardstopResult] = []
         self._samples: list[HomingSample] = []
         self._torque_Nm = np.zeros(len(Joint))
         self._current_share = np.zeros(len(Joint))
 
-    def __iter__(self) -> Iterator[CycleRecord]:
-        """Run all cycles."""
-        self._outcome = yield from observe_cycles(run_sequence(self.loop, (self._command,)), self._note)
-
-    def _note(self, record: CycleRecord) -> None:
+    def note(self, record: CycleRecord) -> None:
+        """Measure the motors and the hardstop that was found."""
         plant, state, time_s = self.loop.plant, self.loop.state, record.tick / CYCLE_HZ
         self._torque_Nm = np.maximum(self._torque_Nm, plant.stop_torque_Nm())
         # the plant has just completed a cycle with the limits of this record
         share = np.abs(plant.motor_current_A()) / record.outputs.drive.current_limit_A
         self._current_share = np.maximum(self._current_share, share)
         for evr in record.outputs.evrs:
-            self._evrs.append((time_s, evr))
             if isinstance(evr, JointCalibrated):
                 self._stops.append(self._hardstop_result(evr))
         if state.move is not None and state.move.homing is not None:
@@ -154,9 +147,9 @@ class InitialisationRun:
     def result(self) -> InitialisationResult:
         """Return the result; valid after the last cycle."""
         return InitialisationResult(
-            outcome=self._outcome,
+            outcome=self.outcome,
             duration_s=self.loop.plant.data.time,
-            evrs=tuple(self._evrs),
+            evrs=tuple(self.evrs),
             stops=tuple(self._stops),
             samples=tuple(self._samples),
             reference=self.loop.state.joints.reference,

@@ -4,12 +4,11 @@ A placement is: unstow, standoff, touch and retract. A preview uses what flight 
 model of rover and terrain, not the built arm.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, Config, configure
+from fsw.config import Config, configure
 from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command, PlaceTool, Retract, Unstow
 from fsw.dictionary.enums import Mode
@@ -26,7 +25,7 @@ from sim.arms import BuiltArm
 from sim.frames import p_R_from_N, random_surface
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.sequence import Outcome, observe_cycles, run_sequence
+from sim.sequence import Outcome, SequenceRun
 from sim.setting import Surface, World
 from sim.world import params_in_world
 
@@ -93,26 +92,18 @@ def placement_commands(placement: Placement, stowed: bool) -> tuple[Command, ...
     return (*unstow, place_command(placement), Retract(placement.tool, placement.standoff_m))
 
 
-class PlacementRun:
+class PlacementRun(SequenceRun):
     """Placement in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, placement: Placement):
-        stowed = loop.state.mode is Mode.STOWED
-        self._loop = loop
+        super().__init__(loop, placement_commands(placement, loop.state.mode is Mode.STOWED))
         self._placement = placement
-        self.commands = placement_commands(placement, stowed)
-        self._evrs: list[tuple[float, Evr]] = []
         self._errors: dict[str, PlacementError] = {}
-        self._outcome = Outcome.SOFTWARE_ERROR
         self._touched = False
 
-    def __iter__(self) -> Iterator[CycleRecord]:
-        """Run the commands."""
-        self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
-
-    def _note(self, record: CycleRecord) -> None:
+    def note(self, record: CycleRecord) -> None:
+        """Measure the true errors at the standoff and in contact."""
         for evr in record.outputs.evrs:
-            self._evrs.append((record.tick / CYCLE_HZ, evr))
             self._touched = self._touched or isinstance(evr, ContactMade)
             if evr == CommandCompleted("MoveTool"):
                 self._errors["standoff"] = self._error(record, self._placement.standoff_m)
@@ -120,7 +111,7 @@ class PlacementRun:
                 self._errors["contact"] = self._error(record, 0.0)
 
     def _error(self, record: CycleRecord, height_m: float) -> PlacementError:
-        placement, plant = self._placement, self._loop.plant
+        placement, plant = self._placement, self.loop.plant
         normal = normalize(placement.normal_N)
         target = p_R_from_N(np.array(placement.p_N_m)) + height_m * normal
         truth, tool = plant.truth(), plant.tools.index(placement.tool)
@@ -140,14 +131,14 @@ class PlacementRun:
 
     def result(self) -> PlacementResult:
         """Return the result; valid after the last cycle."""
-        branch = next((evr.branch for _, evr in self._evrs if isinstance(evr, BranchChosen)), None)
+        branch = next((evr.branch for _, evr in self.evrs if isinstance(evr, BranchChosen)), None)
         return PlacementResult(
-            self._outcome,
+            self.outcome,
             branch,
-            self._loop.plant.data.time,
+            self.loop.plant.data.time,
             self._errors.get("contact") if self._touched else None,
             self._errors.get("standoff"),
-            tuple(self._evrs),
+            tuple(self.evrs),
         )
 
 

@@ -1,6 +1,6 @@
 """Command sequences in the closed loop; a command starts when the last is done."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, cast
@@ -63,19 +63,6 @@ def _field(record: CycleRecord, name: str) -> Any:
     return value
 
 
-def observe_cycles(
-    cycles: Generator[CycleRecord, None, Outcome], note: Callable[[CycleRecord], None]
-) -> Generator[CycleRecord, None, Outcome]:
-    """Pass cycles on, after a call of `note` with each."""
-    while True:
-        try:
-            record = next(cycles)
-        except StopIteration as end:
-            return cast(Outcome, end.value)
-        note(record)
-        yield record
-
-
 def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:
     """Run a sequence until its end, the first refusal, or a fault with brakes on.
 
@@ -104,6 +91,29 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
             return Outcome.FAULTED
         faulted = False
     return Outcome.DONE
+
+
+class SequenceRun:
+    """Sequence in a closed loop, cycle by cycle; what it says of itself is complete after the last cycle."""
+
+    def __init__(self, loop: ClosedLoop, commands: Sequence[Command]):
+        self.loop, self.commands = loop, commands
+        self.outcome = Outcome.SOFTWARE_ERROR
+        self.evrs: list[tuple[float, Evr]] = []
+        """Time [s] and event."""
+
+    def __iter__(self) -> Iterator[CycleRecord]:
+        """Run all cycles."""
+        for record in self._run():
+            self.evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
+            self.note(record)
+            yield record
+
+    def _run(self) -> Iterator[CycleRecord]:
+        self.outcome = yield from run_sequence(self.loop, self.commands)
+
+    def note(self, record: CycleRecord) -> None:
+        """Note what a cycle shows."""
 
 
 def stop_sequence(loop: ClosedLoop) -> Generator[CycleRecord, None, Outcome]:

@@ -101,7 +101,7 @@ def _summarize_joint(results: Sequence[TrialResult]) -> dict[str, Any]:
     means, plain = np.nanmean(corrected, axis=1), np.nanmean(uncorrected, axis=1)
     squares = [r.half_backlash_error_mrad**2 for r in results]
     return {
-        "repeatability_3_sigma_mrad": _three_sigma(corrected),
+        "repeatability_3_sigma_mrad": 3 * float(np.sqrt(np.mean(np.nanvar(corrected, axis=1, ddof=1)))),
         "mean_error_worst_arm_mrad": float(np.abs(means).max()),
         "without_wind_up": {"mean_error_worst_arm_mrad": float(np.abs(plain).max())},
         "half_backlash_error_rms_mrad": float(np.sqrt(np.nanmean(squares))),
@@ -123,7 +123,3 @@ def _by_arm(results: Sequence[TrialResult], name: str = "zero_error_mrad") -> np
     arms = sorted({r.arm for r in results})
     rows = [sorted((r for r in results if r.arm == arm), key=lambda r: r.repetition) for arm in arms]
     return np.array([[getattr(r, name) for r in row] for row in rows])
-
-
-def _three_sigma(by_arm: np.ndarray) -> float:
-    return 3 * float(np.sqrt(np.mean(np.nanvar(by_arm, axis=1, ddof=1))))

@@ -1,7 +1,7 @@
 """Error budget: bounds of tool errors over the workspace, from all error sources at all frames."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import radians
 from typing import Final, Literal
 
@@ -84,7 +84,7 @@ TABLE_4: Final = _paper_rows(
 
 MOMENTS: Final = "moments"
 ALL: Final = "all"
-COMPONENTS: Final = tuple(field.name for field in fields(Bounds))
+COMPONENTS: Final = tuple(PARTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +94,8 @@ class ToolBudget:
     poses: Poses
     by_rule: Mapping[str, Bounds]
     """Bounds by combination rule: paper (equation 13), worst case (10), root sum square (11), moments."""
-    lengths: tuple[SquaredLength, ...]
-    """Distributions of squared error lengths, one for each of COMPONENTS, for the moments rule."""
+    lengths: Mapping[str, SquaredLength]
+    """Distributions of squared error lengths by COMPONENTS, for the moments rule."""
     share_m: Array
     """Share of each source at each frame in the paper's total, mean over the poses, shape (sources, 7)."""
 
@@ -114,8 +114,7 @@ class Budget:
         The moments rule gives the bound that holds for 99.73 % of the errors.
         """
         if rule == MOMENTS:
-            k = COMPONENTS.index(component)
-            return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
+            return pooled_quantile([tool.lengths[component] for tool in self.tools.values()], COVERAGE)
         return float(np.quantile(self.bounds(rule, component), COVERAGE))
 
     def interval(self, rule: str, component: str) -> Interval:
@@ -125,7 +124,7 @@ class Budget:
 
     def bounds(self, rule: str, component: str) -> Array:
         """Return the bounds at all poses, tool by tool."""
-        return np.concatenate([getattr(tool.by_rule[rule], component) for tool in self.tools.values()])
+        return np.concatenate([tool.by_rule[rule][component] for tool in self.tools.values()])
 
     @property
     def share_m(self) -> Array:
@@ -176,7 +175,7 @@ def compute_tool_budget(
 
 def _squared_lengths(
     model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity
-) -> tuple[SquaredLength, ...]:
+) -> dict[str, SquaredLength]:
     """Compute the distributions of squared error lengths of a case.
 
     If gravity holds an output at a flank, the backlash is a known offset and not a random error.
@@ -189,9 +188,10 @@ def _squared_lengths(
             known += np.einsum("ikn,kn->in", u, sensitivity.side)
             u = u * (sensitivity.side == 0)
         errors.append((u, source.distribution))
-    return tuple(
-        squared_length([(u[part], distribution) for u, distribution in errors], known[part]) for part in PARTS
-    )
+    return {
+        name: squared_length([(u[part], distribution) for u, distribution in errors], known[part])
+        for name, part in PARTS.items()
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -161,11 +161,7 @@ def _poses(report: BudgetReport) -> str:
 
 
 def _draw_shares(figure: Any, budget: Budget) -> None:
-    _draw_bars(figure.subplots(), budget)
-
-
-def _draw_bars(bars: Any, budget: Budget) -> None:
-    share = budget.share_m * 1e3
+    bars, share = figure.subplots(), budget.share_m * 1e3
     order = np.argsort(share.sum(axis=1))
     names = [name.replace("_", " ") for name in budget.case.sources]
     left = np.zeros(len(names))
@@ -180,7 +176,7 @@ def _draw_bars(bars: Any, budget: Budget) -> None:
 def _draw_map(figure: Any, budget: Budget) -> None:
     axes = figure.subplots()
     p = np.concatenate([tool.poses.p_NoTo_N_m for tool in budget.tools.values()], axis=1)
-    error = np.concatenate([tool.by_rule["paper"].total_m for tool in budget.tools.values()]) * 1e3
+    error = np.concatenate([tool.by_rule["paper"]["total_m"] for tool in budget.tools.values()]) * 1e3
     sums, x, z = np.histogram2d(p[0], p[2], CELLS, weights=error)
     counts, _, _ = np.histogram2d(p[0], p[2], (x, z))
     mean = np.ma.masked_where(counts == 0, sums / np.maximum(counts, 1))

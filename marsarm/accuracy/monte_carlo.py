@@ -28,7 +28,7 @@ from marsarm.accuracy.propagation import (
     load_error_model,
     sources_sha256,
 )
-from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
+from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.accuracy.trial import MeasuredPlacement, run_trial
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.rates import (
@@ -93,40 +93,31 @@ class Checkpoint:
         """Read the complete lines into `done`, and return their length in bytes."""
         if not os.path.isfile(self._path):
             raise self._refuse("this is not a regular file")
-        text = self._path.read_bytes()
-        head, *lines = text.splitlines(keepends=True) or [b""]
-        begin = f'{{"{REQUEST}"'.encode()
-        if not head.startswith(begin) and not begin.startswith(text):
+        text, begin = self._path.read_bytes(), f'{{"{REQUEST}"'.encode()
+        if not text.startswith(begin) and not begin.startswith(text):
             raise self._refuse("holds something else")
-        if not head.endswith(b"\n"):
-            return 0
-        self._check_request(self._parse(1, head)[REQUEST])
-        if lines and not lines[-1].endswith(b"\n"):
-            lines.pop()
-        for number, line in enumerate(lines, start=2):
-            result = self._parse(number, line)
+        whole = text[: text.rfind(b"\n") + 1]
+        for number, line in enumerate(whole.splitlines(), start=1):
+            try:
+                result = json.loads(line)
+            except ValueError as error:
+                raise self._refuse(f"line {number} is not JSON") from error
+            if number == 1:
+                self._check_request(result[REQUEST])
+                continue
             try:
                 read(result)
             except (KeyError, TypeError, ValueError) as error:
                 raise self._refuse(f"line {number} is no result") from error
             self.done.append(result)
-        return sum(map(len, (head, *lines)))
-
-    def _parse(self, number: int, line: bytes) -> dict[str, Any]:
-        try:
-            return dict(json.loads(line))
-        except ValueError as error:
-            raise self._refuse(f"line {number} is not JSON") from error
-        except TypeError as error:
-            raise self._refuse(f"line {number} is no result") from error
+        return len(whole)
 
     def _check_request(self, recorded: Any) -> None:
-        if recorded == self._request:
-            return
         old = recorded if isinstance(recorded, dict) else {}
-        names = [name for name in self._request if old.get(name) != self._request[name]]
-        changes = ", ".join(f"{name} {old.get(name)} there, {self._request[name]} now" for name in names)
-        raise self._refuse(f"of another request ({changes})")
+        if recorded != self._request:
+            names = [name for name in self._request if old.get(name) != self._request[name]]
+            changes = ", ".join(f"{name} {old.get(name)} there, {self._request[name]} now" for name in names)
+            raise self._refuse(f"of another request ({changes})")
 
     def _refuse(self, why: str) -> BadRequest:
         return BadRequest(f"results {self._path}: {why}; {NEW_FILE}")
@@ -136,36 +127,24 @@ MEASURED: Final = ("output_rad", "error", "backlash_position")
 """Arrays of a placement in the results."""
 
 
-@dataclass(frozen=True, slots=True)
-class ArmJob:
-    """Job for one arm of a Monte Carlo; its result does not depend on other jobs."""
+ArmJob = tuple[MonteCarloRequest, Params, int]
+"""Request, parameters of flight software, and number of an arm; no result depends on another job.
 
-    case: str
-    built: ArmKind
-    """Kind of arm.
-
-    sampled: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with
-    the sources that it does not have itself.
-    """
-    places: int
-    move_model: MoveModel
-    seed: int
-    arm: int
-    params: Params
-    """Parameters of flight software; for a calibrated arm, those before its calibration."""
+The parameters are those before its calibration for a calibrated arm.
+"""
 
 
 def run_job(job: ArmJob) -> dict[str, Any]:
     """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
-    model = load_error_model()
-    case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
-    built = None if job.built == "sampled" else f"{job.built}:{job.seed + job.arm}"
+    (request, params, arm), model = job, load_error_model()
+    case, seed = model.case[request.case], np.random.SeedSequence(request.seed, spawn_key=(arm,))
+    built = None if request.built == "sampled" else f"{request.built}:{request.seed + arm}"
     try:
-        found = run_trial(model, case, built, job.params, job.places, job.move_model, seed)
+        found = run_trial(model, case, built, params, request.places, request.move_model, seed)
     except RuntimeError as error:
-        return {"arm": job.arm, "failed": str(error)}
+        return {"arm": arm, "failed": str(error)}
     return {
-        "arm": job.arm,
+        "arm": arm,
         "tool": found[0].tool,
         "places": [{name: getattr(m, name).tolist() for name in MEASURED} for m in found],
     }
@@ -175,17 +154,17 @@ def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
     """Run all jobs without a record; return all records in order."""
-    wanted = {job.arm for job in jobs}
+    wanted = {arm for *_, arm in jobs}
     known = () if results is None else results.done
     records = {record["arm"]: record for record in known if record["arm"] in wanted}
-    missing = [job for job in jobs if job.arm not in records]
+    missing = [job for job in jobs if job[-1] not in records]
     progress(len(records), len(jobs), "arms")
     for record in runner(run_job, missing):
         records[record["arm"]] = record
         if results is not None:
             results.add(record)
         progress(len(records), len(jobs), "arms")
-    return [records[job.arm] for job in jobs]
+    return [records[arm] for *_, arm in jobs]
 
 
 def check_arm_record(record: dict[str, Any]) -> None:
@@ -236,8 +215,7 @@ def check_coverage(
         sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         budgets[tool] = compute_tool_budget(model, model.case[case], poses, sensitivity)
     budget = Budget(case, model.case[case], budgets)
-    error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
-    errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
+    errors = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
     return CoverageReport(
         arms=len(trials),
         error=errors,
@@ -277,8 +255,7 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     _check(request, model)
     params = select_arm("nominal", request.params, request.mismatch).params
     params_sha256 = digest(params)
-    case = (request.case, request.built, request.places, request.move_model, request.seed)
-    jobs = [ArmJob(*case, arm, params) for arm in range(request.arms)]
+    jobs = [(request, params, arm) for arm in range(request.arms)]
     runner = select_runner(request.workers, request.cluster)
     file = (
         None
@@ -317,4 +294,4 @@ def _estimate_three_sigma(
     if len(trials) < 2 or len(trials[0]) < 2:
         return None
     error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
-    return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
+    return {name: estimate_accuracy(error[part]) for name, part in PARTS.items()}

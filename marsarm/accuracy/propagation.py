@@ -5,7 +5,7 @@ within plus or minus its magnitude; its distribution describes it there.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -241,7 +241,9 @@ Total, lateral and normal are errors of position; axial is the error of the appr
 """
 COVERAGE: Final = 0.9973
 """Three sigma of a normal error; also the share of poses whose bound is within the reported value."""
-PARTS: Final = (TOTAL, LATERAL, NORMAL, AXIAL)
+PARTS: Final = {"total_m": TOTAL, "lateral_m": LATERAL, "normal_m": NORMAL, "axial_rad": AXIAL}
+Bounds = Mapping[str, Array]
+"""Bounds of the tool errors at each pose, shape (n,), by the names of PARTS."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -312,19 +314,9 @@ def pooled_quantile(lengths: Sequence[SquaredLength], coverage: float) -> float:
     return float(brentq(beyond, 0.0, 2 * most, xtol=1e-9))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bounds:
-    """Bounds of the tool errors at each pose, shape (n,) each."""
-
-    total_m: Array
-    lateral_m: Array
-    normal_m: Array
-    axial_rad: Array
-
-
 def bounds(u: Array) -> Bounds:
     """Compute the bounds from components, (6, n) [rad, m]."""
-    return Bounds(*(np.linalg.norm(u[part], axis=0) for part in PARTS))
+    return {name: np.linalg.norm(u[part], axis=0) for name, part in PARTS.items()}
 
 
 def worst_case(u: Array) -> Array:
@@ -362,11 +354,9 @@ def shares(u: Array, at_limit: Flags) -> Array:
     return np.asarray(np.einsum("cn,sc...n,scn->s...n", along, u[:, TOTAL], weight[:, TOTAL]))
 
 
-def moments_rule(lengths: Sequence[SquaredLength], worst: Bounds, coverage: float) -> Bounds:
+def moments_rule(lengths: Mapping[str, SquaredLength], worst: Bounds, coverage: float) -> Bounds:
     """Compute the bounds that hold with this probability, at most the worst case; lengths are as PARTS."""
-    within = [length.quantile(coverage) for length in lengths]
-    most = (getattr(worst, field.name) for field in fields(Bounds))
-    return Bounds(*(np.minimum(a, b) for a, b in zip(within, most, strict=True)))
+    return {name: np.minimum(length.quantile(coverage), worst[name]) for name, length in lengths.items()}
 
 
 def _divide(a: Array, b: Array) -> Array:

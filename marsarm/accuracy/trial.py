@@ -298,11 +298,9 @@ def run_trial(
     if move_model == "statics":
         move = statics_model(tested, believed, backlash)
     else:
-        find_reference = _exact_reference if built is None else initial_reference
-        move = closed_loop_model(tested, find_reference(initialised), backlash)
+        reference = initial_reference(initialised) if built else true_reference(initialised)
+        if built is None:  # an initialisation without errors, with the nominal backlash
+            nominal = configure(initialised.params)
+            reference = replace(reference, half_backlash_rad=nominal.half_backlash_rad)
+        move = closed_loop_model(tested, reference, backlash)
     return measure_placements(move, random_placements(believed, tool, places, placement_seed))
-
-
-def _exact_reference(arm: BuiltArm) -> Reference:
-    """Build the reference of an initialisation without errors, with the nominal backlash."""
-    return replace(true_reference(arm), half_backlash_rad=configure(arm.params).half_backlash_rad)

@@ -17,7 +17,6 @@ from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose
 from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters, move_zeros_to_hardstops
 from marsarm.calibration.campaign_data import Campaign
-from marsarm.calibration.consensus import reject_outliers
 from marsarm.calibration.residual_model import residual_model
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
@@ -33,6 +32,7 @@ from simgap import (
     validate_hold_out,
 )
 from simgap.common.files import atomic_write
+from simgap.serial_arm.fit import fit_without_outliers
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.
@@ -79,17 +79,17 @@ def calibrate(
     """Fit the arm to a campaign, reject outliers, and validate the fit on held-out poses.
 
     `checks.check_fit` decides whether the result is acceptable. Without tolerances, they are those of the
-    default arm. TooManyOutliers says that no arm explains the poses.
+    default arm. RobotError says that no arm explains the poses.
     """
     parameters = arm_parameters(built)
     everything = np.ones(campaign.count, bool)
     preliminary = _preliminary_fit(parameters, nominal, campaign, everything, with_backlash)
     model = residual_model(nominal, campaign, preliminary, with_backlash)
-    best = reject_outliers(parameters, model, preliminary.values)
+    best = fit_without_outliers(parameters, model, preliminary.values)
     is_held_out = select_held_out(campaign.group)
     preliminary_part = _preliminary_fit(parameters, nominal, campaign, ~is_held_out, with_backlash)
     part_model = residual_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
-    part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out)
+    part = fit_without_outliers(parameters, part_model, preliminary_part.values, ~is_held_out)
     held_out = is_held_out & best.used
     at = best.at
     frames = Linearisation(at.residual, at.jacobian[:, :, FRAME_SCREWS])

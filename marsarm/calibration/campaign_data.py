@@ -35,11 +35,6 @@ class MeasuredPoses:
     covariance: Array
     """Covariance of the screw from true to measured pose, in its axes, rotation first, shape (n, 6, 6)."""
 
-    @property
-    def whitener(self) -> Array:
-        """Compute the matrices that make this screw independent with unit variance, shape (n, 6, 6)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BelievedPoses:
@@ -118,6 +113,8 @@ NUMBER_COLUMNS: Final = (
     "misfit_m",
     "tracker_moved_m",
 )
+GROUPS: Final = (5, 5, 5, 5, 3, 1, 3, 4, len(COVARIANCE_INDICES), 1, 1)
+"""Number of columns of each quantity, in their order."""
 MAY_BE_EMPTY: Final = ("turret_kg",)
 NORM_TOLERANCE: Final = 1e-3
 """Largest difference of the norm of a quaternion from 1."""
@@ -190,20 +187,16 @@ def _text_problems(column: Mapping[str, NDArray[np.str_]]) -> Iterator[str]:
 
 
 def _campaign(column: dict[str, Array]) -> Campaign:
-    def rows(*names: str) -> Array:
-        return np.array([column[name].astype(float) for name in names])
-
-    def of_joints(name: str) -> Array:
-        return rows(*(name.format(joint) for joint in JOINT_NAMES))
-
-    quat = rows(*(f"q_{part}" for part in "wxyz"))
+    numbers = np.array([column[name] for name in NUMBER_COLUMNS], float)
+    parts = np.split(numbers, np.cumsum(GROUPS)[:-1])
+    motor, backlash, friction, side, gravity, turret_kg, p, quat, upper, misfit_m, moved_m = parts
     length = np.linalg.norm(quat, axis=0)
     if np.any(np.abs(length - 1) > NORM_TOLERANCE):
         row = int(np.argmax(np.abs(length - 1)))
         raise BadData(f"columns q_*: row {row} has length {length[row]:.4g}; a quaternion w, x, y, z has 1")
     covariance = np.zeros((quat.shape[1], 6, 6))
-    for i, j in COVARIANCE_INDICES:
-        covariance[:, i, j] = covariance[:, j, i] = column[f"cov_{i}{j}"]
+    for (i, j), values in zip(COVARIANCE_INDICES, upper, strict=True):
+        covariance[:, i, j] = covariance[:, j, i] = values
     lowest = np.linalg.eigvalsh(covariance)[:, 0] if covariance.size else np.ones(0)
     if np.any(lowest <= 0):
         raise BadData(
@@ -214,21 +207,13 @@ def _campaign(column: dict[str, Array]) -> Campaign:
         if quat.size
         else np.zeros((3, 3, 0))
     )
-    believed = BelievedPoses(
-        of_joints("motor_{}_rad"),
-        of_joints("backlash_{}_rad"),
-        of_joints("friction_{}_Nm"),
-        of_joints("side_{}"),
-        rows(*(f"gravity_{axis}_m_s2" for axis in "xyz")),
-        column["turret_kg"].astype(float),
-    )
     return Campaign(
         arm_name=str(column["arm"][0]) if column["arm"].size else "",
         group=column["group"].astype(np.int64),
         branch=tuple(str(name) for name in column["branch"]),
-        believed=believed,
-        measured=MeasuredPoses(Pose(R, rows(*(f"p_{axis}_m" for axis in "xyz"))), covariance),
-        targets_seen=rows(*COUNT_COLUMNS[1:]).astype(np.int64),
-        misfit_m=column["misfit_m"].astype(float),
-        tracker_moved_m=column["tracker_moved_m"].astype(float),
+        believed=BelievedPoses(motor, backlash, friction, side, gravity, turret_kg[0]),
+        measured=MeasuredPoses(Pose(R, p), covariance),
+        targets_seen=np.array([column[name] for name in COUNT_COLUMNS[1:]]).astype(np.int64),
+        misfit_m=misfit_m[0],
+        tracker_moved_m=moved_m[0],
     )

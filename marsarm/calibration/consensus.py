@@ -9,18 +9,12 @@ In all functions, `output_jacobian` are screws of the turret frame in its axes p
 (6, n, 5). Flags and angles of outputs have shape (5, n).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from marsarm.calibration.campaign_data import MeasuredPoses
-from simgap import Fit, FitParameter, fit, leave_one_out_distance
-from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import FALSE_ALARM, MAX_OUTLIER_SHARE, ResidualModel
 
 REST_SIGMA_RAD: Final = 3e-6
 """Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""
@@ -61,18 +55,6 @@ def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tu
     return W, W @ J
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OutputErrors:
-    """Angle errors of some outputs of one joint, as the tracker measures them."""
-
-    error_rad: Array
-    """Measured angle less modelled angle, shape (k,)."""
-    noise_rad: Array
-    """Independent noise of each error, one sigma, shape (k,)."""
-    shared_rad2: Array
-    """Covariance that comes from the uncertainty of the model, shape (k, k)."""
-
-
 def confirm_sides(
     measured: MeasuredPoses,
     output_jacobian: Array,
@@ -106,85 +88,32 @@ def confirm_sides(
         for side in (backlash_rad[joint] < 0, backlash_rad[joint] >= 0):
             poses = np.flatnonzero(uncertain[joint] & side)
             B = output_sensitivity[joint, poses]
-            outputs = OutputErrors(output_error_rad[joint, poses], noise[joint, poses], B @ covariance @ B.T)
-            found[joint, poses] = find_consensus(outputs)
+            errors_rad = output_error_rad[joint, poses]
+            found[joint, poses] = find_consensus(errors_rad, noise[joint, poses], B @ covariance @ B.T)
     return found
 
 
-def find_consensus(outputs: OutputErrors) -> Flags:
+def find_consensus(error_rad: Array, noise_rad: Array, shared_rad2: Array) -> Flags:
     """Find the outputs, (k,), that agree with the model and with most outputs on the same side.
 
     Model uncertainty shifts all of them together, so only independent noise separates them.
+
+    Args:
+        error_rad: Angles of outputs of one joint that the tracker measures less modelled angles, shape (k,).
+        noise_rad: Independent noise of each error, one sigma, shape (k,).
+        shared_rad2: Covariance that comes from the uncertainty of the model, shape (k, k).
     """
-    if outputs.error_rad.size == 0:
+    if error_rad.size == 0:
         return np.zeros(0, bool)
-    shared = np.diag(outputs.shared_rad2)
-    total = np.sqrt(outputs.noise_rad**2 + shared)
-    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * outputs.shared_rad2, 0.0))
-    agree_pairwise = (
-        np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
-    )
+    shared = np.diag(shared_rad2)
+    total = np.sqrt(noise_rad**2 + shared)
+    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * shared_rad2, 0.0))
+    agree_pairwise = np.abs(error_rad - error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
     most = agree_pairwise[int(np.argmax(agree_pairwise.sum(axis=1)))]
     # compare with all of them, because the output with most agreement has noise of its own
     most = agree_pairwise[:, most].mean(axis=1) >= 0.5
     enough = most.sum() >= max(MIN_OUTPUTS, 0.5 * most.size)
-    agree: Flags = (np.abs(outputs.error_rad) < CONSENSUS_SIGMAS * total) & (
-        (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)
+    agree: Flags = (np.abs(error_rad) < CONSENSUS_SIGMAS * total) & (
+        (most & enough) | (total <= KNOWN_SIGMAS * noise_rad)
     )
     return agree
-
-
-class TooManyOutliers(BadRequest):
-    """Error: more poses are outliers than are allowed."""
-
-
-def reject_outliers(
-    parameters: Sequence[FitParameter],
-    model: ResidualModel,
-    start: Array | None = None,
-    used: Flags | None = None,
-    false_alarm: float = FALSE_ALARM,
-) -> Fit:
-    """Fit, leave out the worst pose beyond the limit, and repeat until all remaining poses agree.
-
-    Poses that agree with the last fit are included again. If all poses have more noise than stated, the
-    limit rises, so that no outliers appear.
-
-    Args:
-        start: Initial values of the parameters, (p,); zeros by default.
-        used: Poses to fit, (n,); all by default.
-
-    Raises:
-        TooManyOutliers: Too many poses would be left out.
-    """
-    found = fit(parameters, model, start, used)
-    selected = found.used
-    count = int(np.count_nonzero(selected))
-    while True:
-        share = _share_of_limit(found, false_alarm / count)
-        worst = int(np.argmax(np.where(found.used, share, -np.inf)))
-        if share[worst] <= 1.0:
-            break
-        keep = found.used & (np.arange(share.size) != worst)
-        if np.count_nonzero(selected & ~keep) > MAX_OUTLIER_SHARE * count:
-            raise TooManyOutliers(
-                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
-                "explains them all"
-            )
-        found = fit(parameters, model, found.values, keep)
-    restored = selected & ~found.used & (share <= 1.0)
-    if restored.any():
-        found = fit(parameters, model, found.values, found.used | restored)
-    return found
-
-
-def _share_of_limit(fitted: Fit, false_alarm: float) -> Array:
-    """Compute the squared distance of each pose from its prediction by the others, over its limit, (n,).
-
-    Poses with fewer informative components have a lower limit.
-    """
-    components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
-    distance = leave_one_out_distance(fitted)
-    typical = float(np.median((distance / chi2.median(components))[fitted.used]))
-    limit: Array = chi2.isf(false_alarm, components) * max(1.0, typical)
-    return distance / limit

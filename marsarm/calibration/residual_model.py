@@ -133,11 +133,9 @@ def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integer
 
 def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
     """Compute X_RT, the turret frame in the rover frame, batch (n,)."""
-    parts = (
-        (where, _settle_arm(nominal, x, turret_kg, believed.at(where)).X_RT)
-        for turret_kg, where in group_by_turret(believed)
+    return reorder_poses(
+        ((part.where, part.X_RT) for part in settle_poses(nominal, x, believed)), believed.motor_rad.shape[1]
     )
-    return reorder_poses(parts, believed.motor_rad.shape[1])
 
 
 def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
@@ -148,62 +146,45 @@ def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
     return X
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestingArm:
-    """Arm in static equilibrium.
-
-    It is mounted in frame D: the rover frame, displaced by the frame error of Arm1.
-    """
-
-    arm: Arm
-    X_RD: Pose
-    X_FT: Pose
-    gravity_D_m_s2: Array
-    rest: Equilibrium
-
-    @property
-    def X_RT(self) -> Pose:
-        """Compute the pose of the turret frame in the rover frame, batch (n,)."""
-        X_DT = self.rest.frames.X_RF[5] @ add_batch_axis(self.X_FT)
-        return add_batch_axis(self.X_RD) @ X_DT
-
-
-def _settle_arm(nominal: Params, x: Array, turret_kg: float | None, at: BelievedPoses) -> RestingArm:
-    arm, X_RD = arm_with_values(build_arm(params_with_stand_in(nominal, turret_kg)), x, turret_kg is not None)
-    backlash_rad = (
-        at.backlash_rad * np.exp(x[BACKLASHES])[:, None] - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
-    )
-    gravity_D = X_RD.R.T @ at.gravity_R_m_s2
-    rest = settle(arm, at.motor_rad, backlash_rad, gravity_D)
-    return RestingArm(arm, X_RD, screw_exp(_screw(x, Frame.TOOL)), gravity_D, rest)
-
-
 def _screw(x: Array, frame: Frame) -> Array:
     return x[6 * frame : 6 * frame + 6]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurretPoses:
-    """Equilibria with one turret, with the derivatives of the deflection."""
+    """Static equilibria with one turret.
+
+    The arm is mounted in frame D: the rover frame, displaced by the frame error of Arm1.
+    """
 
     where: Integers
     """Indices of these poses in the campaign."""
     at: BelievedPoses
     stand_in: bool
+    arm: Arm
+    gravity_D_m_s2: Array
+    rest: Equilibrium
+    X_FT: Pose
     X_RT: Pose
-    derivatives: DeflectionDerivatives
+    """Pose of the turret frame in the rover frame, batch (n,)."""
+
+    def differentiate(self) -> DeflectionDerivatives:
+        """Compute the derivatives of the deflection."""
+        return differentiate_deflection(self.arm, self.rest, self.gravity_D_m_s2, self.X_FT)
 
 
 def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[TurretPoses]:
     """Compute the equilibria of all poses, a record for each turret."""
-    parts = []
+    parts, X_FT = [], screw_exp(_screw(x, Frame.TOOL))
     for turret_kg, where in group_by_turret(believed):
-        at = believed.at(where)
-        resting = _settle_arm(nominal, x, turret_kg, at)
-        derivatives = differentiate_deflection(
-            resting.arm, resting.rest, resting.gravity_D_m_s2, resting.X_FT
-        )
-        parts.append(TurretPoses(where, at, turret_kg is not None, resting.X_RT, derivatives))
+        at, stand_in = believed.at(where), turret_kg is not None
+        arm, X_RD = arm_with_values(build_arm(params_with_stand_in(nominal, turret_kg)), x, stand_in)
+        stiffness_Nm_rad = arm.gear_stiffness_Nm_rad[:, None]
+        backlash_rad = at.backlash_rad * np.exp(x[BACKLASHES])[:, None] - at.friction_Nm / stiffness_Nm_rad
+        gravity_D = X_RD.R.T @ at.gravity_R_m_s2
+        rest = settle(arm, at.motor_rad, backlash_rad, gravity_D)
+        X_RT = add_batch_axis(X_RD) @ (rest.frames.X_RF[5] @ add_batch_axis(X_FT))
+        parts.append(TurretPoses(where, at, stand_in, arm, gravity_D, rest, X_FT, X_RT))
     return parts
 
 
@@ -215,7 +196,7 @@ def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
         unit_rotations[range(JOINT_COUNT), :, range(JOINT_COUNT)] = 1.0
         no_screws = np.zeros((6 * len(Frame), JOINT_COUNT))
         jacobian[:, part.where] = screw_derivatives(
-            part.derivatives, np.zeros_like(unit_rotations), unit_rotations, no_screws
+            part.differentiate(), np.zeros_like(unit_rotations), unit_rotations, no_screws
         )
     return jacobian
 
@@ -229,9 +210,10 @@ def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, A
         rows = slice(6 * frame, 6 * frame + 6)
         screws[rows, FRAME_SCREWS][:, rows] = _right_jacobian(_screw(x, frame))
     for part in parts:
-        dQ = _load_derivatives(part.derivatives, x, part.stand_in)
+        deflection = part.differentiate()
+        dQ = _load_derivatives(deflection, x, part.stand_in)
         jacobian[:, part.where] = screw_derivatives(
-            part.derivatives, dQ, _direct_derivatives(part.derivatives, x, part.at), screws
+            deflection, dQ, _direct_derivatives(deflection, x, part.at), screws
         )
     return reorder_poses(((part.where, part.X_RT) for part in parts), n), jacobian
 

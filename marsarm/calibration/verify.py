@@ -217,10 +217,8 @@ class PlaceErrors:
     """Tool errors at the targets of one environment; arrays of shape (n,)."""
 
     name: str
-    tool: tuple[str, ...]
     total_m: Array
     lateral_m: Array
-    normal_m: Array
     axis_rad: Array
 
 
@@ -254,23 +252,22 @@ def verify_calibration(
         for one in _tool_errors(known, reference, world, effects, targets, seed):
             found.append(one)
             moving(k * targets + len(found), len(where) * targets, name)
-        tools, errors = zip(*found, strict=True)
-        places.append(PlaceErrors(name, tools, *np.array(errors).T))
+        places.append(PlaceErrors(name, *np.array(found).T))
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
 def _tool_errors(
     arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], targets: int, seed: int
-) -> Iterator[tuple[str, Array]]:
+) -> Iterator[Array]:
     """Move the full turret from target to target in the closed loop of one environment.
 
-    Yield the tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
+    Yield the errors of a tool: total, lateral [m], and axis [rad]; shape (3,).
     """
     loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, effects))
     rng = np.random.default_rng([seed, 4])
     for k in range(targets):
         tool = loop.plant.tools[k % len(loop.plant.tools)]
-        yield tool, _visit_target(loop, tool, arm.model.workspace, rng)
+        yield _visit_target(loop, tool, arm.model.workspace, rng)
 
 
 def _visit_target(loop: ClosedLoop, tool: str, workspace: Workspace, rng: np.random.Generator) -> Array:
@@ -279,13 +276,8 @@ def _visit_target(loop: ClosedLoop, tool: str, workspace: Workspace, rng: np.ran
         target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
         problem = run_and_rest(loop, MoveTool(tool, vector3(target), vector3(approach)))
         if problem is None:
-            return _tool_error(loop.plant, tool, target, approach)
+            truth, index = loop.truth(), loop.plant.tools.index(tool)
+            miss, axis = truth.p_RoTo_R_m[index] - target, truth.R_RT[index][:, 0]
+            lateral_m = np.linalg.norm(miss - (miss @ approach) * approach)
+            return np.array([np.linalg.norm(miss), lateral_m, angle_between(axis, approach)])
     raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
-
-
-def _tool_error(plant: Plant, tool: str, target: Array, approach: Array) -> Array:
-    truth, index = plant.truth(), plant.tools.index(tool)
-    miss, axis = truth.p_RoTo_R_m[index] - target, truth.R_RT[index][:, 0]
-    along = float(miss @ approach)
-    lateral = float(np.linalg.norm(miss - along * approach))
-    return np.array([np.linalg.norm(miss), lateral, along, angle_between(axis, approach)])

@@ -346,10 +346,10 @@ def describe_computer(packages: tuple[str, ...] = SOURCES) -> Description:
     """Describe all on which the bits of a result depend, by name."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     found |= {name: version(name) for name in PACKAGES}
-    return found | {"sources": _digest_sources(packages), "arithmetic": _digest_arithmetic()}
+    return found | {"sources": digest_sources(packages), "arithmetic": _digest_arithmetic()}
 
 
-def _digest_sources(packages: tuple[str, ...]) -> str:
+def digest_sources(packages: tuple[str, ...]) -> str:
     """Compute the SHA-256 of programs and models, cut to a length that a person can compare."""
     total = hashlib.sha256()
     for name in packages:

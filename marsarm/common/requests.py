@@ -14,7 +14,9 @@ from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name, params_over
+from sim.effects.effect import Effect, EffectMisfit
 from sim.params import BadParams
+from sim.scenario.effects import BadEffect, parse_effect_text, read_effect_file
 from sim.setting import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
 
@@ -96,6 +98,31 @@ def parse_tool(name: str, tools: Sequence[str]) -> str:
     if tool is None:
         raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(tools)}")
     return tool
+
+
+def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
+    """Parse effects, each a text or a TOML file, for an arm with these tools; BadRequest lists all errors."""
+    effects: list[Effect] = []
+    problems: list[str] = []
+    for text in texts:
+        try:
+            if text.endswith(".toml"):
+                effects += read_effect_file(Path(text), tools)
+            else:
+                effects.append(parse_effect_text(text, tools))
+        except BadEffect as error:
+            problems.append(str(error))
+    if problems:
+        raise BadRequest("\n".join(problems))
+    return tuple(effects)
+
+
+def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
+    """Return the arm with those effects that it has before a run; BadRequest if it cannot have one."""
+    try:
+        return arm.with_effects(effects)
+    except EffectMisfit as error:
+        raise BadRequest(str(error)) from error
 
 
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:

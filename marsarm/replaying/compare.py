@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from marsarm.replaying.inputs import Behaviour, TopicSeries
 from marsarm.telemetry.events import EvrEntry
-from marsarm.telemetry.format import EVR_TOPIC
+from marsarm.telemetry.format import DRIVE_TOPIC, EVR_TOPIC
 from marsarm.telemetry.topics import channel_name
 
 
@@ -156,6 +156,8 @@ class Differences:
     channels_compared: int
     not_compared: tuple[str, ...]
     """Sentences about topics and channels that only one run has."""
+    driven_tick: int | None
+    """First tick with another drive, also if its channels are not chosen; None if the drive is the same."""
 
     @property
     def identical(self) -> bool:
@@ -177,24 +179,32 @@ def compare_behaviours(
     topics = list(dict.fromkeys((*recorded.series, *replayed.series)))
     lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
     lengths.append(_evr_length_difference(recorded, replayed))
-    not_compared, channels, compared = list[str](), [], 0
+    not_compared, channels, compared, driven = list[str](), [], 0, list[int]()
     for topic in topics:
         ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
         if ours is None or theirs is None:
             continue
         comparable, sentences = _comparable(topic, ours, theirs)
         not_compared += sentences
-        for name in (name for name in comparable if chosen(topic, name)):
-            compared += 1
-            channels.append(_channel_difference(channel_name(topic, name), name, ours, theirs, tolerance))
+        for name in comparable:
+            is_chosen = chosen(topic, name)
+            compared += is_chosen
+            if not is_chosen and topic != DRIVE_TOPIC:
+                continue
+            one = _channel_difference(channel_name(topic, name), name, ours, theirs, tolerance)
+            if one is not None and topic == DRIVE_TOPIC:
+                driven.append(one.first_tick)
+            if one is not None and is_chosen:
+                channels.append(one)
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
         lengths=tuple(one for one in lengths if one is not None),
         evrs=tuple(evr_differences(recorded.evrs, replayed.evrs, tolerance)),
-        channels=tuple(sorted(filter(None, channels), key=lambda one: one.first_tick)),
+        channels=tuple(sorted(channels, key=lambda one: one.first_tick)),
         channels_compared=compared,
         not_compared=tuple(not_compared),
+        driven_tick=min(driven, default=None),
     )
 
 

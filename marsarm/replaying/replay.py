@@ -96,6 +96,12 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
         tolerance=0.0 if same else OTHER_PROCESSOR_TOLERANCE,
         chosen=partial(channel_matches, pattern=request.channel),
     )
+    if differences.driven_tick is not None:
+        notes = (
+            *notes,
+            f"the joints are driven otherwise from {_at(differences.driven_tick)} on; the sensors answer the "
+            "recorded drive, so what comes later is no prediction",
+        )
     changed = tuple(_changed_values(record_to_json(inputs.params), record_to_json(params), ""))
     return ReplayReport(request, dict(log.header), differences, changed, notes, same)
 
@@ -221,12 +227,6 @@ def difference_lines(found: Differences) -> Iterator[str]:
         yield (
             f"length    {n.topic}: {n.recorded} recorded, {n.replayed} replayed, apart from "
             f"{_at(n.first_tick)} on"
-        )
-    driven = next((c for c in found.channels if c.channel.startswith("/drive.")), None)
-    if driven is not None:
-        yield (
-            f"note      the joints are driven otherwise from {_at(driven.first_tick)} on; the sensors answer "
-            "the recorded drive, so what comes later is no prediction"
         )
     for c in found.channels:
         yield from _channel_lines(c)

@@ -12,8 +12,7 @@ from fsw.dictionary.commands import CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
-from marsarm.common.effects import fit_effects, parse_effects
-from marsarm.common.requests import make_world, select_arm
+from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
 from marsarm.render.svg import save_figure
 from marsarm.runs.request import HardstopRequest
 from sim.arm_check import NoPlan, without_turret

@@ -8,8 +8,14 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name, vector3
-from marsarm.common.effects import fit_effects, parse_effects
-from marsarm.common.requests import check_targets, format_numbers, make_world, select_arm
+from marsarm.common.requests import (
+    check_targets,
+    fit_effects,
+    format_numbers,
+    make_world,
+    parse_effects,
+    select_arm,
+)
 from marsarm.runs.execution import (
     Execution,
     execute,

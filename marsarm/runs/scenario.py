@@ -3,8 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.effects import parse_effects
-from marsarm.common.requests import make_world, select_arm
+from marsarm.common.requests import make_world, parse_effects, select_arm
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
     Execution,

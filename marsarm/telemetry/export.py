@@ -52,7 +52,7 @@ def topic_table(log: Log, topic: str) -> pa.Table:
                 # Some packets have a field `tick` of their own, and both columns are kept.
                 name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
                 column = np.ascontiguousarray(numbers[:, k])
-                columns[name] = [Mode(mode).name for mode in column] if field == "mode" else column
+                columns[name] = _mode_names(log, topic, column.tolist()) if field == "mode" else column
                 units[name] = unit_of(field)
     # pandas takes a NaN for a missing value; here it is a number.
     arrays = [pa.array(column, from_pandas=False) for column in columns.values()]
@@ -66,6 +66,19 @@ def topic_table(log: Log, topic: str) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata))
 
 
+def _mode_names(log: Log, topic: str, modes: Sequence[int]) -> list[str]:
+    """Return the name of each mode; BadRequest if one is not known."""
+    names = {mode.value: mode.name for mode in Mode}
+    unknown = [mode for mode in modes if mode not in names]
+    if unknown:
+        known = ", ".join(f"{value} {name}" for value, name in names.items())
+        raise BadRequest(
+            f"log {log.path}: {topic}.mode: {unknown[0]} is no mode; there are {known}; export it with the "
+            "marsarm that wrote it, or other topics with --topic"
+        )
+    return [names[mode] for mode in modes]
+
+
 def export(
     log: Log, out: Path, topics: Sequence[str], progress: Progress, kind: str = ".parquet"
 ) -> dict[str, Path]:
@@ -76,7 +89,7 @@ def export(
         kind: Suffix of the files.
 
     Raises:
-        BadRequest: the log has no such topic, or a file is the log itself.
+        BadRequest: the log has no such topic, a mode is not known, or a file is the log itself.
         BadOutput: a file cannot be written.
     """
     if not log.time_ns:

@@ -43,6 +43,7 @@ TRUTH_TEXT: Final = "the plant's own state; flight software never sees it"
 EVR_TOPIC: Final = "/evr"
 COMMAND_TOPIC: Final = "/command"
 SENSOR_TOPIC: Final = "/sensors"
+DRIVE_TOPIC: Final = "/drive"
 
 
 def version_problem(metadata: Mapping[str, Mapping[str, str]]) -> str:

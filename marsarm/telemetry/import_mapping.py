@@ -16,6 +16,7 @@ from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
+from marsarm.telemetry.format import DRIVE_TOPIC, SENSOR_TOPIC
 from marsarm.telemetry.schema import Field, Layout, arm_names, packet_layout, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import nominal_params, params_over_nominal
@@ -25,9 +26,8 @@ from simgap.common.toml import Record
 from simgap.files.robot_file import CsvTable, TimeTable
 from simgap.units import COUNTS, SHARES, UNITS, Quantity, Unit, find_unit
 
-SENSORS: Final = "/sensors"
-TOPICS: Final = (SENSORS, "/drive")
-CYCLE: Final = "/sensors.cycle"
+TOPICS: Final = (SENSOR_TOPIC, DRIVE_TOPIC)
+CYCLE: Final = f"{SENSOR_TOPIC}.cycle"
 """Channel that needs no column: it counts the cycles."""
 PLAIN_UNITS: Final = ("bool", "count")
 """Units of the log that a mapping need not name, for nothing else could be meant."""

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
-from marsarm.telemetry.format import TICK_NS
+from marsarm.telemetry.format import SENSOR_TOPIC, TICK_NS
 from marsarm.telemetry.import_mapping import (
-    SENSORS,
     Array,
     GridTime,
     MappedChannel,
@@ -169,7 +168,7 @@ def _build_topic(
     ticks, below, fraction = _exact(rows, cycles) if grid == "exact" else _between(rows, cycles)
     data = np.zeros(ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
-    if topic == SENSORS:
+    if topic == SENSOR_TOPIC:
         data["cycle"] = ticks
     for one in channels:
         data[one.field.name] = _interpolate(_values(rows, one), below, fraction)

@@ -11,7 +11,7 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.transforms import Array, normalize
 from marsarm.telemetry.events import BadJson, record_from_json
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
@@ -62,21 +62,6 @@ def _by_joint(values: Array) -> dict[str, Array]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """Constant part of a run: the scene, and the arm as it is and as flight software believes it."""
-
-    scene: Scene
-    believed_arm: Arm
-    true_arm: Arm
-    surface_normal_R: Array | None
-    """Unit vector out of the surface in the rover frame, shape (3,)."""
-
-    def frames(self, samples: Samples) -> ViewFrames:
-        """Compute the frames of samples; BadRequest if no sample has angles of all joints."""
-        return compute_frames(self.scene, samples, self.believed_arm, self.true_arm, self.surface_normal_R)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class WatchedRun:
     """Run that is over, for a page."""
 
@@ -88,17 +73,6 @@ class WatchedRun:
     scene: Scene
     frames: ViewFrames
     events: tuple[Event, ...]
-
-
-def build_surroundings(
-    world: World, params: Params, effects: Sequence[Effect], drawing: ArmModel
-) -> Surroundings:
-    """Build the surroundings of a run; effects of arm and run that are parameters change the true arm."""
-    normal = None if world.surface is None else normalize(world.surface.normal_N)
-    true_params = params_with_effects(effects, drawing.params)
-    has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)
-    scene = build_scene(world, drawing, has_turret)
-    return Surroundings(scene, build_arm(params), build_arm(true_params), normal)
 
 
 def watch_log(path: Path) -> WatchedRun:
@@ -125,15 +99,18 @@ def watch_log(path: Path) -> WatchedRun:
         notes.append("The drawing has changed since the run: shapes are of today, the true arm is not drawn.")
         samples = samples.without_truth()
     effects = (*arm.effects, *_effects(log.header, arm.params.tool_names, notes))
-    surroundings = build_surroundings(world, params, effects, arm.model)
-    frames = surroundings.frames(samples)
+    has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)
+    scene = build_scene(world, arm.model, has_turret)
+    true_arm = build_arm(params_with_effects(effects, arm.model.params))
+    normal = None if world.surface is None else normalize(world.surface.normal_N)
+    frames = compute_frames(scene, samples, build_arm(params), true_arm, normal)
     if log.end_note:
         notes.append(f"Log: {log.end_note}.")
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
     facts = list_facts(log.header)
-    return WatchedRun(_title(log.header), facts, tuple(notes), surroundings.scene, frames, events)
+    return WatchedRun(_title(log.header), facts, tuple(notes), scene, frames, events)
 
 
 def _title(header: Mapping[str, str]) -> str:

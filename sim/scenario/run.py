@@ -32,7 +32,7 @@ from sim.scenario.judge import (
     note_snapshot,
     take_snapshot,
 )
-from sim.sequence import Outcome, observe_cycles, run_sequence
+from sim.sequence import Outcome, SequenceRun, run_sequence
 from sim.setting import World
 
 TYPICAL_COMMAND_S: Final = 200.0
@@ -72,15 +72,13 @@ def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 
-class ScenarioRun:
+class ScenarioRun(SequenceRun):
     """Scenario in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, scenario: Scenario):
-        self._loop = loop
+        super().__init__(loop, scenario.commands)
         self._scenario = scenario
         self._trace = Trace()
-        self._evrs: list[tuple[float, Evr]] = []
-        self._outcome = Outcome.SOFTWARE_ERROR
         self._braked = self._refuses = False
         self._due_s = [fault.fault.at_s for fault in scenario.faults if fault.during is None]
         self.command = 0
@@ -89,11 +87,10 @@ class ScenarioRun:
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Yield every cycle; after a fault, run one cycle more with a command to move."""
-        sequence = run_sequence(self._loop, self._scenario.commands)
-        self._outcome = yield from observe_cycles(sequence, self._note)
-        self._braked = self._loop.braked
-        if self._outcome is Outcome.FAULTED:
-            record = self._loop.cycle((MoveJoints(NO_MOTION, relative=True),))
+        yield from super().__iter__()
+        self._braked = self.loop.braked
+        if self.outcome is Outcome.FAULTED:
+            record = self.loop.cycle((MoveJoints(NO_MOTION, relative=True),))
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
             yield record
 
@@ -109,47 +106,44 @@ class ScenarioRun:
         fraction = within_s / (within_s + max(mean_s, CYCLE_S))
         return (done + fraction) / max(len(self._scenario.commands), 1)
 
-    def _note(self, record: CycleRecord) -> None:
+    def note(self, record: CycleRecord) -> None:
+        """Begin a command with its faults, and keep what checks need of a cycle."""
         if record.commands:
             self.command += 1
             self._begun_s = record.tick / CYCLE_HZ
             self._inject()
-        self._watch(record)
-
-    def _watch(self, record: CycleRecord) -> None:
-        self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
         if needs_snapshot(self._scenario, record, self.command):
-            note_snapshot(self._scenario, self._trace, take_snapshot(self._loop, record, self.command))
+            note_snapshot(self._scenario, self._trace, take_snapshot(self.loop, record, self.command))
 
     @property
     def _begun_faults(self) -> int:
         """Count the faults of the scenario that have begun."""
-        return sum(due_s <= self._loop.plant.data.time for due_s in self._due_s)
+        return sum(due_s <= self.loop.plant.data.time for due_s in self._due_s)
 
     def _inject(self) -> None:
         """Inject the faults of the command that has just begun."""
         for injection in self._scenario.faults:
             if injection.during == self.command:
-                begun_s = self._loop.plant.data.time - CYCLE_S
+                begun_s = self.loop.plant.data.time - CYCLE_S
                 fault = replace(injection.fault, at_s=begun_s + injection.fault.at_s)
-                self._loop.avionics.inject(fault)
+                self.loop.avionics.inject(fault)
                 self._due_s.append(fault.at_s)
 
     def result(self) -> ScenarioResult:
         """Return the result; valid after the last cycle."""
-        plant, state = self._loop.plant, self._loop.state
+        plant, state = self.loop.plant, self.loop.state
         ending = Ending(
-            outcome=self._outcome,
+            outcome=self.outcome,
             mode=state.mode,
             output_rad=plant.output_rad(),
             braked=self._braked,
             refuses=self._refuses,
             pending_faults=len(self._scenario.faults) - self._begun_faults,
-            evrs=tuple(self._evrs),
+            evrs=tuple(self.evrs),
         )
-        stowed = np.array(self._loop.config.params.poses.stowed_rad)
+        stowed = np.array(self.loop.config.params.poses.stowed_rad)
         return ScenarioResult(
-            outcome=self._outcome,
+            outcome=self.outcome,
             command=self.command,
             duration_s=plant.data.time,
             checks=evaluate_checks(self._scenario, stowed, self._trace, ending),

@@ -1,4 +1,4 @@
-"""The catalogue: effects that make sense, each of them changes something, also for real robots."""
+"""The catalogue: effects that make sense, each of them changes something; and effects of the user's own."""
 
 import dataclasses
 import math
@@ -7,9 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from helpers.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
+from helpers.effect_lab import ARM_XML, PENDULUM_XML, own_effect, robot_of, simulate
 from helpers.real_robots import repository_file
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.catalogue.own_effects import load_effects
+from simgap.common.errors import RobotError
 from simgap.effects import effect as interface
 from simgap.effects.effect import Effect, Family
 from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
@@ -203,3 +205,81 @@ def test_the_page_lists_every_effect_with_its_family_and_its_sizes(arm_logs):
             assert listed == [size.name for size in offered[name].sizes], name
         for other in re.split(r"; ", rows[name][-1]):
             assert other == "" or other in all_names, f"{name}: {other} is no effect"
+
+
+EXAMPLE = "examples/robot/detent.py"
+SIGNAL = Signal(np.linspace(0, 2, 200), np.sin(np.linspace(0, 6, 200)))
+LOGS = Logs((Motion("m", {joint.name: JointLog(SIGNAL, command=SIGNAL) for joint in ARM.joints}, {}),))
+
+
+def write(folder, text, name="mine.py"):
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_the_example_is_put_at_each_joint_and_moves_it():
+    effects = load_effects(repository_file(EXAMPLE), ARM, LOGS)
+    assert [effect.key for effect in effects] == [f"{j.name}: magnetic detents" for j in ARM.joints]
+    command = 0.3 * np.sin(np.linspace(0, 6, 300))[:, None] * np.ones(3)
+    rest, moved = simulate(ARM, effects, [[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]], command, command[0])
+    assert np.abs(moved - rest)[1].max() > 0.01
+
+
+def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
+    effects = "def effects(robot, logs): return [Mine('base', 0, robot.joints[0], None)]\n"
+    text = own_effect() + effects
+    with pytest.raises(RobotError, match="Mine at 'base': torque_Nm acts at a joint; give it one of"):
+        load_effects(write(tmp_path, text), ARM, LOGS)
+
+
+def test_a_function_of_the_file_chooses_the_places(tmp_path):
+    text = own_effect() + (
+        "\ndef effects(robot, logs):\n"
+        "    from simgap.effects.effect import joint_scales\n"
+        "    return [Mine.at(robot, 'lift', joint_scales(robot, logs.fit))]\n"
+    )
+    assert [one.key for one in load_effects(write(tmp_path, text), ARM, LOGS)] == ["lift: mine"]
+
+
+def test_files_of_one_name_in_two_folders_stay_apart(tmp_path):
+    for k in (1, 2):
+        (tmp_path / str(k)).mkdir()
+        write(tmp_path / str(k), own_effect().replace('"mine"', f'"mine {k}"'))
+    names = [load_effects(tmp_path / str(k) / "mine.py", ARM, LOGS)[0].name for k in (1, 2)]
+    assert names == ["mine 1", "mine 2"]
+
+
+OTHER = "\n@dataclass(frozen=True, slots=True)\nclass Other(Mine):\n    pass\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("x = 1", "no effect; give a subclass of JointEffect or a function"),
+        ("import nothing_of_this_name", "cannot be run: ModuleNotFoundError: No module named"),
+        ("def broken(:", "cannot be run: SyntaxError"),
+        ("def effects(robot, logs):\n    return 1 / 0", "cannot be made, ZeroDivisionError: division by"),
+        ("def effects(robot, logs):\n    return [3]", "returned 3, which is not an Effect"),
+        (own_effect("()"), "the sizes of Mine are (); give a tuple"),
+        (own_effect("None.x"), "the sizes of Mine fail, AttributeError"),
+        (own_effect('(Size("a", 0.1, 1.0, 0.5),)'), "right is low <= 0 < typical <= high"),
+        (own_effect(hook="pass"), "Mine changes nothing; override one of"),
+        (own_effect().replace('name = "mine"', ""), "Mine lacks its name or its"),
+        (own_effect() + OTHER, "2 effects have the key 'pan: mine'"),
+    ],
+)
+def test_a_wrong_file_is_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(RobotError) as refused:
+        load_effects(write(tmp_path, text), ARM, LOGS)
+    message = str(refused.value)
+    assert sentence in message
+    assert message.startswith(str(tmp_path))
+    assert "\n" not in message
+
+
+def test_a_missing_file_and_another_kind_of_file_are_one_sentence(tmp_path):
+    for name in ("none.py", f"{'a' * 300}.py"):
+        with pytest.raises(RobotError, match="no such file"):
+            load_effects(tmp_path / name, ARM, LOGS)
+    with pytest.raises(RobotError, match=r"its name ends in \.py"):
+        load_effects(write(tmp_path, "x = 1", "mine.txt"), ARM, LOGS)

@@ -1,6 +1,7 @@
 """Logs of messages: joints by name, bags, cut and damaged files, clocks and numbers that are none."""
 
 import json
+import re
 import sqlite3
 from contextlib import closing
 
@@ -14,6 +15,7 @@ from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
 from simgap.files.log_file import list_columns, open_log
+from simgap.files.mcap_log import BadMessage, make_decoder
 from simgap.files.robot_file import CsvTable
 from simgap.loading import load
 from simgap.robot import Robot
@@ -39,6 +41,7 @@ def check(logs, n=5):
 
 FORMS = {
     "chunks": {},
+    "cdr": {"definition": "ros2msg"},
     "no_chunks": {"use_chunking": False},
     "lz4": {"compression": CompressionType.LZ4},
     "plain": {"compression": CompressionType.NONE},
@@ -49,6 +52,67 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_joints_are_read_by_name_from_every_form_of_mcap(robot, tmp_path, form):
     check(load(robot, write_mcap(tmp_path / "log.mcap", rows(), **FORMS[form])))
+
+
+def test_each_signal_has_the_times_of_its_messages(robot, tmp_path):
+    messages = [one for k, one in enumerate(rows()) if k % 4 != 3]  # every second command
+    (motion,) = load(robot, write_mcap(tmp_path / "run.mcap", messages)).motions
+    assert motion.name == "run"
+    shoulder = motion.joints["shoulder"]
+    np.testing.assert_allclose(shoulder.position.time_s, 0.01 * np.arange(5))
+    np.testing.assert_allclose(shoulder.command.time_s, [0.0, 0.02, 0.04])
+    np.testing.assert_allclose(shoulder.command.value, [0.0, 20.0, 40.0])
+
+
+@pytest.mark.parametrize("definition", ["float64 x", "odd/Kind x"])
+def test_a_message_that_is_cut_short_or_of_an_unknown_type_is_refused(definition):
+    with pytest.raises(BadMessage, match="a message of a/B does not fit its definition"):
+        make_decoder("cdr", "ros2msg", "a/B", definition.encode())(b"\0\1\0\0")
+
+
+def test_messages_of_an_unknown_encoding_and_motions_in_a_column_are_refused(robot, tmp_path):
+    said = "topic '/joint_.*' is encoded as cdr with omgidl; write json, or a message of ROS"
+    with pytest.raises(RobotError, match=said):
+        load(robot, write_mcap(tmp_path / "log.mcap", rows(), definition="omgidl"))
+    robot.write_text(f'{robot.read_text()}\n[motion]\ncolumns = ["/joint_command.name"]\n')
+    with pytest.raises(RobotError, match="a log of messages has no rows; in "):
+        load(robot, write_mcap(tmp_path / "log.mcap", rows()))
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("/joint_state.position[0]", "has no column '/joint_state', which robot file or mapping names"),
+        ("/joint_states.place[0]", "'/joint_states.place[0]': there is no 'place' in a message"),
+        ("/joint_states.position[7]", "has no column '/joint_states.position[7]', which robot file or map"),
+        ("/joint_states.name[0]", "'/joint_states.name[shoulder]' has str; name a number in it"),
+        ("/joint_states.position 0", "there is no 'position 0' in a message, which has"),
+        ("/joint_states.position[0", "is no field; write a topic and a field"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named(tmp_path, column, said):
+    (tmp_path / "model.xml").write_text(MODEL)
+    (tmp_path / "robot.toml").write_text(BY_PLACE.replace("/joint_states.position[0]", column))
+    with pytest.raises(RobotError, match=re.escape(said)):
+        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", rows(), "ros2msg"))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (b'{"sec": null}', "column '/command.deg' is empty; a signal needs numbers"),
+        (b'{"sec": [1]}', "'/command.deg' has list; name a number in it"),
+        (b"1" + 400 * b"0", "'/command.deg', motion 'log': is no finite number at 0 s"),
+        (100_000 * b"[", "a message is nested too deeply; write fields of a few levels"),
+    ],
+)
+def test_a_message_without_a_usable_number_is_refused(tmp_path, value, said):
+    (tmp_path / "model.xml").write_text(MODEL)
+    command = 'command = { column = "/command.deg", unit = "deg" }'
+    (tmp_path / "robot.toml").write_text(BY_TOPIC.replace('command_topic = "/joint_command"', command))
+    messages = [*rows()[::2], ("/command", START_NS, b'{"deg": %s}' % value)]
+    with pytest.raises(RobotError, match=re.escape(said)):
+        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", messages))
 
 
 @pytest.mark.parametrize("name", ["log.bag", "log"])
@@ -165,6 +229,9 @@ def test_a_file_that_was_cut_is_used_and_the_loss_told(robot, tmp_path):
     n = logs.motions[0].joints["shoulder"].position.value.size
     assert 2 <= n < 20
     assert any("is cut; the first" in one and "are used" in one for one in logs.losses)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(RobotError, match="cannot be read: it is cut before its first message"):
+        load(robot, path)
 
 
 def test_a_damaged_chunk_is_refused_with_its_place_and_time(robot, tmp_path):

@@ -7,30 +7,30 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.pendulum import motion, pendulum, waves
+from helpers import pendulum as lab
+from helpers.effect_lab import own_effect, play
+from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
+from simgap.catalogue.own_effects import load_effects
+from simgap.common.errors import RobotError
 from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
 from simgap.effects.command import (
     AccelerationLimit,
     ClampHigh,
+    ClampLow,
     CommandDelay,
     EncoderScale,
     JointZero,
     MeasurementDelay,
     VelocityLimit,
 )
-from simgap.effects.effect import JointScales
 from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.logs import Signal
+from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch, save_patch
-from simgap.patch.runtime import RuntimeEffects
-from simgap.simulation.compiled import Models
-from simgap.simulation.simulation import Engine
-from simgap.simulation.windows import cut_windows
+from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
 
-SCALES = {"swing": JointScales(0.02, 0.0, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 2.0, math.nan, math.nan)}
 ROBOT = pendulum(limit_Nm=1.5)
 IN_MODEL = {ViscousFriction: 0.01, CoulombFriction: 0.05, GainError: -0.3, Armature: 0.001}
 AT_RUN_TIME = {StribeckFriction: (0.05, 0.4), LoadFriction: 0.1, CommandDelay: 0.013, ClampHigh: 0.3}
@@ -42,7 +42,7 @@ COMMAND = waves(TIME_s, seed=5)
 
 def made(sizes):
     """Return effects at the pendulum, and their sizes as tuples."""
-    effects = [kind.at(ROBOT, "swing", SCALES) for kind in sizes]
+    effects = [at_swing(kind, ROBOT) for kind in sizes]
     return effects, [size if isinstance(size, tuple) else (size,) for size in sizes.values()]
 
 
@@ -51,25 +51,15 @@ def by_engine(effects, sizes, robot=ROBOT, early_s=0.0):
     log = motion(TIME_s, np.zeros(TIME_s.size), COMMAND)
     command = Signal(TIME_s - early_s, COMMAND)
     log = replace(log, joints={"swing": replace(log.joints["swing"], command=command)})
-    (window,) = cut_windows(robot, log, None, 0.0)
-    engine = Engine(Models(robot), effects, [window], n_threads=1)
-    return engine.positions(np.array([value for size in sizes for value in size])[None, :])[0]
+    return simulated(robot, log, *zip(effects, sizes, strict=True))
 
 
 def by_patch(effects, sizes, folder):
     """Return what the encoder shows with the patched model and the runtime file, (n,)."""
     save_patch(ROBOT, diagnosis(effects=tuple(effects), sizes=tuple(sizes)), folder)
     model = mujoco.MjModel.from_xml_path(str(folder / "patched.xml"))
-    data = mujoco.MjData(model)
     runtime = RuntimeEffects.from_toml(model, folder / "runtime.toml")
-    runtime.place(data, np.zeros(1))
-    shown = [0.0]
-    for k in range(round(TIME_s[-1] / 0.002)):
-        runtime.act(model, data, COMMAND[[k // 5]])
-        mujoco.mj_step(model, data, runtime.n_steps)
-        if (k + 1) % 5 == 0:
-            shown.append(runtime.shown(data)[0])
-    return np.array(shown)
+    return play(model, runtime, COMMAND[:, None], np.zeros(1), every=5)[:, 0]
 
 
 def test_patched_model_and_runtime_file_simulate_what_the_engine_simulates(tmp_path):
@@ -142,13 +132,155 @@ def test_an_actuator_that_has_the_law_of_the_robot_file_is_not_touched():
     xml = ROBOT.model_xml.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>")
     joint = replace(ROBOT.joints[0], actuator_index=0, torque_limit_Nm=math.inf)
     robot = replace(ROBOT, model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, joints=(joint,))
-    assert not [one for one in make_patch(robot, [], []).changes if one.startswith("actuator")]
-    changes = make_patch(robot, *made({GainError: 0.5})).changes
-    (changed,) = [one for one in changes if one.startswith("actuator")]
-    assert changed == "actuator m: kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5"
+    assert "torque limit" not in make_patch(robot, [], []).model_xml
+    said = "<!-- kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5 -->"
+    assert said in make_patch(robot, *made({GainError: 0.5})).model_xml
 
 
 def test_added_actuators_have_the_order_of_the_joints():
     robot = planar_arm()
     model = mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml)
     assert [model.actuator(k).name for k in range(model.nu)] == ["shoulder", "elbow"]
+
+
+def read(folder, actuator, mode="position", of_joint="", more=""):
+    """Read the pendulum with an actuator of its own."""
+    xml = pendulum().model_xml.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
+    return lab.read(folder, xml.replace('name="swing"', f'name="swing" {of_joint}'), mode, more=more)
+
+
+def assert_patch_moves_as_engine(robot):
+    """Check that the patched model alone moves as the engine does."""
+    model = mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml)
+    joint = RuntimeJoint("swing", "swing", "swing", robot.joints[0].mode)
+    patched = play(model, RuntimeEffects(model, [], [joint], 0.002), COMMAND[:, None], np.zeros(1), every=5)[
+        :, 0
+    ]
+    engine = by_engine([], [], robot)
+    assert np.ptp(engine) > 0.3
+    assert patched == pytest.approx(engine, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "mode"),
+    [
+        ('<position joint="swing" gear="-1" kp="4" kv="0.1" forcerange="-1 1"/>', "position"),
+        ('<position joint="swing" gear="-2" kp="1" kv="0.03" forcerange="-0.2 0.2"/>', "position"),
+        ('<motor joint="swing" gear="-3" forcerange="-0.1 0.1"/>', "torque"),
+        ('<position joint="swing" ctrlrange="-0.1 0.1" kp="4" kv="0.1"/>', "position"),
+    ],
+)
+def test_a_gear_keeps_its_sign_and_a_range_of_commands_limits_neither_engine_nor_patch(
+    actuator, mode, tmp_path
+):
+    assert_patch_moves_as_engine(read(tmp_path, actuator, mode))
+
+
+def test_an_actuator_with_dynamics_of_its_own_is_refused(tmp_path):
+    with pytest.raises(RobotError, match="has dynamics of its own"):
+        read(tmp_path, '<position joint="swing" kp="4" kv="0.1" timeconst="0.05"/>')
+
+
+@pytest.mark.parametrize("given_Nm", [None, 1.0])
+def test_the_torque_limit_is_the_smaller_range_or_that_of_the_file(given_Nm, tmp_path):
+    actuator = '<position joint="swing" kp="4" kv="0.1" gear="-2" forcerange="-1 1"/>'
+    more = f"torque_limit_Nm = {given_Nm}" if given_Nm else ""
+    robot = read(tmp_path, actuator, of_joint='actuatorfrcrange="-0.3 0.3"', more=more)
+    assert robot.joints[0].torque_limit_Nm == (given_Nm or 0.3)
+    assert_patch_moves_as_engine(robot)
+
+
+@pytest.mark.parametrize(
+    ("of_joint", "range_", "said"),
+    [
+        ("", "0 2", "forcerange of the model is 0 to 4 N m at the joint; give one limit"),
+        ('actuatorfrcrange="-1 3"', "-1 1", "actuatorfrcrange of the model is -1 to 3 N m"),
+    ],
+)
+def test_a_limit_that_differs_by_direction_is_refused(of_joint, range_, said, tmp_path):
+    actuator = f'<position joint="swing" kp="4" gear="2" forcerange="{range_}"/>'
+    with pytest.raises(RobotError, match=f"joints.swing.torque_limit_Nm: {said}"):
+        read(tmp_path, actuator, of_joint=of_joint)
+
+
+PLAIN = pendulum()
+FINE_s = np.arange(0.0, 3.0, 0.002)
+COMMANDS = {CommandDelay: 0.0123, VelocityLimit: 2.0, AccelerationLimit: 0.3, ClampLow: 1.2, ClampHigh: 0.4}
+
+
+def read_runtime(tmp_path, text, model_xml):
+    (tmp_path / "runtime.toml").write_text(text)
+    return RuntimeEffects.from_toml(mujoco.MjModel.from_xml_string(model_xml), tmp_path / "runtime.toml")
+
+
+@pytest.mark.parametrize("kind", COMMANDS, ids=lambda kind: kind.__name__)
+def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
+    effect, command = at_swing(kind, PLAIN), waves(FINE_s, seed=3)
+    size, memory = np.array([[COMMANDS[kind]]]), {}
+    whole = effect.shape_command(size, command[None, :], 0.002)[0]
+    single = [effect.next_command(size, np.array([one]), 0.002, memory)[0] for one in command]
+    assert np.array(single) == pytest.approx(whole, abs=1e-12)
+    assert np.abs(whole - command).max() > 1e-3
+
+
+def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
+    (tmp_path / "own.py").write_text(own_effect())
+    logs = Logs((motion(FINE_s, waves(FINE_s, 1), waves(FINE_s, 1)),))
+    (pull,) = load_effects(tmp_path / "own.py", PLAIN, logs)
+    patch = make_patch(PLAIN, [pull], [(0.2,)])
+    assert f'file = "{tmp_path / "own.py"}"' in patch.runtime
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = read_runtime(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
+    runtime.act(model, data, np.zeros(1))
+    mujoco.mj_step(model, data, runtime.n_steps)
+    assert data.qfrc_applied[0] == pytest.approx(0.2)
+
+
+def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
+    patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
+    data = mujoco.MjData(model)
+    gain, limited = model.actuator_gainprm.copy(), model.actuator_forcelimited.copy()
+    runtime.act(model, data, np.array([0.3]))
+    mujoco.mj_step(model, data, runtime.n_steps)
+    assert np.array_equal(model.actuator_gainprm, gain)
+    assert np.array_equal(model.actuator_forcelimited, limited)
+    assert math.isclose(data.time, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
+        ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
+        ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ("", "", "use the patched model"),
+    ],
+)
+def test_a_runtime_file_of_another_format_effect_or_model_is_refused(tmp_path, old, new, said):
+    patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
+    assert old in patch.runtime
+    with pytest.raises(RobotError, match=said):
+        read_runtime(tmp_path, patch.runtime.replace(old, new), patch.model_xml if old else "<mujoco/>")
+
+
+def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
+    robot = pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
+    effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
+    command = np.repeat(waves(FINE_s[::5], seed=5), 5)
+    off = np.repeat(abs(FINE_s[::5] - 1.3) < 0.3, 5)
+    enabled = Signal(FINE_s, np.where(off, 0.0, 1.0))
+    log = motion(FINE_s, 0.0 * FINE_s, command, gain={"swing": 0.6}, enabled=enabled)
+    engine = simulated(robot, log, *zip(effects, sizes, strict=True))
+    patch = make_patch(robot, effects, sizes)
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime, data = read_runtime(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)
+    shown = []
+    for k in range(FINE_s.size):
+        shown.append(data.qpos[0])
+        if k % 5 == 0:
+            runtime.act(model, data, command[[k]], gain=0.6, is_on=not off[k])
+        mujoco.mj_step(model, data)
+    assert shown[::5] == pytest.approx(engine[::5], abs=1e-9)
+    assert np.ptp(shown) > 0.3

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.effect_lab import ARM_XML, robot_of, simulate
+from helpers.effect_lab import ARM_XML, play, robot_of, simulate
 from helpers.verdicts import diagnosis
 from simgap.effects.forces import PlaneContact
 from simgap.effects.inertia import GravityDirection, LinkCentre, LinkInertia, LinkLength, LinkMass, Payload
@@ -42,23 +42,16 @@ def shown(effects, sizes, folder):
     """Return what the encoders show with the patch at each control period, (n_joints, n_ticks)."""
     save_patch(ARM, diagnosis(effects=tuple(effects), sizes=tuple(sizes)), folder)
     model = mujoco.MjModel.from_xml_path(str(folder / "patched.xml"))
+    if (folder / "runtime.toml").exists():
+        return play(model, RuntimeEffects.from_toml(model, folder / "runtime.toml"), COMMAND, START_RAD).T
     data = mujoco.MjData(model)
     joints = [model.joint(joint.name).qposadr[0] for joint in ARM.joints]
-    runtime = None
-    if (folder / "runtime.toml").exists():
-        runtime = RuntimeEffects.from_toml(model, folder / "runtime.toml")
-        runtime.place(data, START_RAD)
     data.qpos[joints] = START_RAD
     rows = [START_RAD]
-    for command, held in zip(COMMAND[:-1], HELD[:-1], strict=True):
-        if runtime is None:
-            data.ctrl[:] = held
-            mujoco.mj_step(model, data, 5)
-            rows.append(data.qpos[joints].copy())
-        else:
-            runtime.act(model, data, command)
-            mujoco.mj_step(model, data, runtime.n_steps)
-            rows.append(runtime.shown(data))
+    for held in HELD[:-1]:
+        data.ctrl[:] = held
+        mujoco.mj_step(model, data, 5)
+        rows.append(data.qpos[joints].copy())
     return np.array(rows).T
 
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from helpers.effect_lab import play
 from helpers.slide_arm import command_of, model_text, write_folder, write_logs
 from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
@@ -181,13 +182,9 @@ def test_the_wrapper_moves_a_slide_as_the_engine_does(robot, tmp_path):
     patch = make_patch(robot, [delay], [(0.0123,)])
     (tmp_path / "runtime.toml").write_text(patch.runtime)
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
-    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
-    shown = []
-    for command in COMMAND:
-        shown.append(runtime.shown(data) if shown else np.zeros(2))
-        runtime.act(model, data, command)
-        mujoco.mj_step(model, data, runtime.n_steps)
-    assert np.transpose(shown) == pytest.approx(by_engine(robot, [delay], [0.0123]), abs=1e-12)
+    runtime = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")
+    shown = play(model, runtime, COMMAND, np.zeros(2)).T
+    assert shown == pytest.approx(by_engine(robot, [delay], [0.0123]), abs=1e-12)
 
 
 NO_TABLE = "joints: the model drives 'left', which has no table; add one, or write "

@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 
 from marsarm.common.pool import run_here
+from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from validation.campaigns import Context
 from validation.cases import arm_score, sealed
-from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, NoDiagnosis, campaign, leave_out
+from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases, campaign, leave_out
 from validation.cases.arm_truth import SealedEffect, TrueCase, list_uncatalogued, locate_outside
 
 CLASSES = arm_score.EquivalenceClasses({
@@ -207,7 +208,7 @@ def test_solved_cases_are_scored_and_what_was_interrupted_goes_on(solved):
 
 def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder, monkeypatch):
     def mute(_, folder, case, without=""):
-        raise NoDiagnosis(f"{case.name} has no logs")
+        raise NotForDiagnosis(f"{case.name} has no logs")
 
     monkeypatch.setattr(WrittenCases, "diagnose", mute)
     assert sealed.solve_cases(folder, WrittenCases(), run_here, no_progress) == (6, 6)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.diagnosis.arm import blind_case
-from marsarm.diagnosis.arm.blind_case import DetectableEffect, sample_background
+from marsarm.diagnosis.arm import demo
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses
+from marsarm.diagnosis.arm.demo import DetectableEffect, sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import SESSION, Recorder, flight_header, run_header
 from sim.arm_model.load import default_arm
@@ -123,7 +123,7 @@ def test_the_plants_own_state_is_refused(tmp_path):
 
 def test_a_case_with_a_revealing_log_is_deleted(tmp_path, monkeypatch):
     """A perfect homing would measure the friction that is the case's effect."""
-    monkeypatch.setattr(blind_case, "blind_reference", lambda built, _: true_reference(built))
+    monkeypatch.setattr(demo, "blind_reference", lambda built, _: true_reference(built))
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
     with pytest.raises(arm_truth.TruthLeaked, match=r"flight software begins with friction_Nm"):
         record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.arm.blind_case import LIMIT_MULTIPLES, DetectableEffect, can_sample
+from marsarm.diagnosis.arm.demo import LIMIT_MULTIPLES, DetectableEffect, can_sample
 from marsarm.diagnosis.problem import BOUND_SHARE, Hypothesis, Parameter
 from simgap import Family
 from simgap.common.errors import BadRequest

@@ -1,4 +1,4 @@
-"""Sealing, files and score of the synthetic cases."""
+"""Sealing, files and score of the cases of any robot, and of pairs of logs of one robot."""
 
 import json
 from collections import Counter
@@ -18,12 +18,23 @@ from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
-from validation.cases.bars import LEVELS
-from validation.cases.robot import INDEX_FILE, RobotCases, plan_robot_cases, write_logs, write_robot
+from validation.cases.robot import (
+    CHANGES,
+    INDEX_FILE,
+    PAIR_SHARES,
+    RobotCases,
+    RobotPairs,
+    SealedPair,
+    plan_robot_cases,
+    score_pairs,
+    write_logs,
+)
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
-from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times
+from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot, sample_times, write_robot
+from validation.cases.robot_table import list_hypotheses
 from validation.cases.sealed import (
+    LEVELS,
     SealedTruth,
     case_path,
     load_truth,
@@ -119,17 +130,17 @@ def test_the_counts_of_the_bars_are_those_of_an_exact_test(of, rate, most):
 
 
 def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path):
-    robot, times = load_robot("pendulum"), sample_times()
+    times = sample_times()
     signal = Signal(times, np.sin(times))
     joint = JointLog(position=signal, command=signal, temperature=signal)
     motions = tuple(Motion(name, {"swing": joint}, {"swing": 1.0}) for name, _ in PLAN)
-    write_robot(tmp_path / "robot", robot, HELD_OUT, tuple(one.name for one in motions))
+    robot_file = write_robot(tmp_path / "robot", "pendulum")
     write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
     table = pq.read_table(tmp_path / "log.parquet")
     columns = "motion repeat t_s command_swing position_swing temperature_swing"
     assert table.column_names == columns.split()
     assert not table.schema.metadata
-    read = load(tmp_path / "robot" / "robot.toml", tmp_path / "log.parquet")
+    read = load(robot_file, tmp_path / "log.parquet")
     assert (len(read.fit), len(read.judged)) == (8, 4)
     assert read.motions[3].joints["swing"].position.value == pytest.approx(signal.value)
 
@@ -149,3 +160,50 @@ def test_motions_with_the_commands_of_others_are_not_fitted():
     except RobotError:
         return
     assert (found.findings, found.fitted_motions) == ((), ())
+
+
+CLAMP = DrawnEffect("command clamp, high", "swing", "actuation", 0.3, 0.5, 4.0, ("actuation",))
+
+
+def pair(*changes, is_gone=False):
+    truth = Truth("pendulum", "single" if changes else "none", 11, changes, {})
+    return SealedPair("case-000", truth, tuple(((one.name, one.place),) for one in changes), (), is_gone)
+
+
+def changes_of(*effects):
+    alike = {"place": "swing", "places": ["swing"], "families": []}
+    findings = [alike | {"effect": one, "effects": [f"swing: {one}"]} for one in effects]
+    return {"findings": findings, "seconds": 1.0, "refused": ""}
+
+
+def count_hits(*solved):
+    return [one["hits"] for one in score_pairs(solved).document["bars"].values()]
+
+
+def test_of_forty_pairs_sixteen_have_no_change():
+    plans = plan_robot_cases(40, 7, tuple(ARMS), PAIR_SHARES)
+    assert Counter(one.kind for one in plans) == {"none": 16, "single": 24}
+
+
+def test_the_numbers_of_every_joint_may_change():
+    changing = {one.place for one in list_hypotheses(load_robot("four_joint"), CHANGES)}
+    friction = [one for one in list_hypotheses(load_robot("four_joint"), CHANGES) if "Coulomb" in one.key]
+    assert {one.place for one in friction} == {joint.name for joint in load_robot("four_joint").joints}
+    assert "supply" in changing
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_both_logs_have_the_same_commands_and_one_of_them_the_change(tmp_path, is_gone):
+    RobotPairs(("pendulum",)).record(tmp_path / "case-000", pair(CLAMP, is_gone=is_gone))
+    paths = (tmp_path / "case-000" / f"{name}.parquet" for name in ("before", "after"))
+    before, after = (pq.read_table(path).to_pydict() for path in paths)
+    assert set(before["motion"]) == {name for name, _ in PLAN} - HELD_OUT
+    assert all(before[name] == after[name] for name in ("motion", "repeat", "t_s", "command_swing"))
+    highest = [np.max(one["position_swing"]) for one in (before, after)]
+    assert highest[is_gone] - highest[not is_gone] > 0.5 * CLAMP.size
+
+
+def test_a_change_counts_by_its_place_and_its_effect():
+    assert count_hits((pair(), changes_of()), (pair(CLAMP), changes_of("command clamp, high"))) == [0, 1, 1]
+    assert count_hits((pair(), changes_of("backlash")), (pair(CLAMP), changes_of())) == [1, 0, 0]

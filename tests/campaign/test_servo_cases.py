@@ -9,10 +9,10 @@ import pytest
 
 from simgap.loading import load
 from simgap.robot import Robot
-from validation.cases.robot import plan_robot_cases, write_logs, write_robot
+from validation.cases.robot import plan_robot_cases, write_logs
 from validation.cases.robot_draw import DrawnEffect, Truth, record_logs
 from validation.cases.robot_score import SealedCase
-from validation.cases.robot_setup import HELD_OUT, PERIOD_S, PLAN, SERVOS, load_robot, sample_times
+from validation.cases.robot_setup import PERIOD_S, SERVOS, load_robot, sample_times, write_robot
 from validation.cases.robot_truth import Nuisances
 from validation.cases.servo import KIND_SHARES, score_cases
 from validation.cases.servo_truth import ServoPlant
@@ -48,9 +48,8 @@ def test_dry_friction_holds_the_weight_up_to_its_size():
 
 def test_a_logged_servo_comes_back_with_its_gains_power_and_poor_model(tmp_path):
     logs = record_logs(Truth(MODEL, "none", 1000, (), {}))
-    write_robot(tmp_path, load_robot(MODEL), HELD_OUT, tuple(name for name, _ in PLAN), True)
+    robot = Robot.from_toml(write_robot(tmp_path, MODEL))
     write_logs(tmp_path / "log.parquet", logs)
-    robot = Robot.from_toml(tmp_path / "robot.toml")
     read = load(robot, tmp_path / "log.parquet")
     assert len({one.gain["servo"] for one in read.fit}) == 6
     (off,) = [one for one in read.fit if not one.joints["servo"].enabled.value.all()]

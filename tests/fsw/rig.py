@@ -3,7 +3,7 @@
 import atexit
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache, lru_cache, wraps
 
 import numpy as np
@@ -219,6 +219,20 @@ def made_once(make: Callable[..., Rig]) -> Callable[..., Rig]:
     kept = cache(make)
     atexit.register(kept.cache_clear)  # Ruckig complains of paths that outlive it
     return wraps(make)(lambda *args, **kwargs: kept(*args, **kwargs).fork())
+
+
+def content(record):
+    """A record as plain values that compare bit by bit."""
+    if isinstance(record, np.ndarray):
+        return record.dtype.str, record.shape, record.tobytes()
+    if is_dataclass(record):
+        return type(record).__name__, tuple(content(getattr(record, f.name)) for f in fields(record))
+    if isinstance(record, tuple):
+        return tuple(content(item) for item in record)
+    if type(record).__name__ == "Trajectory":
+        times = np.linspace(0.0, record.duration, 7)
+        return tuple(str(record.at_time(t)) for t in times)
+    return record.hex() if isinstance(record, float) else record
 
 
 def floats(values) -> tuple:

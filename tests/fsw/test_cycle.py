@@ -1,21 +1,18 @@
 """The cycle of flight software, and the temperature of its arm."""
 
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fsw.config import CYCLE_HZ, configure, ticks
+from fsw.config import CYCLE_HZ, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, SetParam, Stop, Unstow
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import Booted, CommandRefused
-from fsw.dictionary.params import digest
+from fsw.dictionary.evrs import Booted
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.state import boot, outputs_at_rest
-from sim.arms import nominal_params
-from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors
+from tests.fsw.rig import Rig, alive, config_of, content, facing, floats, quiet_sensors
 from tests.tools import tool_index
 
 CONFIG = config_of()
@@ -32,20 +29,6 @@ def seal(record) -> None:
     elif isinstance(record, tuple):
         for item in record:
             seal(item)
-
-
-def content(record):
-    """A record as plain values that compare bit by bit."""
-    if isinstance(record, np.ndarray):
-        return record.dtype.str, record.shape, record.tobytes()
-    if is_dataclass(record):
-        return type(record).__name__, tuple(content(getattr(record, f.name)) for f in fields(record))
-    if isinstance(record, tuple):
-        return tuple(content(item) for item in record)
-    if type(record).__name__ == "Trajectory":
-        times = np.linspace(0.0, record.duration, 7)
-        return tuple(str(record.at_time(t)) for t in times)
-    return record
 
 
 def session():
@@ -126,29 +109,6 @@ def test_a_duration_lasts_at_least_its_whole_cycles():
     assert ticks(0.0) == 0
     assert ticks(1.0) == CYCLE_HZ
     assert ticks(1.0 + 1e-9) == CYCLE_HZ + 1
-
-
-def test_the_configuration_is_what_the_parameters_say():
-    config = configure(nominal_params())
-    joints = config.params.joints.in_order()
-    assert config.params_sha256 == digest(config.params)
-    np.testing.assert_array_equal(config.half_backlash_rad, [j.backlash_rad / 2 for j in joints])
-    np.testing.assert_array_equal(config.hardstop_rad, [j.hardstop_rad for j in joints])
-    np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
-
-
-def test_a_tool_without_switches_is_not_guarded():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "portion"))
-    rig.cycle(rig.touch("portion", 0.05))
-    assert rig.state.mode is Mode.DEPLOYED
-    refusals = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
-    assert refusals == ["portion has no contact switch to end a guarded move"]
-
-
-def test_the_cycle_is_the_only_public_function_of_its_file():
-    text = Path(step.__code__.co_filename).read_text()
-    public = [line for line in text.splitlines() if line.startswith("def ") and not line.startswith("def _")]
-    assert public == ["def step("]
 
 
 HEAT = CONFIG.params.heat

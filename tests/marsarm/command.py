@@ -35,13 +35,18 @@ def marsarm(folder: Path, *words: str) -> Ran:
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Let no file of this process, and of those that it starts, grow beyond this size in bytes."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    """Let no file of this process, and of those that it starts, grow beyond this size in bytes.
+
+    Python does not notice that a file of bytecode is cut, so it writes none.
+    """
+    (soft, hard), writes_none = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = writes_none
 
 
 def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:

@@ -9,19 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
-from sim.arms import arm_named, nominal_params
+from sim.arms import nominal_params
 from sim.frames import FLIP
-from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant
-from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
@@ -141,18 +137,7 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
             assert np.linalg.norm(truth.R_RT[tool_index(tool)] - X_RT.R) / np.sqrt(2) < NEAR_RAD
 
 
-def test_on_earth_the_arm_hangs_by_centimetres() -> None:
-    """The deflections are large, so that the agreement means something."""
-    arm = arm_with(30.0)
-    case = next(case for case in make_cases(30.0) if case.world.scene == "earth")
-    straight = settle(arm, lab.STRAIGHT_RAD, np.zeros(5), case.world.gravity_N_m_s2)
-    rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), "drill")
-    assert np.linalg.norm(tool_pose(arm, straight.frames, "drill").p - rigid.p) > 0.05
-
-
 CONVERGED_MM = 0.005
-STOPPED_MM = 0.02
-"""Limit with the motors on, which stop within three of their counts of their set-points."""
 FINE_S = REFERENCE_STEP_S
 AT_REST_J = 1e-7
 """Energy at which the arm still swings by about 6 um."""
@@ -169,41 +154,6 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(w
     coarse, fine = (lab.load(lab.plant(WORLDS[world], step_s), POSES[pose]) for step_s in (None, FINE_S))
     assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("world", "pose"), [("mars, 25 deg", "straight"), ("earth", "ready")])
-def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world, pose):
-    coarse, fine = (
-        lab.load(lab.plant(WORLDS[world], step_s), POSES[pose], duration_s=4.0) for step_s in (None, FINE_S)
-    )
-    for plant in (coarse, fine):
-        lab.hold_by_motors(plant)
-        lab.run(plant, 6.0)
-        np.testing.assert_allclose(plant.motor_rad(), POSES[pose], atol=2e-5)
-    assert lab.tool_distance_mm(coarse, fine) < STOPPED_MM
-
-
-@pytest.mark.slow
-def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step():
-    goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
-    coarse, fine = (move_arm(WORLDS["mars, 25 deg"], step_s, goal) for step_s in (None, FINE_S))
-    assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
-    assert lab.tool_distance_mm(coarse.plant, fine.plant) < STOPPED_MM
-
-
-def move_arm(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
-    """Return the arm after a move from the ready pose, on its brakes again."""
-    arm = arm_named("nominal")
-    ready, known = arm.params.poses.ready_rad, lab.true_reference(arm)
-    loop = ClosedLoop(Setup(arm, world, ready, seed=1, reference=known, time_step_s=time_step_s))
-    sequence = run_sequence(loop, (MoveJoints(goal_rad),))
-    evrs = [evr for record in sequence for evr in record.outputs.evrs]
-    assert CommandCompleted("MoveJoints") in evrs
-    for _ in range(lab.CYCLE_HZ):
-        loop.cycle()
-    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
-    return loop
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -14,10 +14,9 @@ from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
-from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
+from sim.effects.structure import LinkMass, LinkStiffness
 from sim.plant import Plant
 from sim.setting import WARM_C, World
-from sim.tolerances import SPRING_FRAMES
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 
@@ -98,20 +97,6 @@ def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
     np.testing.assert_allclose(believed / drawn, np.where(np.arange(5) == joint, 0.6, 1.0))
-
-
-def test_a_stand_in_turret_and_a_heavier_link_have_the_masses_that_they_say():
-    nominal = lab.plant().model
-    turret = nominal.body("turret").id
-    for mass_kg in (0.0, 8.0, 19.0):
-        model = build(StandInTurret(mass_kg)).model
-        more_kg = model.body_mass.sum() - nominal.body_mass.sum()
-        assert more_kg == pytest.approx(mass_kg - 30.0, abs=1.1e-4)
-        for_each_kg = [one.body_inertia[turret] / one.body_mass[turret] for one in (model, nominal)]
-        np.testing.assert_allclose(*for_each_kg, rtol=1e-12)
-    for frame in [*SPRING_FRAMES[1:], Frame.ARM6]:
-        model = build(LinkMass(frame, 1.3, (0.02, -0.03, 0.04))).model
-        assert model.body_mass.sum() - nominal.body_mass.sum() > 1.0
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])

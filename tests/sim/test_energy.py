@@ -191,7 +191,7 @@ def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
 
 @pytest.mark.parametrize("held", slow_but(["brakes", "motors"], "motors"))
 def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
-    """Turn gravity over a horizontal line in 40 s; every joint but the azimuth changes flank, each once.
+    """Turn gravity over a horizontal line in 20 s; every joint but the azimuth changes flank, each once.
 
     Every step is checked, so that a bounce of a single step would show.
     """
@@ -204,7 +204,7 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
         lab.hold_by_motors(plant)
     plant.steps_per_cycle = 1
     gear = []
-    steps = round(40 / plant.model.opt.timestep)
+    steps = round(20 / plant.model.opt.timestep)
     for k in range(steps):
         plant.model.opt.gravity[2] = -(start + (end - start) * (k + 1) / steps)
         plant.step()
@@ -215,20 +215,3 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
         crossing = way[np.abs(way[:, joint]) < lab.HALF_BACKLASH_RAD[joint], joint]
         onward = np.diff(crossing) * np.sign(way[-1, joint])
         assert -onward[onward < 0].sum() < 0.01 * lab.HALF_BACKLASH_RAD[joint]
-
-
-@pytest.mark.slow
-def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:
-    """The wrist swings the turret at 1 deg/s through the pose of zero load."""
-    plant = lab.plant()
-    lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
-    lab.hold_by_motors(plant)
-    plant.steps_per_cycle = 1
-    gear, rate = [], np.radians(-1.0)
-    step_s = plant.model.opt.timestep
-    for k in range(round(80 / step_s)):
-        plant.data.ctrl[6] = np.radians(40.0) + rate * (k + 1) * step_s
-        plant.data.ctrl[7] = rate
-        plant.step()
-        gear.append(plant.data.qpos[plant.at.gear[3]])
-    assert flanks(np.array(gear), 3) in ([1, 0, -1], [-1, 0, 1])

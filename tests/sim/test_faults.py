@@ -44,6 +44,7 @@ from sim.effects.faults import (
 from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.setting import World
+from tests.fsw.rig import content
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
@@ -146,32 +147,21 @@ def now_s() -> float:
     return float(moving().plant.data.time)
 
 
-def bits(record) -> tuple:
-    """Return all outputs of a cycle, bit for bit."""
-    sensors, drive, truth = record.sensors, record.outputs.drive, record.truth
-    arrays = (
-        sensors.encoder_count, sensors.resolver_rad, sensors.current_A, sensors.winding_C,
-        sensors.gravity_R_m_s2, drive.setpoint_count, drive.setpoint_rate_rad_s, truth.output_rad,
-        truth.p_RoTo_R_m,
-    )  # fmt: skip
-    return record.tick, sensors.cycle, record.outputs.evrs, *(array.tobytes() for array in arrays)
-
-
 def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
     first = moving().fork()
     snapshot = first.fork()
     troubled = first.fork((JointSeized(now_s(), Joint.ELBOW), TiltStep(now_s(), 0.3, 0.0)))
     for _ in range(100):
         troubled.cycle()
-    ahead = [bits(first.cycle()) for _ in range(400)]
+    ahead = [content(first.cycle()) for _ in range(200)]
     again = snapshot.fork()
-    assert [bits(snapshot.cycle()) for _ in range(400)] == ahead
-    assert [bits(again.cycle()) for _ in range(400)] == ahead
+    assert [content(snapshot.cycle()) for _ in range(200)] == ahead
+    assert [content(again.cycle()) for _ in range(200)] == ahead
 
 
 def test_nothing_happens_before_its_time():
     calm, waiting = moving().fork(), moving().fork((WeakMotor(now_s() + 1.0, Joint.ELBOW, 0.1),))
-    same = [bits(calm.cycle()) == bits(waiting.cycle()) for _ in range(100)]
+    same = [content(calm.cycle()) == content(waiting.cycle()) for _ in range(100)]
     assert all(same[:64])
     assert not any(same[70:])
 
@@ -198,7 +188,7 @@ EXPECTED = {
 }
 
 
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("name", slow_but(EXPECTED, *list(EXPECTED)[::2]))
 def test_a_fault_in_the_middle_of_a_move_ends_on_the_brakes_by_the_response_of_the_table(name):
     fault, kind = EXPECTED[name]
     loop = moving().fork((replace(fault, at_s=now_s() + 0.25),))

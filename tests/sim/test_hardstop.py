@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Calibrate, Stop
-from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.params import Params
 from fsw.executive.poses import homing_start_poses
 from fsw.messages import Sensors
@@ -161,10 +161,6 @@ def path_to_hardstop(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.n
     return poses
 
 
-def test_the_order_has_every_joint_once() -> None:
-    assert sorted(HARDSTOP_ORDER) == list(Joint)
-
-
 @EACH_PLACE
 def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and_itself(arm, world):
     way_rad = sweep_poses(calibration_poses(arm.params))
@@ -229,9 +225,3 @@ def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars() -
 def test_torques_that_no_pose_has_are_refused() -> None:
     with pytest.raises(NoPlan, match="best torques differ"):
         equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
-
-
-def test_the_turret_that_is_not_there_is_known_to_be_gone() -> None:
-    arm6, whole = (arms["nominal"].params.links.arm6 for arms in (BARE, ARMS))
-    assert arm6.far.mass_kg == 0.0
-    assert replace(arm6, far=whole.far) == whole

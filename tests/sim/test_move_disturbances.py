@@ -38,11 +38,6 @@ def start_loop(seed: int = 0, effects: tuple = BY_CHANCE) -> ClosedLoop:
     return ClosedLoop(setup)
 
 
-def move(loop: ClosedLoop, by_rad: float) -> list:
-    loop.cycle((MoveJoints(joints5(lab.READY_RAD + by_rad)),))
-    return lab.run_to_rest(loop)
-
-
 def drawn(loop: ClosedLoop) -> np.ndarray:
     scatter = loop.plant.move_disturbance
     screws = [scatter.screw(body) for body in BODIES]
@@ -56,43 +51,22 @@ def test_before_the_first_move_everything_stands_as_it_was_built_and_sensors_hav
     assert np.array_equal(*resolvers)
 
 
-def test_every_move_draws_anew_and_stays_with_it_to_its_end():
-    loop = start_loop()
-    loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.01)),))
+def test_every_move_draws_anew_from_its_seed_and_stays_with_it_and_flight_software_does_not_see_it():
+    loop, other = start_loop(), start_loop(seed=1)
+    for one in (loop, other):
+        one.cycle((MoveJoints(joints5(lab.READY_RAD + 0.01)),))
     first = drawn(loop)
-    lab.run_to_rest(loop)
+    assert not np.any((drawn(other) == first) & (first != 0))
+    assert not [evr for evr in lab.run_to_rest(loop) if evr.severity.name.startswith(("WARNING", "FATAL"))]
     assert np.array_equal(drawn(loop), first)
-    move(loop, 0.02)
-    assert np.count_nonzero(first) == 14
-    assert not np.any((drawn(loop) == first) & (first != 0))
-
-
-def test_the_same_seed_draws_the_same_and_another_something_else():
-    loops = [start_loop(seed) for seed in (3, 3, 4)]
-    for loop in loops:
-        move(loop, 0.01)
-    one, same, other = (drawn(loop) for loop in loops)
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)
-
-
-def test_a_fork_draws_what_the_run_itself_would_have():
-    loop = start_loop()
-    move(loop, 0.01)
+    off_rad = (loop.plant.motor_rad() - loop.state.joints.motor_rad)[Joint.WRIST]
+    assert off_rad == pytest.approx(loop.plant.move_disturbance.motor_rad[Joint.WRIST], abs=1e-5)
     fork = loop.fork()
     for one in (loop, fork):
-        move(one, 0.02)
+        one.cycle((MoveJoints(joints5(lab.READY_RAD + 0.02)),))
     assert np.array_equal(drawn(loop), drawn(fork))
-    assert np.array_equal(loop.plant.data.qpos, fork.plant.data.qpos)
-
-
-def test_flight_software_does_not_see_where_its_encoders_are_wrong():
-    loop = start_loop()
-    assert not [evr for evr in move(loop, 0.01) if evr.severity.name.startswith(("WARNING", "FATAL"))]
-    believed, true = loop.state.joints.motor_rad, loop.plant.motor_rad()
-    assert (true - believed)[Joint.WRIST] == pytest.approx(
-        loop.plant.move_disturbance.motor_rad[Joint.WRIST], abs=1e-5
-    )
+    assert np.count_nonzero(first) == 14
+    assert not np.any((drawn(loop) == first) & (first != 0))
 
 
 @pytest.mark.slow

@@ -36,10 +36,10 @@ def place(placement: Placement, world: World) -> tuple[ClosedLoop, PlacementResu
     return loop, run.result()
 
 
-def test_an_open_target_has_a_direct_way():
-    found = preview(OPEN)
-    assert found.problem is None
-    assert len(found.plans) == 2
+@pytest.mark.parametrize(("surface", "moves"), [(OPEN, 2), (BEHIND_AN_EDGE, 3)])
+def test_an_open_target_has_a_direct_way_and_one_behind_an_edge_one_from_farther_away(surface, moves):
+    found = preview(surface)
+    assert (found.problem, len(found.plans)) == (None, moves)
     assert 10.0 < found.duration_s < 300.0
 
 
@@ -48,12 +48,6 @@ def test_a_preview_takes_a_tool_in_any_case_and_tells_what_no_command_may_hold()
     assert preview(OPEN, tool="spoon").problem == "tool: 'spoon' is not known; there are " + ", ".join(TOOLS)
     problem = preview(((100.0, 0.0, 0.0), (0.0, 0.0, -1.0))).problem
     assert problem == "p_RoTo_R_m: number 1: 99.90998 is outside -20 .. 20"
-
-
-def test_a_target_behind_an_edge_has_a_way_from_farther_away():
-    found = preview(BEHIND_AN_EDGE)
-    assert found.problem is None
-    assert len(found.plans) == 3
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 from fsw.dictionary.enums import Joint
 from sim.effects.environment import Ambient
 from sim.mujoco_settings import REFERENCE_STEP_S, apply_settings
-from sim.plant import Plant
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted_world(20, -15)
@@ -127,38 +126,6 @@ def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: J
         even = np.polyval(np.polyfit(np.arange(output.size), output, 1), np.arange(output.size))
         swings.append(rms(output - even))
     assert swings[0] == pytest.approx(swings[1], rel=0.1)
-
-
-@cache
-def over_the_vertical(time_step_s: float | None) -> lab.Array:
-    """Return gears [rad] while the wrist swings the turret through the pose of zero load, one row a cycle."""
-    plant: Plant = lab.plant(time_step_s=time_step_s)
-    lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
-    lab.hold_by_motors(plant)
-    gears, rate = [], np.radians(-1.0)
-    for k in range(60 * lab.CYCLE_HZ):
-        setpoint_rad = np.radians([0.0, -60.0, 60.0, 40.0, 0.0])
-        setpoint_rad[Joint.WRIST] += rate * (k + 1) / lab.CYCLE_HZ
-        plant.command(setpoint_rad, rate * (np.arange(5) == Joint.WRIST))
-        plant.step()
-        gears.append(lab.gear_rad(plant))
-    return np.array(gears)
-
-
-def crossings(gears_rad: lab.Array, joint: Joint) -> int:
-    """Count the changes of a joint from one flank to the other."""
-    gear, half = gears_rad[:, joint], lab.HALF_BACKLASH_RAD[joint]
-    return int(np.count_nonzero(np.diff(np.sign(gear[np.abs(gear) >= half]))))
-
-
-@pytest.mark.slow
-def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
-    own, reference = (over_the_vertical(step_s) for step_s in (None, REFERENCE_STEP_S))
-    assert [crossings(own, j) for j in Joint] == [crossings(reference, j) for j in Joint]
-    assert crossings(own, Joint.WRIST) == 1
-    half = lab.HALF_BACKLASH_RAD[Joint.WRIST]
-    cycles = [np.count_nonzero(np.abs(gears[:, Joint.WRIST]) < half) for gears in (own, reference)]
-    assert cycles[0] == pytest.approx(cycles[1], rel=0.05)
 
 
 def test_the_profiler_of_mujoco_is_off() -> None:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
-from marsarm.diagnosis.arm import blind_case
+from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
@@ -58,8 +58,8 @@ SMALL_SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
 SMALL_KINDS: Final = ("resolver-bias",)
 
 
-class NoDiagnosis(ValueError):
-    """Case that cannot be diagnosed; the message says why."""
+NO_DIAGNOSIS: Final = (NotForDiagnosis, PlantDiverged)
+"""Errors of a case that cannot be diagnosed; their message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +91,10 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
             part.rename(campaign)
         model = load_model(campaign, self.kinds, self.arm, run, progress).model
         sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
-        known = blind_case.list_detectable(model, model.limits)
+        known = demo.list_detectable(model, model.limits)
         # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
         every = list_uncatalogued().values()
-        outside = [blind_case.DetectableEffect(one, 1.0, None) for one in every]
+        outside = [demo.DetectableEffect(one, 1.0, None) for one in every]
         return draw_truth(cases, seed, known, outside if self.kinds is None else [], self.arm)
 
     def record(self, path: Path, case: TrueCase) -> None:
@@ -103,7 +103,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         tools = arm_named(self.arm).params.tool_names
         effects = tuple(resolve_effect(spec, tools) for spec in specs)
         sessions = choose_sessions(self.sessions, self.arm)
-        blind_case.record_blind(path, effects, sessions, case.seed, no_progress, self.arm)
+        demo.record_blind(path, effects, sessions, case.seed, no_progress, self.arm)
         for log in sorted(path.rglob("*.mcap")):
             check_leakage(log, case, self.arm)
 
@@ -116,23 +116,20 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
         """Diagnose a case, with a catalogue that lacks one effect if named.
 
-        NoDiagnosis if a log cannot be compared, most motions are missing, or the plant diverges.
+        NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged as it says.
         """
         campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
         if without:
             campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
-        try:
-            arm = arm_named(self.arm).model
-            fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
-            return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
-        except (NotForDiagnosis, PlantDiverged) as error:
-            raise NoDiagnosis(str(error)) from error
+        arm = arm_named(self.arm).model
+        fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
+        return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a case; "unknown" without effects if it cannot be diagnosed."""
         try:
             return self.diagnose(folder, case)
-        except NoDiagnosis as why:
+        except NO_DIAGNOSIS as why:
             return {"verdict": "unknown", "refused": str(why), "findings": []}
 
     def score(self, folder: Path, solved: Sequence[tuple[TrueCase, Document]]) -> CaseScore:
@@ -143,7 +140,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         bars, spurious = found.document["bars"], found.document["named, but not of the case"]
         is_right = bars["set coverage"]["hits"] == bars["reported"]["of"]
         in_bounds = bars["false alarms"]["hits"] == spurious["hits"] == 0 and is_right
-        return CaseScore(found.document, found.tables, in_bounds or self.kinds is None)
+        return replace(found, in_bounds=in_bounds or self.kinds is None)
 
 
 @cache
@@ -172,8 +169,8 @@ def load_cached_model(campaign: Path, kinds: tuple[str, ...] | None, arm: str) -
 def draw_truth(
     cases: int,
     seed: int,
-    known: Sequence[blind_case.DetectableEffect],
-    outside: Sequence[blind_case.DetectableEffect],
+    known: Sequence[demo.DetectableEffect],
+    outside: Sequence[demo.DetectableEffect],
     arm: str = NOMINAL,
 ) -> tuple[TrueCase, ...]:
     """Draw the truth; the same seed and detection limits give the same truth."""
@@ -183,12 +180,12 @@ def draw_truth(
 
 def _true_case(number: int, plan: PlannedCase, seed: int, arm: str) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
-    specs = tuple(effect_text(effect) for effect in blind_case.sample_background(rng, arm))
+    specs = tuple(effect_text(effect) for effect in demo.sample_background(rng, arm))
     effects = tuple(map(_true_effect, plan.effects))
     return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
 
-def _true_effect(one: blind_case.SampledEffect) -> SealedEffect:
+def _true_effect(one: demo.SampledEffect) -> SealedEffect:
     hypothesis = one.source.hypothesis
     # without the folder, in which effects outside the catalogue are found again
     spec = effect_text(one.switch_on()).removeprefix(f"{EFFECTS_FOLDER}/")
@@ -245,7 +242,7 @@ def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
     """Diagnose a case without its effect in the catalogue."""
     try:
         return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)
-    except NoDiagnosis:
+    except NO_DIAGNOSIS:
         return {"verdict": "unknown", "findings": []}
 
 

@@ -17,8 +17,7 @@ from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from simgap.common.toml import read_json
 from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
-from validation.cases.bars import JudgedEffect, level_bars, score_bars
-from validation.cases.sealed import CaseScore
+from validation.cases.sealed import CaseScore, JudgedEffect, level_bars, score_bars
 
 CLASSES_FILE: Final = "classes.json"
 
@@ -123,7 +122,7 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> CaseScor
     """Score all cases by the equivalence classes of their campaign."""
     alarms = [result["verdict"] != "none" for true, result in solved if true.kind == "none"]
     outside = [(true.effects[0], result) for true, result in solved if true.kind == "out-of-catalogue"]
-    wrong = [(_says_wrong_place(*one), _says_wrong_family(*one), any(_named(one[1]))) for one in outside]
+    wrong = [_find_wrong(*one) for one in outside]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     assigned = [one for true, result in inside for one in _assign(classes, true, result)]
     clear = [_judge(classes, one) for one in assigned if one.times_family_wise >= 1.0]
@@ -193,19 +192,16 @@ def _places(found: FindingDocument) -> set[str]:
     return set() if found["level"] == "none" else set(found["not_excluded"]["places"])
 
 
-def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
-    """Check that a finding has places, and not that of the effect."""
-    location = locate_outside(true.name, true.place)
+def _find_wrong(true: SealedEffect, result: ResultDocument) -> tuple[bool, bool, bool]:
+    """Return whether a finding has places without that of the effect, no right family, or a name."""
+    location, right = locate_outside(true.name, true.place), load_outside_effects()[true.name].families
     places = [_places(one) for one in result["findings"]]
-    return any(one and location not in one for one in places)
-
-
-def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
-    """Check that a finding has families, and none that counts as right."""
-    right = load_outside_effects()[true.name].families
-    located = [one for one in result["findings"] if one["level"] in ("effect", "family")]
-    families = [set(one["not_excluded"]["families"]) for one in located]
-    return any(not right & one for one in families)
+    told = [one for one in result["findings"] if one["level"] in ("effect", "family")]
+    return (
+        any(one and location not in one for one in places),
+        any(not right & set(one["not_excluded"]["families"]) for one in told),
+        any(_named(result)),
+    )
 
 
 def _named(result: ResultDocument) -> list[FindingDocument]:

@@ -10,16 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from marsarm.diagnosis.arm import blind_case
-from marsarm.diagnosis.arm.arm_effects import locate
+from marsarm.diagnosis.arm import demo
+from marsarm.diagnosis.arm.arm_effects import locate, to_hypothesis
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
-from marsarm.diagnosis.arm.simulator import to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
@@ -80,13 +78,13 @@ class PlannedCase:
     """Kind and sampled effects of a case."""
 
     kind: CaseKind
-    effects: tuple[blind_case.SampledEffect, ...]
+    effects: tuple[demo.SampledEffect, ...]
 
 
 def plan_cases(
     cases: int,
-    catalogue: Sequence[blind_case.DetectableEffect],
-    outside: Sequence[blind_case.DetectableEffect],
+    catalogue: Sequence[demo.DetectableEffect],
+    outside: Sequence[demo.DetectableEffect],
     rng: np.random.Generator,
 ) -> tuple[PlannedCase, ...]:
     """Plan blind cases in random order.
@@ -95,7 +93,7 @@ def plan_cases(
     Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
     them, their cases have no effect.
     """
-    known, unknown = ([one for one in some if blind_case.can_sample(one)] for some in (catalogue, outside))
+    known, unknown = ([one for one in some if demo.can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
     if not unknown:
         counts["none"] += counts.pop("out-of-catalogue")
@@ -107,30 +105,30 @@ def plan_cases(
 
 
 def _deal_effects(
-    some: Sequence[blind_case.DetectableEffect], count: int, rng: np.random.Generator
-) -> Iterator[blind_case.DetectableEffect]:
+    some: Sequence[demo.DetectableEffect], count: int, rng: np.random.Generator
+) -> Iterator[demo.DetectableEffect]:
     """Yield so many effects, each at a random place; two effects differ by one case at most."""
     names = sorted({one.hypothesis.effect for one in some})
     rounds = -(-count // max(len(names), 1))
     dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
     for name in dealt[:count]:
-        yield blind_case.sample_effect([one for one in some if one.hypothesis.effect == name], rng)
+        yield demo.sample_effect([one for one in some if one.hypothesis.effect == name], rng)
 
 
 def _sample_effects(
     kind: CaseKind,
-    known: Sequence[blind_case.DetectableEffect],
-    unknown: Iterator[blind_case.DetectableEffect],
+    known: Sequence[demo.DetectableEffect],
+    unknown: Iterator[demo.DetectableEffect],
     rng: np.random.Generator,
-) -> tuple[blind_case.SampledEffect, ...]:
+) -> tuple[demo.SampledEffect, ...]:
     if kind == "none":
         return ()
-    source = next(unknown) if kind == "out-of-catalogue" else blind_case.sample_effect(known, rng)
-    first = blind_case.sample_amplitude(source, rng)
+    source = next(unknown) if kind == "out-of-catalogue" else demo.sample_effect(known, rng)
+    first = demo.sample_amplitude(source, rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]
-    return first, blind_case.sample_amplitude(blind_case.sample_effect(others, rng), rng)
+    return first, demo.sample_amplitude(demo.sample_effect(others, rng), rng)
 
 
 @cache
@@ -196,7 +194,7 @@ def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
     if truth_topics:
         raise TruthLeaked(f"{path}: has the plant's own state in {', '.join(truth_topics)}")
     reference = json.loads(log.header["boot"])["reference"]
-    nominal = record_to_json(blind_case.nominal_reference(arm))
+    nominal = record_to_json(demo.nominal_reference(arm))
     changed = sorted(name for name in nominal if name != "zero_rad" and reference[name] != nominal[name])
     if changed:
         raise TruthLeaked(f"{path}: flight software begins with {', '.join(changed)} that are not nominal")
@@ -224,19 +222,8 @@ def _secret_numbers(case: TrueCase) -> set[float]:
 
 
 def _log_bytes(path: Path) -> bytes:
-    """Return the unpacked contents of all records."""
-    found: list[bytes] = [path.name.encode()]
+    """Return the unpacked texts and bytes of all records."""
     with path.open("rb") as file:
-        for record in StreamReader(file).records:
-            found += _record_bytes(record)
-    return b"\0".join(found)
-
-
-def _record_bytes(record: Any) -> list[bytes]:
-    if isinstance(record, Message | Schema | Attachment):
-        return [record.data]
-    if isinstance(record, Metadata):
-        return [json.dumps(record.metadata, ensure_ascii=False).encode()]
-    if isinstance(record, Channel):
-        return [json.dumps([record.topic, record.metadata], ensure_ascii=False).encode()]
-    return []
+        found = [value for record in StreamReader(file).records for value in vars(record).values()]
+    texts = [value if isinstance(value, bytes) else str(value).encode() for value in found if value]
+    return b"\0".join([path.name.encode(), *texts])

@@ -1,8 +1,17 @@
-"""Sealed cases of any robot: drawn with their truth, written as the files that a user has, and diagnosed."""
+"""Sealed cases of any robot: drawn with their truth, written as the files that a user has, and diagnosed.
+
+Sealed pairs are two logs of one robot, before and after, with one change or none between them. They have the
+same commands and each its own noise, and the errors of the base parameters in common. Half of the pairs have
+an effect in common too. A change comes in half of the cases, and goes in the others, as by a repair.
+
+Limit of a change: what both logs share is free, so that only their difference tells a change d. It has half
+the square of d, as the mean of both logs follows it halfway. The numbers of joints that are not known are no
+nuisances: their changes are hypotheses.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -13,33 +22,32 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from marsarm.common.pool import Runner
+from marsarm.common.rates import check_rate
 from simgap.checks.audit import audit
+from simgap.command.diagnosis import compare_logs
+from simgap.command.request import CompareRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
 from simgap.common.report import to_json
-from simgap.common.toml import toml_text
 from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import Logs
-from simgap.result import Diagnosis
+from simgap.result import Comparison, Diagnosis
 from simgap.robot import Robot
 from validation.campaigns import Context, Document
-from validation.cases import sealed
-from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
-from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
-from validation.cases.robot_setup import ARMS, HELD_OUT, MODELS, PLAN, load_robot
-from validation.cases.robot_table import entries_of
-from validation.cases.sealed import CaseScore, SealedTruth
+from validation.cases import robot_draw, robot_score, robot_setup, sealed
+from validation.cases.robot_score import SealedCase, find_equivalents, first_choice, pair_up, plain_place
+from validation.cases.robot_table import ENTRIES, entries_of, list_hypotheses
+from validation.cases.sealed import CaseScore, SealedTruth, score_bars
 
 ROBOTS_FOLDER: Final = "robots"
-ROBOT_FILE: Final = "robot.toml"
 INDEX_FILE: Final = "cases.json"
 """Robot of each case: all that solving is told."""
 DIAGNOSIS_SEED: Final = 1
 """Seed of the diagnosis, independent of that of the cases."""
-KIND_SHARES: Final[dict[Kind, float]] = {"none": 0.3, "single": 0.3, "pair": 0.2, "outside": 0.2}
+KIND_SHARES: Final[dict[robot_draw.Kind, float]] = {"none": 0.3, "single": 0.3, "pair": 0.2, "outside": 0.2}
 """Shares of all cases: 36, 36, 24 and 24 of 120."""
-QUIET_SHARES: Final[dict[Kind, float]] = {"none": 1.0, "single": 0.0}
+QUIET_SHARES: Final[dict[robot_draw.Kind, float]] = {"none": 1.0, "single": 0.0}
 TUNING_SEEDS: Final = 1000
 """Seeds of cases below this are for tuning."""
 
@@ -50,7 +58,7 @@ class PlannedRobotCase:
 
     name: str
     seed: int
-    kind: Kind
+    kind: robot_draw.Kind
     model: str
 
 
@@ -58,10 +66,10 @@ class PlannedRobotCase:
 class RobotCases(sealed.CaseMaker[SealedCase]):
     """Cases of some robots."""
 
-    models: tuple[str, ...] = tuple(ARMS)
+    models: tuple[str, ...] = tuple(robot_setup.ARMS)
     is_quiet: bool = False
     """True if no case has an effect: then no false alarm is allowed."""
-    kinds: ClassVar[dict[Kind, float]] = KIND_SHARES
+    kinds: ClassVar[dict[robot_draw.Kind, float]] = KIND_SHARES
     case_type: ClassVar[type[SealedCase]] = SealedCase
     is_audited: ClassVar[bool] = False
     """True if the logs have samples that an audit refuses."""
@@ -86,23 +94,22 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
         if drawn != [(one.seed, one.kind) for one in plans]:
             raise BadRequest(f"out {folder}: holds drafts of another seed or number; give a new folder")
         for model in self.models:
-            names = tuple(name for name, _ in PLAN)
-            robot = load_robot(model)
-            write_robot(folder / ROBOTS_FOLDER / model, robot, HELD_OUT, names, MODELS[model].is_servo)
+            robot_setup.write_robot(folder / ROBOTS_FOLDER / model, model)
         sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
         return drafts
 
     def draw_case(self, plan: PlannedRobotCase) -> SealedCase:
         """Draw a case, with the equivalents of its effects."""
-        truth = draw_truth(plan.seed, plan.kind, plan.model)
-        entries = entries_of(load_robot(plan.model))
+        truth = robot_draw.draw_truth(plan.seed, plan.kind, plan.model)
+        entries = entries_of(robot_setup.load_robot(plan.model))
         equivalents = tuple(
-            find_equivalents(make_campaign(plan.seed, plan.model), one, entries) for one in truth.effects
+            find_equivalents(robot_draw.make_campaign(plan.seed, plan.model), one, entries)
+            for one in truth.effects
         )
         return SealedCase(plan.name, truth, equivalents)
 
     def record(self, path: Path, case: SealedCase) -> None:
-        write_logs(path, record_logs(case.truth))
+        write_logs(path, robot_draw.record_logs(case.truth))
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
@@ -112,19 +119,19 @@ class RobotCases(sealed.CaseMaker[SealedCase]):
             return {"findings": [], "remaining": [], "refused": str(why)}
 
     def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
-        found = score_cases(solved)
+        found = robot_score.score_cases(solved)
         has_alarms = found.document["bars"]["false alarms"]["hits"] > 0
-        return CaseScore(found.document, found.tables, not has_alarms) if self.is_quiet else found
+        return replace(found, in_bounds=not has_alarms) if self.is_quiet else found
 
 
 def find_robot_file(folder: Path, case: str) -> Path:
     """Return the path of the robot file of a case."""
     models: dict[str, str] = json.loads((folder / INDEX_FILE).read_bytes())
-    return folder / ROBOTS_FOLDER / models[case] / ROBOT_FILE
+    return folder / ROBOTS_FOLDER / models[case] / robot_setup.ROBOT_FILE
 
 
 def plan_robot_cases(
-    count: int, seed: int, models: tuple[str, ...], kinds: Mapping[Kind, float] = KIND_SHARES
+    count: int, seed: int, models: tuple[str, ...], kinds: Mapping[robot_draw.Kind, float] = KIND_SHARES
 ) -> tuple[PlannedRobotCase, ...]:
     """Plan the kinds and the models of cases, in random order; each kind has each model equally often."""
     counts = {kind: round(share * count) for kind, share in kinds.items()}
@@ -157,46 +164,6 @@ def to_document(found: Diagnosis) -> Document:
     return {**document, "refused": "; ".join(one.reason for one in found.refused)}
 
 
-def write_robot(
-    folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...], is_servo: bool = False
-) -> None:
-    """Write robot file, model and split of a robot; logs of a servo have its gain and its power."""
-    servo = {"gain_column": "gain", "enabled": {"column": "enabled", "unit": "flag"}} if is_servo else {}
-    folder.mkdir(parents=True, exist_ok=True)
-    robot_table = {
-        "name": robot.name,
-        "model": "model.xml",
-        "split": "split.toml",
-        "time_step_s": float(robot.model.opt.timestep),
-        "control_rate_Hz": 1.0 / robot.control_period_s,
-        "tool_site": robot.tool_site,
-        "time": {"column": "t_s", "unit": "s"},
-        "motion": {"columns": ["motion"], "repeat_column": "repeat"},
-        "joints": {
-            joint.name: {
-                "mode": "position",
-                **{name: getattr(joint, name) for name in ("kp_Nm_rad", "kd_Nms_rad", "torque_limit_Nm")},
-                "is_known": joint.is_known,
-                **servo,
-                **{
-                    name: {"column": f"{name}_{joint.name}", "unit": unit}
-                    for name, unit in (("command", "rad"), ("position", "rad"), ("temperature", "degC"))
-                },
-            }
-            for joint in robot.joints
-        },
-    }
-    split = {
-        "default": "fit",
-        "parts": {"fit": [name for name in motions if name not in held_out], "held_out": sorted(held_out)},
-        "splits": {"fit": {"fit": ["fit"], "held_out": ["held_out"]}},
-    }
-    texts = {ROBOT_FILE: toml_text(robot_table), "split.toml": toml_text(split)}
-    texts["model.xml"] = robot.model_xml.strip() + "\n"
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-
-
 def write_logs(path: Path, logs: Logs) -> None:
     """Write all motions in one Parquet file; those of a servo with its gain and its power."""
     columns: dict[str, list[NDArray[Any]]] = {}
@@ -227,7 +194,7 @@ def campaign(
     cases: int = 120,
     step: str = "all",
     partial: bool = False,
-    robots: str = ",".join(ARMS),
+    robots: str = ",".join(robot_setup.ARMS),
     quiet: bool = False,
 ) -> Document:
     """Make, solve and score sealed cases of robots, named with commas, as `run_steps` does.
@@ -236,3 +203,135 @@ def campaign(
     """
     maker = RobotCases(tuple(robots.split(",")), quiet)
     return sealed.run_steps(context, maker, cases, step, partial, is_kept=not quiet)
+
+
+PAIR_SHARES: Final[dict[robot_draw.Kind, float]] = {"none": 0.4, "single": 0.6}
+"""Shares of all pairs without and with a change: 16 and 24 of 40."""
+CHANGE_TIMES_LIMIT: Final = (2.0, 8.0)
+"""Range of the strength of a change, in family-wise limits."""
+SETS: Final = ("before", "after")
+CHANGES: Final = tuple(replace(one, needs="" if one.needs == "known" else one.needs) for one in ENTRIES)
+"""Effects that may change: also the numbers of joints that are fitted in any case."""
+
+
+@dataclass(frozen=True, slots=True)
+class SealedPair(SealedCase):
+    """Pair with its truth, whose effects are the change."""
+
+    common: tuple[robot_draw.DrawnEffect, ...]
+    """Effects of both logs."""
+    is_gone: bool
+    """True if the effect that changes is there before, False if it is there after."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPairs(RobotCases):
+    """Pairs of logs of some robots."""
+
+    name: ClassVar[str] = "robot-pairs"
+    suffix: ClassVar[str] = ""
+    kinds: ClassVar[dict[robot_draw.Kind, float]] = PAIR_SHARES
+    case_type: ClassVar[type[SealedCase]] = SealedPair
+    truth_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(SealedTruth[SealedPair])
+
+    def draw_case(self, plan: PlannedRobotCase) -> SealedPair:
+        rng = np.random.default_rng([plan.seed, 6, list(robot_setup.MODELS).index(plan.model)])
+        made = make_change_motions(plan.seed, plan.model)
+        common = (draw_typical(made, rng),) if rng.uniform() < 0.5 else ()
+        changes = (robot_draw.draw_effect(made, CHANGES, common, rng),) if plan.kind != "none" else ()
+        same = tuple(((one.name, one.place),) for one in changes)
+        truth = robot_draw.make_truth(plan.seed, plan.kind, plan.model, changes)
+        return SealedPair(plan.name, truth, same, common, bool(rng.uniform() < 0.5))
+
+    def record(self, path: Path, case: SealedCase) -> None:
+        assert isinstance(case, SealedPair)
+        path.mkdir()
+        for run, name in enumerate(SETS):
+            has_change = (name == "before") == case.is_gone
+            effects = (*case.common, *(case.truth.effects if has_change else ()))
+            truth = replace(case.truth, effects=effects)
+            write_logs(path / f"{name}.parquet", robot_draw.record_logs(truth, 1 + run))
+
+    def solve(self, folder: Path, case: Path) -> Document:
+        """Compare two logs as a user does."""
+        robot_file = find_robot_file(folder, case.name)
+        before, after = (case / f"{name}.parquet" for name in SETS)
+        try:
+            request = CompareRequest(robot_file, before, after, seed=DIAGNOSIS_SEED)
+            return describe(compare_logs(request))
+        except RobotError as why:
+            return {"findings": [], "remaining": [], "refused": str(why)}
+
+    def score(self, folder: Path, solved: Sequence[tuple[Any, Document]]) -> CaseScore:
+        return score_pairs(solved)
+
+
+def make_change_motions(seed: int, model: str) -> robot_draw.CaseMotions:
+    """Return the motions of a case with the limit of a change in place of that of an effect."""
+    made = robot_draw.make_motions(seed, model)
+    count = len(list_hypotheses(made.robot, CHANGES))
+    limit = float(np.sqrt(2.0)) * robot_setup.limit_noncentrality(len(made.fitted), count)
+    return replace(made, limit=limit, times_limit=CHANGE_TIMES_LIMIT)
+
+
+def draw_typical(made: robot_draw.CaseMotions, rng: np.random.Generator) -> robot_draw.DrawnEffect:
+    """Draw an effect of the catalogue at any of its places, with a typical size; its strength stays open."""
+    every = list_hypotheses(made.robot, ENTRIES)
+    one = every[int(rng.integers(len(every)))]
+    sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
+    kind, size = one.entry.kind, sign * one.entry.typical * one.scale
+    families = tuple(sorted(map(str, kind.families)))
+    shape = float(rng.uniform())
+    return robot_draw.DrawnEffect(kind.name, one.place, str(kind.family), size, shape, 0.0, families)
+
+
+def describe(made: Comparison) -> Document:
+    """Return what the score needs of a comparison; changes have the names of what changes."""
+    document = to_document(made.found)
+    for one in document["findings"]:
+        one["effect"] = one["effect"].removeprefix("change of ")
+        one["effects"] = [key.replace(": change of ", ": ") for key in one["effects"]]
+    return document
+
+
+def add_equivalents(case: SealedCase, findings: Sequence[Document]) -> SealedCase:
+    """Add the effects that cannot be told from a change, where it is not named itself: they take a minute."""
+    true = {one for same in case.equivalents for one in same}
+    if not findings or any(first_choice(one) in true for one in findings):
+        return case
+    made = make_change_motions(case.truth.seed, case.truth.model)
+    same = tuple(find_equivalents(made, one, CHANGES) for one in case.truth.effects)
+    return replace(case, equivalents=same)
+
+
+def score_pairs(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
+    """Score pairs: nothing is found where nothing changed, and else place and effect of the change."""
+    quiet = [result for case, result in solved if case.truth.kind == "none"]
+    changed = [(case, list(result["findings"])) for case, result in solved if case.truth.effects]
+    paired = [pair_up(add_equivalents(case, found), found) for case, found in changed]
+    pairs = [pair for found, _ in paired for pair in found]
+    found = [(one.finding, {place for _, place in one.accepted}) for one in pairs]
+    is_placed = [one is not None and plain_place(one["place"]) in right for one, right in found]
+    is_named = [one.finding is not None and first_choice(one.finding) in one.accepted for one in pairs]
+    bars = {
+        "false alarms": check_rate((bool(one["findings"]) for one in quiet), 0.05, True),
+        "right place of the change": check_rate(is_placed, 0.95, False),
+        "right effect": check_rate(is_named, 0.88, False),
+    }
+    more = {
+        "further findings beside a change": sum(len(rest) for _, rest in paired),
+        "refused": sum(bool(one.get("refused")) and not one["findings"] for _, one in solved),
+        "cpu seconds": sum(one["seconds"] for _, one in solved),
+    }
+    return score_bars(bars, len(solved), more)
+
+
+def pair_campaign(
+    context: Context,
+    cases: int = 40,
+    step: str = "all",
+    partial: bool = False,
+    robots: str = ",".join(robot_setup.ARMS),
+) -> Document:
+    """Make, solve and score sealed pairs of robots, named with commas, as `run_steps` does."""
+    return sealed.run_steps(context, RobotPairs(tuple(robots.split(","))), cases, step, partial)

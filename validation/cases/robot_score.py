@@ -19,12 +19,11 @@ import numpy as np
 
 from simgap.arrays import Array
 from validation.cases import robot_inside as inside
-from validation.cases.bars import JudgedEffect, level_bars, score_bars
 from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
 from validation.cases.robot_setup import information, make_nuisance
 from validation.cases.robot_table import BASE, SUPPLY, Entry, PlacedEntry, list_hypotheses
 from validation.cases.robot_truth import TrueEffect
-from validation.cases.sealed import CaseScore
+from validation.cases.sealed import CaseScore, JudgedEffect, level_bars, score_bars
 
 WRONG_RATES: Final = (0.05, 0.10, 0.15)
 """Bars of wrong places, families and effects outside the catalogue."""
@@ -118,29 +117,26 @@ def is_covered(pair: Pairing) -> bool:
     return bool(places(finding) & {place for _, place in pair.accepted})
 
 
-def has_wrong_place(case: SealedCase, findings: list[Document]) -> bool:
-    """Return whether a finding gives places without the true one."""
-    accepted = {plain_place(case.truth.effects[0].place), *(plain_place(p) for _, p in case.equivalents[0])}
-    return any(not places(finding) & accepted for finding in findings)
+def find_wrong(case: SealedCase, findings: list[Document]) -> tuple[bool, bool, bool]:
+    """Return whether a finding gives places, families, or a name without the right one among them.
 
-
-def has_wrong_family(case: SealedCase, findings: list[Document]) -> bool:
-    """Return whether a finding gives families, none of which is right."""
-    accepted = set(case.truth.effects[0].families)
-    return any(finding["families"] and not accepted & set(finding["families"]) for finding in findings)
-
-
-def has_wrong_effect(case: SealedCase, findings: list[Document]) -> bool:
-    """Return whether a finding names an effect that the data can tell from the true one."""
-    accepted = {(name, plain_place(place)) for name, place in case.equivalents[0]}
-    return any(members(finding) - accepted for finding in findings)
+    A name is wrong if the data can tell its effect from the true one.
+    """
+    (true, *_), (same, *_) = case.truth.effects, case.equivalents
+    accepted = {(name, plain_place(place)) for name, place in same}
+    right_places = {plain_place(true.place), *(place for _, place in accepted)}
+    return (
+        any(not places(one) & right_places for one in findings),
+        any(one["families"] and not {*true.families} & {*one["families"]} for one in findings),
+        any(members(one) - accepted for one in findings),
+    )
 
 
 def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
     """Score solved cases."""
     alarms = [bool(result["findings"]) for case, result in solved if case.truth.kind == "none"]
-    outside = [(case, list(result["findings"])) for case, result in solved if case.truth.kind == "outside"]
-    wrong = [(has_wrong_place(*one), has_wrong_family(*one), has_wrong_effect(*one)) for one in outside]
+    outside = [one for one in solved if one[0].truth.kind == "outside"]
+    wrong = [find_wrong(case, list(result["findings"])) for case, result in outside]
     inside = [one for one in solved if one[0].truth.kind in ("single", "pair")]
     paired = [pair_up(case, list(result["findings"])) for case, result in inside]
     clear = [pair for pairs, _ in paired for pair in pairs if pair.effect.times_limit >= 1.0]

@@ -21,6 +21,7 @@ because its start depends on where friction held the joint.
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import mujoco
@@ -29,11 +30,13 @@ from scipy.optimize import brentq
 from scipy.stats import nct, t
 
 from simgap.arrays import Array
-from simgap.robot import ControlMode, Robot, RobotJoint
+from simgap.common.toml import toml_text
+from simgap.robot import Robot
 from validation.cases.robot_truth import Scene
 from validation.cases.servo_truth import motion_gains
 
 FOLDER: Final = Path(__file__).parent / "models"
+ROBOT_FILE: Final = "robot.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +45,8 @@ class Arm:
 
     centre_rad: tuple[float, ...]
     """Middle of the motions."""
-    known: frozenset[str]
+    known: frozenset[str] = frozenset()
     """Joints with measured friction, damping, armature and gain: they have no nuisances."""
-    unloaded: frozenset[str] = frozenset()
-    """Joints that gravity does not load."""
     mass_kg: float = 0.0
     """Mass and length of the weight of a servo; 0 for other robots."""
     length_m: float = 0.0
@@ -57,12 +58,12 @@ class Arm:
 
 
 ARMS: Final = {
-    "pendulum": Arm((0.5,), frozenset()),
+    "pendulum": Arm((0.5,)),
     "two_joint": Arm((0.2, -0.6), frozenset({"elbow"})),
-    "four_joint": Arm((0.0, 0.7, -1.0, -0.3), frozenset({"wrist"}), frozenset({"pan"})),
+    "four_joint": Arm((0.0, 0.7, -1.0, -0.3), frozenset({"wrist"})),
 }
 SERVOS: Final = {
-    f"servo_{1000 * kg:.0f}g_{1000 * m:.0f}mm": Arm((0.5,), frozenset(), mass_kg=kg, length_m=m)
+    f"servo_{1000 * kg:.0f}g_{1000 * m:.0f}mm": Arm((0.5,), mass_kg=kg, length_m=m)
     for kg in (0.1, 0.2, 0.3, 0.4)
     for m in (0.1, 0.15)
 }
@@ -72,29 +73,54 @@ MODELS: Final = {**{name: ARMS[name] for name in sorted(ARMS)}, **SERVOS}
 @cache
 def load_robot(name: str) -> Robot:
     """Load one of the robots."""
+    with TemporaryDirectory() as folder:
+        return Robot.from_toml(write_robot(Path(folder), name))
+
+
+def write_robot(folder: Path, name: str) -> Path:
+    """Write robot file, model and split of a robot, and return the path of the first.
+
+    Logs of a servo have its gain and its power.
+    """
     arm = MODELS[name]
     xml = (FOLDER / f"{'servo' if arm.is_servo else name}.xml").read_text(encoding="utf-8")
     xml = xml.replace("MASS", f"{arm.mass_kg:g}").replace("LENGTH", f"{arm.length_m:g}")
-    model = mujoco.MjModel.from_xml_string(xml)
-    joints = []
-    for k in range(model.nu):
-        actuator = model.actuator(k)
-        joint = model.joint(actuator.trnid[0])
-        joints.append(
-            RobotJoint(
-                name=joint.name,
-                qpos_index=int(joint.qposadr[0]),
-                dof_index=int(joint.dofadr[0]),
-                actuator_index=k,
-                mode=ControlMode.POSITION,
-                kp_Nm_rad=float(actuator.gainprm[0]),
-                kd_Nms_rad=float(-actuator.biasprm[2]),
-                torque_limit_Nm=float(actuator.forcerange[1]),
-                is_known=joint.name in arm.known,
-                is_loaded_by_gravity=joint.name not in arm.unloaded,
-            )
-        )
-    return Robot(name, model, xml, tuple(joints), float(model.opt.timestep), "tool")
+    spec = mujoco.MjSpec.from_string(xml)
+    servo = {"gain_column": "gain", "enabled": {"column": "enabled", "unit": "flag"}} if arm.is_servo else {}
+    columns = ("command", "rad"), ("position", "rad"), ("temperature", "degC")
+    robot = {
+        "name": name,
+        "model": "model.xml",
+        "split": "split.toml",
+        "time_step_s": spec.option.timestep,
+        "control_rate_Hz": 1.0 / spec.option.timestep,
+        "tool_site": "tool",
+        "time": {"column": "t_s", "unit": "s"},
+        "motion": {"columns": ["motion"], "repeat_column": "repeat"},
+        "joints": {
+            drive.name: {
+                "mode": "position",
+                "kp_Nm_rad": float(drive.gainprm[0]),
+                "kd_Nms_rad": float(-drive.biasprm[2]),
+                "torque_limit_Nm": float(drive.forcerange[1]),
+                "is_known": drive.name in arm.known,
+                **servo,
+                **{one: {"column": f"{one}_{drive.name}", "unit": unit} for one, unit in columns},
+            }
+            for drive in spec.actuators
+        },
+    }
+    fitted = [motion for motion, _ in PLAN if motion not in HELD_OUT]
+    split = {
+        "default": "fit",
+        "parts": {"fit": fitted, "held_out": sorted(HELD_OUT)},
+        "splits": {"fit": {"fit": ["fit"], "held_out": ["held_out"]}},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {ROBOT_FILE: toml_text(robot), "split.toml": toml_text(split), "model.xml": xml.strip() + "\n"}
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return folder / ROBOT_FILE
 
 
 PERIOD_S: Final = 0.01

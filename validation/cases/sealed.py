@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from marsarm.common.pool import Runner
+from marsarm.common.rates import RateBar, check_rate
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
 from simgap.common.progress import Progress, as_guess, part_of
@@ -63,29 +64,66 @@ class SealedTruth(Generic[Case]):
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """Table of a score."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class CaseScore:
-    """Score as a document and as tables."""
+    """Score as a document, and as a table of its bars."""
 
     document: Document
-    tables: tuple[Table, ...]
     in_bounds: bool
 
     def markdown(self) -> str:
-        """Return the tables as a page."""
-        lines: list[str] = []
-        for one in self.tables:
-            lines += [f"# {one.title}", "", f"| {' | '.join(one.columns)} |", "|---" * len(one.columns) + "|"]
-            lines += [*(f"| {' | '.join(row)} |" for row in one.rows), ""]
-        return "\n".join(lines)
+        """Return the table as a page."""
+        lines = ["# Sealed cases", "", "|  | wanted | found |  |", "|---" * 4 + "|"]
+        for name, bar in self.document["bars"].items():
+            wanted = f"at {'most' if bar['is_most'] else 'least'} {bar['rate']:g}"
+            verdict = "met" if bar["met"] else "missed"
+            lines.append(f"| {name} | {wanted} | {bar['hits']} of {bar['of']} | {verdict} |")
+        return "\n".join([*lines, ""])
+
+
+LEVELS: Final = ("place", "family", "effect")
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedEffect:
+    """Verdict on a true effect of the catalogue, from its detection limit on."""
+
+    is_reported: bool
+    has_place: bool = False
+    has_effect: bool = False
+    """True if the right one comes first."""
+    is_covered: bool | None = None
+    """True if the set of the lowest reported level holds the truth; None without a set."""
+
+
+def level_bars(
+    alarms: Iterable[bool],
+    outside: Sequence[tuple[bool, bool, bool]],
+    effects: Sequence[JudgedEffect],
+    wrong_rates: tuple[float, float, float],
+) -> dict[str, RateBar]:
+    """Return the bars of cases without effect, outside the catalogue (wrong by level), and of effects."""
+    reported = [one for one in effects if one.is_reported]
+    sets = [one.is_covered for one in reported if one.is_covered is not None]
+    return {
+        "false alarms": check_rate(alarms, 0.05, True),
+        **{
+            f"outside, wrong {level}": check_rate((one[k] for one in outside), wrong_rates[k], True)
+            for k, level in enumerate(LEVELS)
+        },
+        "reported": check_rate((one.is_reported for one in effects), 0.85, False),
+        "right place": check_rate((one.has_place for one in reported), 0.95, False),
+        "right effect": check_rate((one.has_effect for one in reported), 0.88, False),
+        "set coverage": check_rate(sets, 0.95, False),
+    }
+
+
+def score_bars(
+    bars: Mapping[str, RateBar], count: int, more: Mapping[str, Any], in_bounds: bool = True
+) -> CaseScore:
+    """Return a score of `count` solved cases by bars, which have to be met, as all other bounds have to."""
+    verdicts = {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()}
+    document = {"cases": count, "bars": verdicts, **more}
+    return CaseScore(document, in_bounds and all(bar.is_met for bar in bars.values()))
 
 
 class CaseMaker(Generic[Case]):
@@ -137,7 +175,9 @@ def run_steps(
     with TemporaryDirectory() as scratch:
         folder = context.out or Path(f"{maker.name}-{context.seed}" if is_kept else scratch)
         run, document = context.run, Document()
-        making, solving = (_stage(context.progress, step, begin) for begin in (0.0, 0.5))
+        making = solving = context.progress
+        if step == "all":  # the share of each is a guess
+            making, solving = (as_guess(part_of(making, begin, begin + 0.5)) for begin in (0.0, 0.5))
         if step in ("all", "make"):
             digest, recorded = make_cases(folder, maker, cases, context.seed, run, making)
             document |= {"digest": digest, "cases": cases, "recorded": recorded}
@@ -149,11 +189,6 @@ def run_steps(
             (folder / "score.md").write_text(found.markdown(), encoding="utf-8")
             document |= {**found.document, "in_bounds": found.in_bounds}
         return document
-
-
-def _stage(progress: Progress, step: str, begin: float) -> Progress:
-    """Return the progress of making or of solving; where both are done, the share of each is a guess."""
-    return progress if step != "all" else as_guess(part_of(progress, begin, begin + 0.5))
 
 
 def _uncounted(progress: Progress) -> Progress:
@@ -333,7 +368,7 @@ def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool) -> CaseScore
         )
     solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
     found = maker.score(folder, solved)
-    return CaseScore({"digest": truth.digest(), **found.document}, found.tables, found.in_bounds)
+    return replace(found, document={"digest": truth.digest(), **found.document})
 
 
 _RESULT_ADAPTER: Final = TypeAdapter(dict[str, Any])

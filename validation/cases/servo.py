@@ -1,22 +1,39 @@
 """Sealed cases of a servo that swings a weight, with the poor model that people have of one.
 
 The robot plug-in with another truth (`servo_truth`), other shares of kinds, and the bars of poor models.
+
+Cases of the next motion: a proposed motion settles what a verdict left open. Each case is diagnosed. Where
+the finding in most doubt is a set or a place, or another effect is named, a motion is proposed. The true
+servo makes it, and the case is diagnosed again with its log. The truth takes part in solving as the servo
+does: it makes the motion, and says which cases count.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from marsarm.common.rates import check_rate
+import numpy as np
+
+from marsarm.common.rates import check_rate, clopper_pearson
+from simgap.checks.audit import audit
+from simgap.common.errors import RobotError
+from simgap.diagnosis import diagnose
+from simgap.loading import load
+from simgap.logs import JointLog, Logs, Motion, Signal, Usable
+from simgap.next_motion.proposal import propose_motion
+from simgap.next_motion.rivals import choose_rivals
+from simgap.result import Diagnosis
+from simgap.robot import Robot
 from validation.campaigns import Context, Document
-from validation.cases import sealed
-from validation.cases.bars import score_bars
-from validation.cases.robot import RobotCases
-from validation.cases.robot_draw import Kind
-from validation.cases.robot_score import SealedCase, first_choice, members, pair_up
-from validation.cases.robot_setup import SERVOS
-from validation.cases.sealed import CaseScore
+from validation.cases import robot_draw, sealed
+from validation.cases.robot import DIAGNOSIS_SEED, RobotCases, find_robot_file, to_document
+from validation.cases.robot_draw import Kind, Truth
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, plain_place
+from validation.cases.robot_setup import PERIOD_S, SERVOS
+from validation.cases.robot_truth import TRUE_STEP_S
+from validation.cases.sealed import CaseScore, score_bars
+from validation.cases.servo_truth import ServoPlant
 
 KIND_SHARES: Final[dict[Kind, float]] = {"none": 1 / 3, "single": 14 / 60, "pair": 13 / 60, "triple": 13 / 60}
 """Shares of all cases: 20, 14, 13 and 13 of 60."""
@@ -68,3 +85,131 @@ def is_sure_and_wrong(case: SealedCase, result: Document) -> bool:
 def campaign(context: Context, cases: int = 60, step: str = "all", partial: bool = False) -> Document:
     """Make, solve and score sealed cases of servos as `run_steps` does."""
     return sealed.run_steps(context, ServoCases(tuple(SERVOS)), cases, step, partial)
+
+
+NEXT_SHARES: Final[dict[Kind, float]] = {"single": 0.5, "pair": 0.5}
+BAR: Final = 18 / 24
+"""Least share of the cases that one motion settles."""
+NEXT_NUMBER: Final = 12
+"""Number of the new motion after those of a case, for its seed and its temperature."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextCases(ServoCases):
+    """Cases of servos, each diagnosed again with one more motion if the first verdict left something open."""
+
+    name: ClassVar[str] = "next-cases"
+    kinds: ClassVar[dict[Kind, float]] = NEXT_SHARES
+
+    def solve(self, folder: Path, case: Path) -> Document:
+        """Diagnose a log, and again with the proposed motion where that counts."""
+        truth = next(one for one in sealed.load_truth(folder, self).cases if one.name == case.stem)
+        robot = Robot.from_toml(find_robot_file(folder, case.stem))
+        logs = load(robot, case)
+        try:
+            found, usable = _diagnose(robot, logs)
+        except RobotError as why:
+            return {"findings": [], "refused": str(why)}
+        before = to_document(found)
+        try:
+            key = choose_rivals(found.rivals)[0].finding
+        except RobotError:
+            return before
+        open_as = say_what_is_open(truth, before, key)
+        if not open_as:
+            return before
+        proposal, motion = propose_motion(robot, logs, found.rivals, usable)
+        told = {
+            "finding": key,
+            "open": open_as,
+            "motion": proposal.motions[proposal.choice.motions[0]],
+            "rivals": list(proposal.rivals),
+            "sigmas": proposal.choice.sigmas[0].tolist(),
+            "tells apart": proposal.choice.tells_apart,
+        }
+        more = make_next(truth.truth, motion)
+        after, _ = _diagnose(robot, replace(logs, motions=(*logs.motions, more)))
+        return {**before, "next": told, "after": to_document(after)}
+
+    def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
+        """Count the cases that the motion settles, by what was open, with a 90 % interval."""
+        tried = [(case, result) for case, result in solved if "next" in result]
+        settled = [is_settled(case, result) for case, result in tried]
+        pairs = [(result["next"]["open"], done) for (_, result), done in zip(tried, settled, strict=True)]
+        named = ("set", "place", "wrong name")
+        groups = {name: [done for open_as, done in pairs if open_as == name] for name in named}
+        bars = {"settled by one motion": check_rate(settled, BAR, False)}
+        counts = {name: f"{sum(own)} of {len(own)}" for name, own in groups.items()}
+        more = {
+            "settled": counts,
+            "interval 90 %": [*clopper_pearson(sum(settled), len(settled), 0.9)],
+            "cpu seconds": sum(one["seconds"] for _, one in solved),
+        }
+        return score_bars(bars, len(solved), more)
+
+
+def _diagnose(robot: Robot, logs: Logs) -> tuple[Diagnosis, Usable]:
+    found = audit(robot, logs)
+    result = diagnose(robot, logs.fit, held_out=logs.judged, audit=found, seed=DIAGNOSIS_SEED)
+    return result, found.usable
+
+
+def list_accepted(
+    case: SealedCase, findings: Sequence[Mapping[str, Any]], key: str
+) -> list[frozenset[tuple[str, str]]]:
+    """Return the equivalence class of the effect that a finding stands for; those of all if of none."""
+    pairs, _ = pair_up(case, list(findings))
+    own = [one.accepted for one in pairs if one.finding and _key(one.finding) == key]
+    return own or [one.accepted for one in pairs]
+
+
+def say_what_is_open(case: SealedCase, result: Document, key: str) -> str:
+    """Return what a finding leaves open: a set, a place, a wrong name; empty if it is rightly named."""
+    finding = next(one for one in result["findings"] if _key(one) == key)
+    if not finding["effects"]:
+        return "place"
+    accepted = list_accepted(case, result["findings"], key)
+    if any(members(finding) <= one for one in accepted):
+        return ""
+    return "set" if len(members(finding)) > 1 else "wrong name"
+
+
+def is_settled(case: SealedCase, result: Document) -> bool:
+    """Return whether the right effect is named after the motion, or a wrong name is withdrawn."""
+    told, after = result["next"], result["after"]["findings"]
+    accepted = list_accepted(case, result["findings"], told["finding"])
+    if any(one["effects"] and members(one) <= own for one in after for own in accepted):
+        return True
+    true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
+    wrong = [one for one in after if len(one["effects"]) == 1 and not members(one) & true]
+    return told["open"] == "wrong name" and not wrong
+
+
+def _key(finding: Mapping[str, Any]) -> str:
+    return f"{finding['place']}: {finding['effect']}"
+
+
+def make_next(truth: Truth, planned: Motion) -> Motion:
+    """Let the true servo make a motion, and return its log."""
+    campaign = robot_draw.make_campaign(truth.seed, truth.model)
+    effects = [robot_draw.make_effect(one, campaign.plan.scene) for one in truth.effects]
+    plant = robot_draw.make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
+    assert isinstance(plant, ServoPlant)
+    ((name, log),) = planned.joints.items()
+    assert log.command is not None
+    times_s, seed = log.position.time_s, truth.seed * 100 + NEXT_NUMBER
+    gain, heat_degC = np.full(times_s.size, planned.gain[name]), robot_draw.temperature_degC(NEXT_NUMBER)
+    shown = plant.simulate(log.command.value[None], PERIOD_S, seed, heat_degC, gain)
+    (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, NEXT_NUMBER]))
+    joint = JointLog(
+        position=Signal(times_s, measured),
+        command=log.command,
+        temperature=Signal(times_s, np.linspace(*heat_degC, times_s.size)),
+        enabled=log.enabled,
+    )
+    return Motion("next", {name: joint}, planned.gain, conditions=planned.conditions)
+
+
+def next_campaign(context: Context, cases: int = 40, step: str = "all", partial: bool = False) -> Document:
+    """Make, solve and score sealed cases as `run_steps` does."""
+    return sealed.run_steps(context, NextCases(tuple(SERVOS)), cases, step, partial)

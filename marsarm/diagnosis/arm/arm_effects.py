@@ -1,4 +1,4 @@
-"""Effects of this arm in the diagnosis: nuisances, families and locations, and flight parameters.
+"""Effects of this arm in the diagnosis: nuisances, hypotheses with families and locations, and parameters.
 
 Nuisances are the errors left by a calibration, and friction that varies from day to day. Families and
 locations are the coarser levels of a verdict. A diagnosis looks for what flight software does not know. So
@@ -6,9 +6,8 @@ its simulator begins at the arm of the flight parameters: those of a calibrated 
 more than any effect.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -18,15 +17,26 @@ from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
+from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
-from marsarm.diagnosis.problem import LOG_UNIT, Nuisance
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance, Parameter
 from sim.arm_model.load import ArmModel
-from sim.effects import environment, gears, geometry, joints, sensors, structure
-from sim.effects.catalogue import effect_name
-from sim.effects.effect import Effect, joint_of, link_of
-from sim.effects.environment import Numerics
+from sim.effects import catalogue, environment, gears, geometry, joints, sensors, structure
+from sim.effects.catalogue import effect_name, effect_place_text
+from sim.effects.effect import EachMove, Effect, joint_of, link_of
+from sim.effects.environment import Ambient, ContactStiffness, Numerics, StructureTemperature, SurfacePosition
 from sim.effects.gears import OutputFriction
-from sim.effects.geometry import FrameError
+from sim.effects.geometry import (
+    Expansion,
+    FrameError,
+    LinkAngle,
+    LinkLength,
+    LinkWarming,
+    ThermalGradient,
+    ToolOffset,
+    ToolTurn,
+    Warming,
+)
 from sim.effects.joints import (
     BacklashWidth,
     GearFriction,
@@ -36,8 +46,15 @@ from sim.effects.joints import (
     MotorConstant,
     ResolverBias,
 )
-from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero
-from sim.effects.structure import LinkMass, LinkStiffness
+from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero, StructureSensor
+from sim.effects.structure import (
+    LinkBending,
+    LinkCreep,
+    LinkMass,
+    LinkStiffness,
+    LinkTorsion,
+    RoverCompliance,
+)
 from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.plant import SCREW_AXES, SPRING_NAMES
 from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
@@ -108,14 +125,27 @@ LOCATIONS: Final = {
 }
 """Locations of effects whose place is an axis or the whole arm."""
 
+REST_ONLY_EFFECTS: Final = (
+    *(LinkLength, LinkAngle, ThermalGradient, FrameError, ToolOffset, ToolTurn),
+    *(Expansion, LinkWarming, Warming),
+    *(LinkStiffness, LinkBending, LinkCreep, LinkTorsion, RoverCompliance),
+    *(ContactStiffness, SurfacePosition),
+)
+"""Effects that influence rests or nothing; their change of motions is below the noise."""
+
 ROUNDING = 1e-9
 """Differences below this, relative or in SI, are those of floating-point numbers."""
 
 
 def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
-    """Yield what a calibration of an arm leaves (sim.arms), friction of the day, and numerical errors."""
+    """Yield what a calibration of an arm leaves (sim.arms), friction of the day, and numerical errors.
+
+    The last ones are small variations between sessions.
+    """
     left = arm.description.tolerances.calibrated
-    yield from _frame_nuisances(arm)
+    for frame, tool in list_frames(arm.params.tool_names):
+        for axis in IDENTIFIABLE_AXES[frame]:
+            yield _frame_nuisance(frame, tool, axis, left.frame_rad if axis < 3 else left.frame_m)
     for joint in Joint:
         yield _joint_nuisance(joint, "zero", "rad", left.hardstop_rad, HardstopAngle)
         yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, left.stiffness_share, GearStiffness)
@@ -126,28 +156,6 @@ def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
         for word, numerics in NUMERICS.items():
             yield _numerics_nuisance(word, numerics, joint.name.lower())
-    yield from _session_nuisances()
-
-
-def _frame_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
-    """Yield rotations and shifts of frames; the last frame has those of every tool."""
-    left = arm.description.tolerances.calibrated
-    for frame, tool in list_frames(arm.params.tool_names):
-        for axis in IDENTIFIABLE_AXES[frame]:
-            named = frame.name.lower() if tool is None else tool
-            unit, sigma = ("rad", left.frame_rad) if axis < 3 else ("m", left.frame_m)
-            word = SCREW_AXES[axis]
-            yield Nuisance(
-                f"frame {named}.{word}",
-                unit,
-                sigma,
-                effect=partial(_displaced_frame, frame, tool, axis),
-                same_as=f"{named}.{word[1]}: {_TURN_SHIFT[tool is not None][unit]}",
-            )
-
-
-def _session_nuisances() -> Iterator[Nuisance]:
-    """Yield small variations between sessions."""
     for joint in Joint:
         yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
         yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, 0.02, GearStiffness, random_per_block=True)
@@ -155,14 +163,29 @@ def _session_nuisances() -> Iterator[Nuisance]:
         yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
 
 
+def _frame_nuisance(frame: Frame, tool: str | None, axis: int, sigma: float) -> Nuisance:
+    """Return a rotation or a shift of a frame; the last frame has those of every tool."""
+    named, unit, word = tool or frame.name.lower(), "rad" if axis < 3 else "m", SCREW_AXES[axis]
+    return Nuisance(
+        f"frame {named}.{word}",
+        unit,
+        sigma,
+        effect=lambda value: FrameError(frame, row6(value * np.eye(6)[axis]), tool),
+        same_as=f"{named}.{word[1]}: {_TURN_SHIFT[tool is not None][unit]}",
+    )
+
+
 def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> Nuisance:
     """Return other numerics at one joint, on or off."""
-    name, effect = f"{word} {place}", partial(_numerics_effect, numerics)
-    return Nuisance(name, "1", NUMERICS_SIGMA, False, effect, word, one_sided=True, only_place=place)
-
-
-def _numerics_effect(numerics: Numerics, _: float) -> Effect:
-    return numerics
+    return Nuisance(
+        f"{word} {place}",
+        "1",
+        NUMERICS_SIGMA,
+        effect=lambda _: numerics,
+        same_as=word,
+        one_sided=True,
+        only_place=place,
+    )
 
 
 def _joint_nuisance(
@@ -170,17 +193,14 @@ def _joint_nuisance(
 ) -> Nuisance:
     """Return an effect of one parameter at a joint or frame; a factor is given by its logarithm."""
     name = place.name.lower()
-    full_name = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
-    effect = partial(_scaled_effect, kind, place) if unit == LOG_UNIT else partial(kind, place)
-    return Nuisance(full_name, unit, sigma, random_per_block, effect, f"{name}: {effect_name(kind)}")
-
-
-def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
-    return kind(place, float(np.exp(logarithm)))
-
-
-def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) -> Effect:
-    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
+    return Nuisance(
+        f"{word} {name} of a session" if random_per_block else f"{word} {name}",
+        unit,
+        sigma,
+        random_per_block,
+        effect=lambda value: kind(place, float(np.exp(value)) if unit == LOG_UNIT else value),
+        same_as=f"{name}: {effect_name(kind)}",
+    )
 
 
 def locate(effect: str, place: str) -> str:
@@ -188,9 +208,51 @@ def locate(effect: str, place: str) -> str:
     return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
 
 
-def family_of(kind: type[Effect]) -> StrEnum:
-    """Return the family of an effect that a diagnosis can name; a test holds the table to the catalogue."""
-    return next(family for family, kinds in FAMILIES.items() if kind in kinds)
+def moves(effect: Effect, one: MotionFeatures) -> bool:
+    """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
+    if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
+        return False  # no motion of a campaign reaches a hardstop
+    joint = getattr(effect, "joint", None)
+    return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+
+
+def list_hypotheses(
+    names: Sequence[str] | None = None, tools: Sequence[str] | None = None
+) -> Iterator[Hypothesis]:
+    """Yield the candidate causes of these names at an arm with these tools.
+
+    None for all of the catalogue, and for the tools of the default arm.
+
+    They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
+
+    An offset of the sensor of the structure looks like warming of the arm.
+    """
+    recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
+    kinds = catalogue.catalogue()
+    every = catalogue.hypotheses(kinds if names is None else {name: kinds[name] for name in names}, tools)
+    family_of = {kind: family for family, kinds in FAMILIES.items() for kind in kinds}
+    return (to_hypothesis(one, family_of[one.kind]) for one in every if not issubclass(one.kind, recorded))
+
+
+def to_hypothesis(one: catalogue.EffectHypothesis, family: StrEnum) -> Hypothesis:
+    """Convert an entry of the catalogue to a hypothesis; arrays keep their defaults.
+
+    A factor with neutral value 1 is given by its logarithm, which makes it symmetric.
+    """
+    effect, place = effect_name(one.kind), effect_place_text(one.kind, dict(one.place)) or "arm"
+    return Hypothesis(effect, place, tuple(_list_parameters(one)), family, locate(effect, place), one)
+
+
+def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
+    for parameter in one.amplitudes:
+        size = parameter.spec
+        if size is None or size.neutral is None or parameter.count != 1:
+            continue
+        if size.neutral == 1.0 and size.low > 0.0:
+            ends = float(np.log(size.low)), float(np.log(size.high))
+            yield Parameter(parameter.field, LOG_UNIT, *ends, float(np.log1p(size.typical)), 0.0)
+        else:
+            yield Parameter(parameter.field, size.unit, size.low, size.high, size.typical, size.neutral)
 
 
 def effects_of_params(params: Params, drawing: Params) -> tuple[Effect, ...]:

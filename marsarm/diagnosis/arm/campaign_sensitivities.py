@@ -12,22 +12,18 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import import_module
 from itertools import compress, pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
 
-import fsw
-import sim
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
-from marsarm.common.pool import Runner, in_order
-from marsarm.diagnosis.arm.arm_effects import list_nuisances
+from marsarm.common.pool import Runner, digest_sources, in_order
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_layout
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
@@ -41,7 +37,6 @@ from marsarm.diagnosis.arm.finite_differences import (
     step_error,
 )
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
-from marsarm.diagnosis.arm.simulator import ArmSimulator, build_layout, list_hypotheses, moves
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
     FeatureLayout,
@@ -59,20 +54,15 @@ from sim.effects.catalogue import catalogue
 from sim.setting import World
 from sim.world import build
 from simgap.common.errors import BadRequest
+from simgap.common.files import file_sha256
 from simgap.common.progress import Progress, as_guess, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
 NOMINAL: Final = "nominal"
 """Name of the default arm as its drawing has it."""
-
-
-COMPARING_MODULES: Final = (
-    "simgap.serial_arm.chain",
-    "marsarm.diagnosis.problem",
-    "marsarm.diagnosis.model",
-)
-"""Modules outside the simulator and this package that influence the result."""
+DECIDING: Final = ("fsw", "sim", "marsarm.diagnosis", "simgap.serial_arm")
+"""Packages that decide the result."""
 NUMERICS_SHARE: Final = 0.1
 """Share of the difference to another time step that remains as numerical error after the fit."""
 
@@ -316,31 +306,13 @@ def check_cache_folder(kept_in: Path) -> None:
 
 
 def campaign_digest(logs: Logs, kinds: Names, arm: str) -> str:
-    """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
+    """Return the SHA-256 of all inputs of the sensitivities: logs, drawing of the arm, model and code."""
     trackers = (path.with_suffix(".tracker.csv") for path in logs)
-    code = (
-        *sorted(Path(__file__).parent.glob("*.py")),
-        *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
-    )
-    return simulator_digest(
-        "\n".join(kinds), arm, *logs, *(path for path in trackers if path.exists()), *code
-    )
-
-
-def simulator_digest(text: str, arm: str, *more: Path) -> str:
-    """Return the SHA-256 of flight software, simulator, drawing of an arm, a text and files."""
     drawing = arm_named(arm).model
-    total = hashlib.sha256(text.encode())
-    for path in (*_list_sources(fsw), *_list_sources(sim), *more):
-        total.update(path.read_bytes())
-    total.update(digest(drawing.params).encode())
-    total.update(model_digest(build(World(), drawing).compile()).encode())
-    return total.hexdigest()
-
-
-def _list_sources(package: ModuleType) -> list[Path]:
-    """Return all modules of a package."""
-    return sorted(Path(package.__path__[0]).rglob("*.py"))
+    parts = [digest_sources(DECIDING), *kinds, digest(drawing.params)]
+    parts.append(model_digest(build(World(), drawing).compile()))
+    parts += map(file_sha256, (*logs, *(path for path in trackers if path.exists())))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 @cache

@@ -19,14 +19,15 @@ from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
+    LONG_SETTLING,
+    ArmSimulator,
     CaseSimulator,
-    NuisanceFit,
     build_case_simulator,
+    build_layout,
     fit_nuisances,
 )
-from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
+from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
-from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_layout
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Sensitivities
@@ -145,11 +146,12 @@ def diagnose_case(
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     arm, floor_notes = _case_simulator(recordings, patch)
-    first = build_case_simulator(arm, campaign.model.sensitivities.layout)
+    sensitivities = campaign.model.sensitivities
+    first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
     fit, selection = fit_nuisances(model, first, patch, seed)
-    found = diagnose(model, fit.residual, selection)
+    found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
     seen = int(np.sum(model.family_wise_limits <= 1.0))
     remarks = (
         *audit_recordings(recordings),
@@ -167,7 +169,7 @@ def diagnose_case(
         errors = _judge_held_out(found, fit, held_out, campaign.held_out)
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
-    traces = tuple(_make_traces(fit.simulator, found))
+    traces = tuple(_make_traces(fit, found))
     return CaseDiagnosis(diagnosis, traces, model)
 
 
@@ -175,7 +177,7 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without any fit and with the findings."""
     nominal, _, explained = found.residuals
     every = case.arm.feature_set.list_features()
-    features, measured = [every[k] for k in case.at], measure_features(case.arm.feature_set)[case.at]
+    features, measured = [every[k] for k in case.at], case.measured[case.at]
     sessions = np.array([one.recording.name for one in features])
     is_moving = np.array([one.key.startswith("motion ") for one in features])
     layout = case.layout
@@ -217,7 +219,7 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
 
 def _judge_held_out(
     found: Explanation,
-    fit: NuisanceFit,
+    fit: CaseSimulator,
     recordings: Sequence[Recording],
     sensitivities: Sensitivities,
 ) -> tuple[JointError, ...]:
@@ -228,8 +230,8 @@ def _judge_held_out(
     Raises:
         NotForDiagnosis: Nothing of the motion can be compared with the campaign.
     """
-    arm, _ = _case_simulator(recordings, fit.simulator.arm.patch)
-    case = build_case_simulator(arm, sensitivities.layout)
+    arm, _ = _case_simulator(recordings, fit.arm.patch)
+    case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
@@ -238,7 +240,7 @@ def _judge_held_out(
         return ()
     held = sensitivities.select(case.rows)
     N = held.nuisance[:, held.shared_nuisances]
-    residual = case.residual() + held.nuisance @ fit.nuisance
+    residual = replace(case, nuisance=fit.nuisance).residual(held.nuisance)
     base = residual - N @ found.nuisance
     rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))

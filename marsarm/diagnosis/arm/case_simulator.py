@@ -1,4 +1,4 @@
-"""Case simulator, which predicts the features of one case in the order of the campaign, and its nuisances.
+"""Simulators of the arm of a campaign, and of one case in the order of its features; nuisances of the case.
 
 A case may lack features of the campaign, or have others. Repeats of a motion got the same drive, so only the
 first of them is simulated.
@@ -9,7 +9,7 @@ effect; fitted beside it, they give way to it. So they are fitted alone first, a
 then.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,16 +17,21 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.feature_set import measure_features
-from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
-from marsarm.diagnosis.arm.simulator import ArmSimulator, moves
+from marsarm.diagnosis.arm.arm_effects import moves
+from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features, simulate_features
+from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
+from sim.loop import SimulationOptions
 from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
 
+SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
+"""Settling time before a recording, shorter than in the closed loop: sufficient for differences."""
+LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
+"""Settling time that suffices for comparison with a case."""
 MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed", "sine of the angle", "cosine of the angle", "direction")
 )
@@ -48,16 +53,63 @@ MAX_UPDATES: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ArmSimulator:
+    """Arm simulator bound to a campaign.
+
+    It uses the nominal arm. Flight parameters do not change it, only effects do.
+    """
+
+    feature_set: FeatureSet
+    layout: FeatureLayout
+    """Layout of its m features, with their noise floor."""
+    options: SimulationOptions = SHORT_SETTLING
+    patch: tuple[Effect, ...] = ()
+    """Effects that are always on."""
+
+    def predict_effects(
+        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
+    ) -> Array:
+        """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
+
+        PlantDiverged if MuJoCo counted a warning.
+        """
+        return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
+
+
+def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
+    """Describe the features; every place has its own channels.
+
+    Args:
+        sigma: Noise floor in the units of the channels, shape (m,).
+    """
+    features = feature_set.list_features()
+    return FeatureLayout(
+        sigma=sigma,
+        block=np.array([one.block for one in features], str),
+        channel=np.array([one.channel_name for one in features], str),
+        unit=np.array([UNITS[one.channel] for one in features], str),
+        regime=np.array([one.regime for one in features], str),
+        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
+        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
+        conditions=np.array(CONDITIONS),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CaseSimulator:
     """Simulator of a case in m features of a campaign."""
 
     arm: ArmSimulator
+    measured: Array
+    """All n measured features of the case in the units of the channels, shape (n,)."""
     nominal: Array
-    """Nominal prediction of all n features of the case under its own drive, shape (n,)."""
+    """Prediction of these under its own drive, shape (n,)."""
     at: Ints
     """Index of each of the m features among those n, shape (m,)."""
     rows: Ints
     """Index of each of the m features among the campaign's, ascending, shape (m,)."""
+    nuisance: Array
+    """Nuisances of the prediction in their units, shape (q,)."""
 
     @property
     def layout(self) -> FeatureLayout:
@@ -72,12 +124,16 @@ class CaseSimulator:
         except PlantDiverged:
             return np.full(self.at.size, np.nan)
 
-    def residual(self) -> Array:
-        """Subtract the nominal from the measured features, in the units of the channels, shape (m,)."""
-        return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
+    def residual(self, nuisance: Array) -> Array:
+        """Return measured minus predicted features, extrapolated linearly to nuisances at 0, shape (m,).
+
+        Args:
+            nuisance: Change of the features per unit of each nuisance, shape (m, q).
+        """
+        return np.asarray((self.measured - self.nominal)[self.at] + nuisance @ self.nuisance)
 
 
-def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimulator:
+def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, n_nuisances: int) -> CaseSimulator:
     """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
@@ -89,7 +145,8 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout) -> CaseSimula
     predicted = arm.predict_effects(())
     difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & np.isfinite(predicted[at])
-    return CaseSimulator(arm, predicted, at[same], rows[same])
+    measured = measure_features(arm.feature_set)
+    return CaseSimulator(arm, measured, predicted, at[same], rows[same], np.zeros(n_nuisances))
 
 
 def resimulate(
@@ -117,29 +174,18 @@ def simulate_change(arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Arr
     return np.where(np.isfinite(found), found, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NuisanceFit:
-    """Case simulated at estimated nuisances."""
-
-    simulator: CaseSimulator
-    nuisance: Array
-    """Nuisances of the simulation in their units, shape (q,)."""
-    residual: Array
-    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
-
-
 def fit_nuisances(
     model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
-) -> tuple[NuisanceFit, FeatureSelection]:
+) -> tuple[CaseSimulator, FeatureSelection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect; start at nominal nuisances.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
     which effects have to pay for their parameters. Large effects are simulated before: their linear response
     would lose against nuisances beyond any real arm.
     """
-    whiten = build_full_whitener(model.sensitivities)
+    whiten, slopes = build_full_whitener(model.sensitivities), model.sensitivities.nuisance
     alone = beside = _fit_alone(model, whiten, first, patch)
-    before = selection = select(model, model.sensitivities, whiten, alone.residual, seed)
+    before = selection = select(model, model.sensitivities, whiten, alone.residual(slopes), seed)
     if not before.chosen:
         return alone, before
     chosen = tuple[int, ...]()
@@ -151,21 +197,22 @@ def fit_nuisances(
         if moved is beside:
             break
         beside = moved
-        selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator.simulate)
-    cost = _cost(whiten, beside, selection)
-    if beside is not alone and selection.chosen and cost < _deviance(whiten, alone.residual):
+        selection = select_simulated(model, whiten, beside.residual(slopes), seed, beside.simulate)
+    cost = _cost(whiten, beside.residual(slopes), selection)
+    if beside is not alone and selection.chosen and cost < _deviance(whiten, alone.residual(slopes)):
         return beside, selection
-    return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator.simulate)
+    return alone, select_simulated(model, whiten, alone.residual(slopes), seed, alone.simulate)
 
 
 def _fit_alone(
     model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
-) -> NuisanceFit:
+) -> CaseSimulator:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
-    current = _extrapolate(model, first, np.zeros(len(model.sensitivities.nuisances)))
+    current, slopes = first, model.sensitivities.nuisance
     for _ in range(MAX_UPDATES):
         moved = _update(model, current, (), patch)
-        if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):
+        before, after = (_deviance(whiten, one.residual(slopes)) for one in (current, moved))
+        if moved is current or after > before:
             break
         current = moved
     return current
@@ -177,9 +224,9 @@ def _deviance(whiten: Whitener, residual: Array) -> float:
 
 
 def _update(
-    model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...], patch: tuple[Effect, ...]
-) -> NuisanceFit:
-    """Simulate at the nuisances estimated beside some effects; the same fit if they have converged."""
+    model: DiagnosisModel, current: CaseSimulator, beside: tuple[int, ...], patch: tuple[Effect, ...]
+) -> CaseSimulator:
+    """Simulate at the nuisances estimated beside some effects; the same case if they have converged."""
     sensitivities = model.sensitivities
     sigma = np.array([nuisance.sigma for nuisance in sensitivities.nuisances])
     estimated = _estimate_nuisances(model, current, beside)
@@ -194,7 +241,7 @@ def _update(
     pairs = zip(sensitivities.nuisances, estimated.tolist(), strict=True)
     near = (*patch, *(one.effect(value) for one, value in pairs if value and one.effect is not None))
     otherwise = sensitivities.nuisance @ difference
-    return _extrapolate(model, resimulate(current.simulator, near, wanted, otherwise), estimated)
+    return replace(resimulate(current, near, wanted, otherwise), nuisance=estimated)
 
 
 def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
@@ -209,29 +256,24 @@ def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
     return {*layout.block[curved].tolist()}
 
 
-def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Array) -> NuisanceFit:
-    residual = simulator.residual() + model.sensitivities.nuisance @ nuisance
-    return NuisanceFit(simulator, nuisance, residual)
-
-
-def _cost(whiten: Whitener, fit: NuisanceFit, selection: FeatureSelection) -> float:
+def _cost(whiten: Whitener, residual: Array, selection: FeatureSelection) -> float:
     """Return the deviance beside the selected effects, plus the threshold for as many parameters.
 
     The whitener is that of the model, so that deviances of several selections can be compared.
     """
     k = sum(a.size for a in selection.departures.values())
     needed = float(chi2.isf(FALSE_ALARM / max(selection.engine.context.n_distinct, 1.0), k)) if k else 0.0
-    return _deviance(whiten, fit.residual - selection.sensitivities.change(selection.departures)) + needed
+    return _deviance(whiten, residual - selection.sensitivities.change(selection.departures)) + needed
 
 
-def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:
+def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: tuple[int, ...]) -> Array:
     """Estimate the nuisances beside some effects, (q,), limited to MAX_SIGMAS.
 
     Random and one-sided nuisances stay 0.
     """
     equations = model.equations
-    fit = fit_linear(equations, equations.whiten(current.residual), beside)
-    nuisances = model.sensitivities.nuisances
+    residual = current.residual(model.sensitivities.nuisance)
+    fit, nuisances = fit_linear(equations, equations.whiten(residual), beside), model.sensitivities.nuisances
     found = np.zeros(len(nuisances))
     found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in nuisances])

@@ -12,17 +12,15 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.params import Params, digest
-from marsarm.common.effects import parse_effects
 from marsarm.common.pool import select_runner
-from marsarm.common.requests import load_fitting_params, select_arm
-from marsarm.diagnosis.arm.arm_effects import effects_of_params
+from marsarm.common.requests import load_fitting_params, parse_effects, select_arm
+from marsarm.diagnosis.arm.arm_effects import effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest, LogsRequest
-from marsarm.diagnosis.arm.simulator import list_hypotheses
 from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import ArmModel
 from sim.effects.catalogue import catalogue, effect_name, has_flight_parameter
@@ -110,7 +108,8 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
             if not inside:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
         elif not os.path.isfile(path):
-            raise BadRequest(f"{what} {path}: there is no such log or folder")
+            why = "is not a regular file; give" if os.path.exists(path) else "there is no such"
+            raise BadRequest(f"{what} {path}: {why} log or folder")
         found += inside
     return tuple(found)
 
@@ -187,33 +186,24 @@ def patch_text(diagnosis: Diagnosis) -> str:
     return effect_file_text(effects_of_findings(diagnosis), comments)
 
 
-def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
-    """Return flight parameters that include the effects, as far as there are parameters for them.
+def params_text(diagnosis: Diagnosis, base: Params, drawing: Params) -> str:
+    """Return the parameter file for --params: all values of `base` and the findings that are not nominal.
 
     NothingToWrite if there is no parameter for any effect, or flight software refuses the values.
     """
-    params = params_with_effects(effects, base)
+    effects = effects_of_findings(diagnosis)
+    params, texts = params_with_effects(effects, base), [effect_text(effect) for effect in effects]
     if params == base:
-        names = ", ".join(effect_text(effect) for effect in effects)
-        raise NothingToWrite(f"there is no flight parameter for {names}")
+        raise NothingToWrite(f"there is no flight parameter for {', '.join(texts)}")
     try:
         check_params(params, "flight software would not take them")
     except BadParams as error:
         raise NothingToWrite(str(error)) from error
-    return params
-
-
-def params_text(diagnosis: Diagnosis, base: Params, drawing: Params) -> str:
-    """Return the parameter file for --params: all values of `base` and the findings that are not nominal.
-
-    NothingToWrite if there are no new parameters.
-    """
-    effects = effects_of_findings(diagnosis)
-    params, kinds = new_params(base, effects), [type(effect) for effect in effects]
+    kinds = [type(effect) for effect in effects]
     unknown = [effect_name(kind) for kind in kinds if not has_flight_parameter(kind)]
     comments = [
         "Flight parameters with the findings of a diagnosis; all others are nominal.",
-        *(f"Effect: {effect_text(effect)}" for effect in effects),
+        *(f"Effect: {text}" for text in texts),
         *(f"There is no flight parameter for {name}." for name in unknown),
     ]
     return params_toml(drawing, params, comments)

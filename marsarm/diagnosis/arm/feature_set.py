@@ -119,9 +119,10 @@ def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     config = configure(recordings[0].arm.params)
     every = (find_turning_points(one) for one in recordings if one.world.surface is None)
     turning_points = [one for one in every if one.rests]
-    friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
+    step_Nm = (FRICTION_MARGIN * config.output_friction_Nm).tolist()
     nominal, less, more = (
-        solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
+        solve_rests(turning_points, [OutputFriction(joint, by * step_Nm[joint]) for joint in Joint])
+        for by in (0.0, -1.0, 1.0)
     )
     found = FeatureSet(
         tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
@@ -161,10 +162,6 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
         height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
         found.append(float(height_m) - shift_m)
     return np.array(found)
-
-
-def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
-    return tuple(OutputFriction(joint, float(torque_Nm[joint])) for joint in Joint)
 
 
 def measure_features(feature_set: FeatureSet) -> Array:

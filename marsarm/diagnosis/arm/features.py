@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, find_segments, find_touch
@@ -89,14 +90,14 @@ class MotionFeatures:
     recording: Recording
     segments: tuple[Segment, ...]
     features: tuple[Feature, ...]
+    """Those of bins, then the three of the IMU."""
+    bins: tuple[tuple[int, Joint, int, int], ...]
+    """Channel, joint, first tick and end of each feature of a bin."""
 
     @property
     def compared_ticks(self) -> int:
         """Number of ticks up to the end of the last bin that is compared; at least one."""
-        recording, touch = self.recording, _touch_tick(self.recording)
-        # every bin that is compared in a channel is compared in that of the resolver
-        bins = (_compared_bins(recording, segment, RESOLVER, touch) for segment in self.segments)
-        return max((end for of in bins for _, _, end in of), default=1)
+        return max((end for *_, end in self.bins), default=1)
 
 
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
@@ -106,42 +107,46 @@ def list_motion_features(recording: Recording, config: Config) -> MotionFeatures
     """
     segments = tuple(find_segments(recording))
     features: list[Feature] = []
+    bins: list[tuple[int, Joint, int, int]] = []
     for number, load_Nm in enumerate(_loads(recording, config, segments)):
-        features += _segment_features(recording, config, segments, number, float(load_Nm))
+        for feature, span in _segment_features(recording, config, segments, number, float(load_Nm)):
+            features.append(feature)
+            bins.append((feature.channel, segments[number].joint, *span))
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
         features.append(Feature(recording, IMU, f"imu.{axis}", "rest", still, f"imu/{axis}"))
-    return MotionFeatures(recording, segments, tuple(features))
+    return MotionFeatures(recording, segments, tuple(features), tuple(bins))
 
 
 def _segment_features(
     recording: Recording, config: Config, segments: tuple[Segment, ...], number: int, load_Nm: float
-) -> Iterator[Feature]:
-    """Yield the features of one segment by channel; the start of a motion has doubt."""
+) -> Iterator[tuple[Feature, tuple[int, int]]]:
+    """Yield the features of one segment by channel, with their bins; the start of a motion has doubt.
+
+    There are none after a possible touch. A motor slower than one count per cycle is driven count by count.
+    Its servo then depends on the position within a count, so only its resolver is compared.
+    """
     segment = segments[number]
     j, motor = segment.joint, recording.motor_rad()[segment.joint]
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
     backlash_rad = 2.0 * float(config.half_backlash_rad[j])
-    touch = _touch_tick(recording)
+    touch, rate_rad_s = _touch_tick(recording), recording.drive["setpoint_rate_rad_s"][:, j]
+    least_rad_s = CYCLE_HZ * abs(float(recording.rad_per_count[j]))
     for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
-        for bin_number, first, end in _compared_bins(recording, segment, channel, touch):
-            speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
-            angle = float(motor[(first + end) // 2])
+        for bin_number, (first, end) in enumerate(segment.bins()):
+            is_slow = np.abs(rate_rad_s[first:end]).mean() < least_rad_s
+            if end > touch or (is_slow and channel != RESOLVER):
+                continue
+            speed, angle = float(rate_rad_s[first:end].mean()), float(motor[(first + end) // 2])
             sine, cosine = float(np.sin(angle)), float(np.cos(angle))
             condition = (recording.temperature_C, load_Nm, speed, sine, cosine, float(segment.direction))
             doubt = START_DOUBT[channel] if first - segment.first < START_S * CYCLE_HZ else 0.0
             turned_rad = abs(float(motor[first] - motor[segment.first]))
             if channel == RESOLVER and is_first and turned_rad < BACKLASH_MARGIN * backlash_rad:
                 doubt = backlash_rad
-            yield Feature(
-                recording,
-                channel,
-                j.name.lower(),
-                segment.regime(first),
-                condition,
-                f"motion {number}/{CHANNELS[channel]}/{bin_number}",
-                doubt,
-            )
+            key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
+            regime = segment.regime(first)
+            yield Feature(recording, channel, j.name.lower(), regime, condition, key, doubt), (first, end)
 
 
 def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
@@ -152,41 +157,16 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
         sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
             `compared_ticks`, in the units of their names.
     """
-    recording, values = motion.recording, []
-    touch = _touch_tick(recording)
+    recording = motion.recording
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
     setpoint_count = recording.drive["setpoint_count"][: encoder.shape[1]]
-    setpoint = setpoint_count.T * recording.rad_per_count[:, None]
-    resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
-    for segment in motion.segments:
-        j = segment.joint
-        for channel, read in (
-            (CURRENT, sensors["current_A"][:, j]),
-            (FOLLOWING_ERROR, encoder[j] - setpoint[j]),
-            (RESOLVER, resolver[j]),
-        ):
-            bins = _compared_bins(recording, segment, channel, touch)
-            values.append(np.array([read[first:end].mean() for _, first, end in bins]))
-    values.append(sensors["gravity_R_m_s2"].mean(axis=0))
-    return np.concatenate(values)
-
-
-def _compared_bins(
-    recording: Recording, segment: Segment, channel: int, touch: int
-) -> list[tuple[int, int, int]]:
-    """Return number, first tick and end of the compared bins: none after a possible touch.
-
-    A motor slower than one count per cycle is driven count by count. Its servo then depends on the position
-    within a count, so only its resolver is compared.
-    """
-    j = segment.joint
-    rate = np.abs(recording.drive["setpoint_rate_rad_s"][:, j])
-    least = 0.0 if channel == RESOLVER else CYCLE_HZ * abs(float(recording.rad_per_count[j]))
-    return [
-        (number, first, end)
-        for number, (first, end) in enumerate(segment.bins())
-        if end <= touch and rate[first:end].mean() >= least
-    ]
+    read = {
+        CURRENT: sensors["current_A"].T,
+        FOLLOWING_ERROR: encoder - setpoint_count.T * recording.rad_per_count[:, None],
+        RESOLVER: sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None],
+    }
+    values = [read[channel][j, first:end].mean() for channel, j, first, end in motion.bins]
+    return np.concatenate([values, sensors["gravity_R_m_s2"].mean(axis=0)])
 
 
 def _touch_tick(recording: Recording) -> int:

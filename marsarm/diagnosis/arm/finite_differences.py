@@ -14,10 +14,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.case_simulator import simulate_change
+from marsarm.diagnosis.arm.case_simulator import ArmSimulator, simulate_change
 from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by, simulate_touches
 from marsarm.diagnosis.arm.rest_poses import is_stepped
-from marsarm.diagnosis.arm.simulator import ArmSimulator
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
 from sim.effects.effect import Effect
 
@@ -166,9 +165,7 @@ def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> A
     own = moving & [one.place == joint.name.lower() for one in feature_set.list_features()]
     turns = not changes_readings_only(effect)
     found = np.where(own, moved, rests_moved_by(feature_set, moved, joint, turns))
-    nominal, touched = (
-        simulate_touches(feature_set, (*simulator.patch, *some)) for some in ((), (effect,))
-    )
+    nominal, touched = (simulate_touches(feature_set, (*simulator.patch, *some)) for some in ((), (effect,)))
     found[found.size - nominal.size :] = touched - nominal
     return found
 

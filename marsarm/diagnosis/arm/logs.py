@@ -142,14 +142,8 @@ class Recording:
 
     def motor_rad(self) -> Array:
         """Return the motor angles by the encoders, on the output side [rad], shape (5, n)."""
-        return self._angles_rad(self.sensors["encoder_count"])
-
-    def setpoint_rad(self) -> Array:
-        """Return the commanded motor angles, on the output side [rad], shape (5, n)."""
-        return self._angles_rad(self.drive[COUNTS])
-
-    def _angles_rad(self, counts: NDArray[Any]) -> Array:
-        return np.asarray(counts.T * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
+        counts = self.sensors["encoder_count"].T
+        return np.asarray(counts * self.rad_per_count[:, None] + self.start.zero_rad[:, None])
 
 
 def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
@@ -236,7 +230,11 @@ def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
 
 
 def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
-    anew = {name: _changes(values) for name, values in drive.items()}
+    changed = {
+        name: (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+        for name, values in drive.items()
+    }
+    anew = {name: [True, *flags.tolist()] for name, flags in changed.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
         for name, values in drive.items():
@@ -244,12 +242,6 @@ def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]
                 value = values[tick]
                 last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
         yield ActuatorCommand(**last)
-
-
-def _changes(values: NDArray[Any]) -> list[bool]:
-    """Return for every tick whether a value changed; True for the first."""
-    other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
-    return [True, *other.tolist()]
 
 
 def _drive_packets(log: Log) -> NDArray[np.void]:

@@ -16,8 +16,13 @@ from marsarm.common.pool import select_runner
 from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
-from marsarm.diagnosis.arm.planned_motion import PlannedMotion, list_motions, make_session, motion_text
-from marsarm.diagnosis.arm.record import record_campaign
+from marsarm.diagnosis.arm.record import (
+    PlannedMotion,
+    list_motions,
+    make_session,
+    motion_text,
+    record_campaign,
+)
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities

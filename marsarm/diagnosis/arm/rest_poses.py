@@ -28,7 +28,6 @@ from sim.effects.gears import GearHysteresis
 from sim.effects.structure import LinkBending, LinkCreep
 from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
 from sim.plant import Plant
-from sim.record import Disturbance
 from sim.setting import World
 from sim.tracker import turret_pose
 from sim.world import build
@@ -223,7 +222,8 @@ def _drag_outputs(
         low_rad, high_rad = bounds.lowest_rad[:, k], bounds.highest_rad[:, k]
         before, driven = driven, motor_rad
         if plant is not None:
-            hardware, disturbance = _act_at(plant, hardware, motor_rad, gear)
+            plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear
+            hardware, disturbance = evaluate_cycle_effects(plant, hardware)
             driven = motor_rad + disturbance.gear_rad
             loaded = bound_gear(config, half_backlash_rad, load_Nm[:, k] + disturbance.output_Nm)
             low_rad, high_rad = loaded.lowest_rad, loaded.highest_rad
@@ -239,14 +239,6 @@ def _plant_with(arm: ArmModel, world: World, effects: tuple[Effect, ...]) -> Pla
     for effect in effects:
         effect.on_model(spec)
     return Plant(spec.compile())
-
-
-def _act_at(
-    plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array
-) -> tuple[Hardware, Disturbance]:
-    """Evaluate the effects of a cycle at a pose: new hardware, gear shifts and output torques."""
-    plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
-    return evaluate_cycle_effects(plant, hardware)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -141,18 +141,13 @@ class Robot:
     @classmethod
     def from_toml(cls, path: str | Path) -> "Robot":
         """Read a robot file and compile its model; RobotError if one or the other is wrong."""
-        return cls.from_file(read_model_file(Path(path)), Path(path))
-
-    @classmethod
-    def from_file(cls, file: RobotFile, path: Path) -> "Robot":
-        """Compile the model of a robot file that is, or will be, at this path; RobotError if it is wrong."""
-        return _build_robot(file, path)
+        return build_robot(read_model_file(Path(path)), Path(path))
 
     def under(self, conditions: Mapping[str, float]) -> "Robot":
         """Return the robot with numbers of its model that conditions set; RobotError if it has no such."""
         if self.file is None or not any(one.sets for one in self.file.conditions.values()):
             return self
-        return _build_robot(self.file, self.path, conditions)
+        return build_robot(self.file, self.path, conditions)
 
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""
@@ -173,9 +168,8 @@ ROUNDING: Final = 1e-3
 """Share of the largest gravity torque of the robot below which one is rounding of frames and of masses."""
 
 
-def _build_robot(
-    file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})
-) -> Robot:
+def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})) -> Robot:
+    """Compile the model of a robot file that is, or will be, at this path; RobotError if it is wrong."""
     model_path = path.parent / file.model
     xml = mjcf.set_conditions(mjcf.read_model_text(model_path), file.conditions, conditions, path)
     left_out = tuple(file.left_out)

@@ -16,6 +16,7 @@ import simgap.command.diagnosis
 import simgap.diagnosis
 from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
+from helpers.effect_lab import own_effect
 from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs
 
@@ -37,23 +38,8 @@ ROBOTS = {
 }
 """Text of the good robot file, and what replaces its first copy there."""
 EFFECTS = {"raises.py": "raise ValueError('no')\n", "exits.py": "raise SystemExit(0)\n"}
-EFFECT = """
-from dataclasses import dataclass
-from simgap.effects.effect import Family, Size
-from simgap.effects.effect import JointEffect
-
-@dataclass(frozen=True, slots=True)
-class Boom(JointEffect):
-    name = "boom"
-    family = Family.EXTERNAL
-
-    @property
-    def sizes(self):
-        return (Size("push_Nm", 0.0, 1.0, TYPICAL),)
-
-    def torque_Nm(self, size, state):
-        return size / 0
-"""
+EFFECTS["boom.py"] = own_effect(hook="def torque_Nm(self, size, state): return size / 0")
+EFFECTS["word.py"] = own_effect('(Size("push_Nm", 0.0, 1.0, "much"),)')
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +59,6 @@ def folder(tmp_path_factory):
     (place / "held" / "runtime.toml").mkdir(parents=True)
     (place / "patched.toml").write_text(robot.replace("model.xml", "patched.xml"))
     (place / "patched.xml").write_text((place / "model.xml").read_text())
-    (place / "boom.py").write_text(EFFECT.replace("TYPICAL", "0.1"))
-    (place / "word.py").write_text(EFFECT.replace("TYPICAL", "'much'"))
     return place
 
 
@@ -207,7 +191,7 @@ DIAGNOSE = {
     "robot.toml log.parquet --effects raises.py": "cannot be run: ValueError: no",
     "robot.toml log.parquet --effects exits.py": "cannot be run: SystemExit: 0",
     "robot.toml log.parquet --effects word.py": "low, high and typical have to be numbers",
-    "robot.toml log.parquet --effects boom.py --effects boom.py": "two have the key 'shoulder: boom'",
+    "robot.toml log.parquet --effects boom.py --effects boom.py": "two have the key 'shoulder: mine'",
 }
 """Part of the sentence, by arguments of `diagnose`."""
 
@@ -251,7 +235,7 @@ def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(folder, mo
     before = snapshot(folder)
     done = run_simgap(folder, "diagnose", "robot.toml", "log.parquet", "--effects", "boom.py")
     assert done.returncode == 2
-    assert "boom.py:16: ZeroDivisionError" in done.stderr
+    assert "boom.py:14: ZeroDivisionError" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert snapshot(folder) == before
 

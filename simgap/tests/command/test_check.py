@@ -15,7 +15,7 @@ from simgap.command.check import check_parts, check_robot, drawn_motions, summar
 from simgap.command.first_file import list_logs
 from simgap.command.request import CheckRequest
 from simgap.common.files import file_sha256
-from simgap.common.report import print_parts
+from simgap.common.report import ReportTable, print_parts
 
 SCREEN_LINES = 24
 
@@ -49,6 +49,15 @@ def test_the_screen_has_a_line_for_each_joint_and_the_remarks(report, capsys):
     words = " ".join(printed.split())
     assert "contact with a plane: tip stops at z = -100 mm" in words
     assert "A diagnosis will leave out" in words
+
+
+def test_a_column_of_numbers_is_not_wrapped(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "24")
+    row = ("a joint with a long name", "12.3 mrad", "4.5 to 6.7 mrad")
+    print_parts([ReportTable(("joint", "error", "90 %"), [row])])
+    shown = capsys.readouterr().out
+    assert row[1] in shown
+    assert row[2] in shown
 
 
 def test_the_document_has_what_the_screen_has(written):

@@ -57,6 +57,29 @@ PENDULUM_XML = """
 """
 
 
+OWN = """
+from dataclasses import dataclass
+from simgap.effects.effect import Effect, Family, JointEffect, Size
+
+@dataclass(frozen=True, slots=True)
+class Mine(JointEffect):
+    name = "mine"
+    family = Family.EXTERNAL
+
+    @property
+    def sizes(self):
+        return {sizes}
+
+    {hook}
+"""
+HOOK = "def torque_Nm(self, size, state): return size[:, 0] + 0.0 * state.time_s"
+
+
+def own_effect(sizes='(Size("push_Nm", 0.0, 1.0, 0.1),)', hook=HOOK):
+    """Return the text of a file with an effect of the user's own."""
+    return OWN.format(sizes=sizes, hook=hook)
+
+
 def robot_of(xml, tool_site="tool", mode=ControlMode.POSITION):
     """Return a robot whose joints all have an actuator in the order of the joints."""
     model = mujoco.MjModel.from_xml_string(xml)
@@ -138,3 +161,23 @@ def simulate(robot, effects, sizes, command, start_rad, temperature_degC=None):
     )
     engine = Engine(Models(robot), effects, [window], n_threads=1)
     return engine.positions(np.asarray(sizes, float)).reshape(len(sizes), n_joints, n_ticks)
+
+
+def play(model, runtime, command, start_rad, every=1):
+    """Return what the encoders show at each command of a patched model, (n, n_joints).
+
+    Args:
+        model: Patched model.
+        runtime: Its effects at run time.
+        command: Commands, (n, n_joints).
+        start_rad: What the encoders show at the start, at rest, (n_joints,).
+        every: Control periods in which a command is held.
+    """
+    data, shown = mujoco.MjData(model), [start_rad]
+    runtime.place(data, start_rad)
+    for one in command[:-1]:
+        for _ in range(every):
+            runtime.act(model, data, one)
+            mujoco.mj_step(model, data, runtime.n_steps)
+        shown.append(runtime.shown(data))
+    return np.array(shown)

@@ -53,15 +53,36 @@ def rows(n=5, **fields):
     return found
 
 
-def write_mcap(path, messages, **options):
-    """Write messages as JSON."""
+def ros_types(is_ros1=False):
+    """Return the types of ROS, and a function that encodes a joint state."""
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    seq = {"seq": 0} if is_ros1 else {}
+    header = store.types["std_msgs/msg/Header"](
+        stamp=store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="", **seq
+    )
+
+    def encode(content):
+        numbers = {name: np.array(content[name]) for name in ("position", "velocity", "effort")}
+        message = store.types[JOINT_STATE](header=header, name=content["name"], **numbers)
+        return (store.serialize_ros1 if is_ros1 else store.serialize_cdr)(message, JOINT_STATE)
+
+    return store, encode
+
+
+def write_mcap(path, messages, definition="", **options):
+    """Write messages as JSON, or as ROS 2 does with this encoding of their definition; bytes are JSON."""
+    store, encode = ros_types()
+    schema = (JOINT_STATE, definition, store.generate_msgdef(JOINT_STATE, ros_version=2)[0].encode())
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=300, **options)
         writer.start()
-        schema = writer.register_schema("any", "jsonschema", b"{}")
-        channels = {topic: writer.register_channel(topic, "json", schema) for topic, _, _ in messages}
+        number = writer.register_schema(*(schema if definition else ("any", "jsonschema", b"{}")))
+        topics = dict.fromkeys(topic for topic, _, _ in messages)
+        encoding = "cdr" if definition else "json"
+        channels = {topic: writer.register_channel(topic, encoding, number) for topic in topics}
         for topic, time_ns, content in messages:
-            writer.add_message(channels[topic], time_ns, json.dumps(content).encode(), time_ns)
+            text = content if isinstance(content, bytes) else json.dumps(content).encode()
+            writer.add_message(channels[topic], time_ns, encode(content) if definition else text, time_ns)
         writer.finish()
     return path
 
@@ -69,12 +90,7 @@ def write_mcap(path, messages, **options):
 def write_bag(path, messages, is_packed=False):
     """Write a bag of ROS 1 for a file, packed by bzip2 on request, of ROS 2 in SQLite for a folder."""
     is_ros1 = path.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
-    seq = {"seq": 0} if is_ros1 else {}
-    header = store.types["std_msgs/msg/Header"](
-        stamp=store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="", **seq
-    )
-    encode = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+    store, encode = ros_types(is_ros1)
     writer = Writer1(path) if is_ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     if is_packed:
         writer.set_compression(Writer1.CompressionFormat.BZ2)
@@ -82,7 +98,5 @@ def write_bag(path, messages, is_packed=False):
         topics = dict.fromkeys(topic for topic, _, _ in messages)
         connections = {one: writer.add_connection(one, JOINT_STATE, typestore=store) for one in topics}
         for topic, time_ns, content in messages:
-            numbers = {name: np.array(content[name]) for name in ("position", "velocity", "effort")}
-            message = store.types[JOINT_STATE](header=header, name=content["name"], **numbers)
-            writer.write(connections[topic], time_ns, encode(message, JOINT_STATE))
+            writer.write(connections[topic], time_ns, encode(content))
     return path

@@ -14,7 +14,6 @@ from fsw.dictionary.commands import (
     PlaceTool,
     Process,
     Retract,
-    Stow,
     ToolChange,
 )
 from fsw.dictionary.enums import Frame, Mode
@@ -34,7 +33,7 @@ from tests.fsw.executive.lab import (
     guarded_in_contact,
     refusal,
 )
-from tests.fsw.rig import Rig, floats
+from tests.fsw.rig import floats
 from tests.tools import SWITCHES
 
 MAHLI_TOUCHED = {"switch_closed": np.isin(SWITCHES, ["mahli_1a"])}
@@ -146,14 +145,6 @@ def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
         assert not (drive.vibrate and (drive.power_on.any() or drive.brake_release.any()))
     assert vibrating == pytest.approx(2.0 * 64, abs=2)
     assert CommandCompleted("Process") in rig.evrs
-
-
-def test_an_arm_stows_by_way_of_its_ready_pose():
-    rig = Rig(CONFIG)
-    evrs = rig.run(Stow(), at_most=60_000)
-    assert CommandCompleted("Stow") in evrs
-    assert rig.state.mode is Mode.STOWED
-    np.testing.assert_allclose(rig.state.joints.output_rad, CONFIG.params.poses.stowed_rad, atol=1e-4)
 
 
 def test_relative_angles_count_from_where_the_outputs_are():

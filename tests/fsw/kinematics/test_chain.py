@@ -105,24 +105,6 @@ def test_the_jacobian_of_every_frame_agrees_with_finite_differences(name, tool, 
         np.testing.assert_allclose(J, differentiate(pose, 6), atol=1e-8)
 
 
-def test_a_batch_of_poses_is_its_single_poses():
-    config, rng = config_of("calibrated:3"), np.random.default_rng(5)
-    q, strain = in_limits(config, rng, 12).reshape(5, 3, 4), rng.normal(0, STRAIN, (6, 6, 3, 4))
-    many = forward(config.arm, q, strain)
-    X = tool_pose(config.arm, many, "apxs")
-    J, J_frame = joint_jacobian(many, X.p), frame_jacobian(many, X)
-    for index in np.ndindex(3, 4):
-        one = forward(config.arm, q[:, *index], strain[:, :, *index])
-        for name in ("X_RL", "X_LD", "X_RF"):
-            several, single = getattr(many, name), getattr(one, name)
-            np.testing.assert_allclose(several.R[..., *index], single.R, rtol=0, atol=1e-15)
-            np.testing.assert_allclose(several.p[..., *index], single.p, rtol=0, atol=2e-15)
-        X_one = tool_pose(config.arm, one, "apxs")
-        np.testing.assert_allclose(X.p[:, *index], X_one.p, rtol=0, atol=2e-15)
-        np.testing.assert_allclose(J[..., *index], joint_jacobian(one, X_one.p), rtol=0, atol=4e-15)
-        np.testing.assert_allclose(J_frame[..., *index], frame_jacobian(one, X_one), rtol=0, atol=4e-15)
-
-
 # standard DH of the drawing: a [m], d [m], alpha [deg]; MSL-476-1303
 DH = {
     Joint.AZIMUTH: (0.156, 0.0, 90.0),

@@ -13,7 +13,7 @@ from fsw.kinematics.statics import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from helpers.marks import slow_but
 from tests.fsw.rig import config_of, in_limits
-from tests.tools import TOOLS, tool_index
+from tests.tools import TOOLS
 from validation.kinematics import Trial, draw_vectors, skew_tool
 
 N = 2000
@@ -62,16 +62,6 @@ def test_the_drawing_is_orthogonal_its_tools_radial_and_the_shape_of_other_tools
     assert abs(s.boresight_z) == pytest.approx(np.sin(0.2), rel=1e-12)
 
 
-@pytest.mark.parametrize("tool", TOOLS)
-def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
-    q = in_limits(config_of(), np.random.default_rng(100 + tool_index(tool)), N)
-    p, a, clear = targets_of(ARM, q, tool)
-    roots = closed_form(ARM, tool, p, a)
-    there = roots.missing_m == 0
-    assert worst_error(ARM, roots, p, a, tool)[there].max() < 1e-12
-    assert (nearest(roots, q)[clear > 1e-4] < SAME_RAD).all()
-
-
 def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
     """Return the drill frame moved sideways by a bracket, or tilted up."""
     X = ARM.X_FT["drill"]
@@ -107,20 +97,6 @@ def test_no_root_of_a_skew_tool_is_lost_next_to_double_roots(seed):
     roots = closed_form(trial.arm, TOOL, p, a)
     assert q.shape[1] > N
     assert nearest(roots, q)[clear > 1e-4].max() < SAME_RAD
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-def test_a_target_a_little_beyond_reach_is_missing_a_little(tool):
-    q = in_limits(config_of(), np.random.default_rng(3), 300)
-    q[2] = 0.0
-    p, a, _ = targets_of(ARM, q, tool)
-    frames = forward(ARM, q)
-    shoulder, wrist = frames.X_RF.p[:, 1], frames.X_RF.p[:, 3]
-    push = 0.02 * (wrist - shoulder) / np.linalg.norm(wrist - shoulder, axis=0)
-    roots = closed_form(ARM, tool, p + push, a)
-    made_it = np.abs(roots.missing_m - 0.02).min(axis=0)
-    assert made_it.max() < 1e-9
-    assert np.isfinite(roots.output_rad).all()
 
 
 def test_a_bend_kept_from_straight_is_kept():

@@ -72,7 +72,7 @@ def test_every_root_meets_its_target_and_the_pose_that_made_it_is_among_them_onc
     assert_no_root_twice(result)
     assert_consistent(arm, result)
     if pull is None:
-        assert_roots_meet(solved, RIGID_M, 1e-14 if name == "nominal" else 2e-8)
+        assert_roots_meet(solved, *((1e-12, 1e-14) if name == "nominal" else (RIGID_M, 2e-8)))
         assert not result.torque_Nm.any()
     else:
         assert_roots_meet(solved, 1e-7)
@@ -157,22 +157,6 @@ def test_a_target_inside_the_shoulder_cylinder_says_so():
     result = ik.inverse_kinematics(ARM, "drill", p, np.array([1.0, 0.0, 0.0]))
     assert where_verdict(result, ik.BranchVerdict.OUT_OF_REACH).all()
     np.testing.assert_allclose(result.excess, 0.1664 - 0.01, atol=1e-12)
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-@pytest.mark.parametrize("elbow_rad", [0.0, 1e-9, 1e-5, -1e-3])
-def test_a_nearly_straight_elbow_is_answered_or_out_of_reach_by_nothing(tool, elbow_rad):
-    """At the double root every returned root is right, and every excess of reach is a rounding error."""
-    q = in_limits(config_of(), np.random.default_rng(7), 1000)
-    q[2] = elbow_rad
-    p, a = targets_of(q, tool)
-    result = ik.inverse_kinematics(ARM, tool, p, a)
-    assert_consistent(ARM, result)
-    ok = kinematics.claimed_roots(result)
-    assert ok.any(axis=0).mean() > 0.99
-    X = pose_of(ARM, result.output_rad, tool)
-    error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
-    assert error[ok].max() < RIGID_M
 
 
 def along_the_pitch_axis(tool):
@@ -373,12 +357,3 @@ def test_whatever_the_turn_what_comes_out_is_the_same_angle_and_inside_if_any_tu
             inside = np.where((turns >= low) & (turns <= high), np.abs(turns - start[:, None]), np.inf)
             nearest = inside.min(axis=0)
             np.testing.assert_allclose(np.abs(out - start[:, None])[can], nearest[can], atol=1e-11)
-
-
-def test_only_a_limit_rejects_a_branch():
-    """In the stowed pose, elbow-down and shoulder-in roots are as good as any (DESIGN, section 5)."""
-    counts = np.zeros(8, int)
-    for tool in TOOLS:
-        _, _, _, result = random_case(tool)
-        counts += where_verdict(result, ik.BranchVerdict.VALID).sum(axis=1)
-    assert (counts > 0).all()

@@ -39,22 +39,6 @@ def test_without_deflection_relative_is_absolute():
     np.testing.assert_allclose(moved_a, a, atol=1e-14)
 
 
-def test_only_the_difference_of_deflection_counts():
-    """Near the reference, commanded angles follow the rigid arm: the common deflection cancels."""
-    config = config_of()
-    rng = np.random.default_rng(12)
-    q = REFERENCE[:, None] + rng.uniform(-0.01, 0.01, (5, 20))
-    drawn = tool_pose(config.arm, forward(config.arm, q), "apxs")
-    p, a = drawn.p, drawn.R[:, 0]
-    absolute = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, q)
-    target = relative_target(config.arm, "apxs", REFERENCE, MARS_R_m_s2, p, a)
-    relative = refine_roots(config.arm, "apxs", *target, MARS_R_m_s2, q)
-    assert absolute.converged.all()
-    assert relative.converged.all()
-    whole, rest_of_it = (np.abs(found.output_rad - q).max(axis=0) for found in (absolute, relative))
-    assert (rest_of_it < 0.1 * whole).all()
-
-
 def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
     """The shift of one tool, relative to the other, is the opposite of the other's; stiff springs."""
     config = config_of()

@@ -1,28 +1,22 @@
 """Roots of the deflected arm, far from double roots and next to them."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
-from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
+from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.roots import (
-    BEND,
     MOST_MISSING_M,
     TASK_TOLERANCE,
-    find_straight,
     refine_roots,
     solve_fixed_point,
-    solve_straight,
 )
-from fsw.kinematics.statics import evaluate_pose, settle, settle_output, task_error, task_jacobian
+from fsw.kinematics.statics import settle, settle_output, task_error
 from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but
 from tests.fsw.kinematics.lab import (
-    GRAVITIES,
     assert_consistent,
     assert_no_root_twice,
     assert_roots_meet,
@@ -32,14 +26,12 @@ from tests.fsw.kinematics.lab import (
     trial_of,
 )
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
-from tests.tools import TOOLS, tool_index
+from tests.tools import tool_index
 from validation.kinematics import (
     CLEAR_OF_FOLDS,
     CLEAR_SIGMA,
     SAME_RAD,
-    claimed_roots,
     root_distances,
-    smallest_singular_value,
 )
 
 ARMS = ["nominal", "as-built:3", "calibrated:3", "calibrated:11"]
@@ -97,48 +89,6 @@ def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravit
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
 
 
-def test_the_task_jacobian_agrees_with_finite_differences():
-    config, h = config_of("calibrated:3"), 1e-6
-    q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
-    rng = np.random.default_rng(3)
-    for angles in q.T:
-        X = tool_pose(config.arm, forward(config.arm, angles), "mahli")
-        p = X.p + rng.normal(0, 0.01, 3)
-        a = X.R[:, 0] + rng.normal(0, 0.05, 3)
-        a /= np.linalg.norm(a)
-
-        def error(angles, p=p, a=a):
-            return task_error(tool_pose(config.arm, forward(config.arm, angles), "mahli"), p, a)
-
-        J = task_jacobian(forward(config.arm, angles), X, a)
-        for joint in range(5):
-            e = h * np.eye(5)[joint]
-            np.testing.assert_allclose(
-                (error(angles + e) - error(angles - e)) / (2 * h), J[:, joint], atol=1e-8
-            )
-
-
-@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
-@pytest.mark.parametrize("gravity", [MARS_R_m_s2, TILTED_R_m_s2], ids=["mars", "tilted"])
-def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
-    """Every pass leaves a small share of the strain change; the pose is first order in it."""
-    arm = config_of(name).arm
-    q = in_limits(config_of(), np.random.default_rng(6), 50)
-    at_rest = settle_output(arm, q, gravity)
-    there = tool_pose(arm, at_rest.frames, "apxs").p
-    tried, strain, off = None, None, []
-    for _ in range(8):
-        tried = evaluate_pose(arm, "apxs", q, strain, gravity)
-        strain = tried.strain
-        off.append((tried.strain_change.max(), np.abs(tried.X_RT.p - there).max()))
-    for before, after in pairwise(off[:5]):
-        assert after[0] < 0.15 * before[0]
-    assert off[0][1] < 2e-3
-    assert off[-1][0] < 1e-9
-    assert off[-1][1] < 1e-9
-    np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
-
-
 def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
     n, trial = 200, trial_of("nominal", "mars", "apxs")
     q = in_limits(config_of(), np.random.default_rng(1), n, shrink=0.1)
@@ -184,23 +134,6 @@ def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_
     assert missing[beyond].max() < MOST_MISSING_M
 
 
-@CASES
-def test_a_root_keeps_the_shoulder_and_the_wrist_of_its_start(name, gravity):
-    solved, pull = straight_poses(name, gravity), GRAVITIES[gravity]
-    roots = closed_form(solved.trial.arm, "drill", solved.p, solved.a)
-    straight = find_straight(roots)
-    assert (np.abs(roots.from_fold[1][straight]) < BEND).all()
-    gravity_R = np.zeros(3) if pull is None else pull
-    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, gravity_R, straight)
-    assert found.converged.sum() > N_STRAIGHT
-    shape = solved.trial.arm.orthogonal["drill"]
-    before, after = (
-        fold_distances(shape, q[:, found.converged])[[0, 2]] >= 0
-        for q in (roots.output_rad[:, straight], found.output_rad)
-    )
-    np.testing.assert_array_equal(before, after)
-
-
 N = 110
 OVERHEAD_M = 0.02
 """A wrist this close above the elevation joint may have the name of the other elbow."""
@@ -233,19 +166,6 @@ def test_every_root_meets_its_target_once_and_every_slot_has_its_sentence(name, 
 
 
 @radial
-def test_torques_at_single_roots_are_those_of_the_arm_at_rest(name, gravity, tool):
-    solved = near_double_roots(name, gravity, tool, N)
-    there, pull = claimed_roots(solved.result), solved.trial.gravity_R_m_s2
-    if pull is None:
-        assert not solved.result.torque_Nm.any()
-    else:
-        q, torque_Nm = solved.result.output_rad[:, there], solved.result.torque_Nm[:, there]
-        single = smallest_singular_value(solved.trial, q) > CLEAR_SIGMA
-        at_rest = settle_output(solved.trial.arm, q[:, single], pull)
-        np.testing.assert_allclose(torque_Nm[:, single], at_rest.torque_Nm, rtol=0, atol=1e-4)
-
-
-@radial
 def test_a_valid_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity, tool):
     """A root outside the limits only explains why there is none, and may have the name of another branch."""
     solved = near_double_roots(name, gravity, tool, N)
@@ -259,21 +179,3 @@ def test_a_valid_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gr
     assert clear.sum() > 50
     slot = np.broadcast_to(np.arange(q.shape[1])[:, None], clear.shape)
     np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear])
-
-
-ONCE_TWICE = [
-    ("nominal", "mars", (2.3979, -0.0308, 0.5683), (0.5414, 0.0800, 0.8370)),
-    ("calibrated:2", "rigid", (2.2891, 0.2840, 0.7820), (0.7657, 0.0523, 0.6410)),
-]
-
-
-@pytest.mark.parametrize(("name", "gravity", "p", "a"), ONCE_TWICE)
-@pytest.mark.parametrize("tool", TOOLS)
-def test_targets_that_once_had_the_same_root_in_two_slots_have_different_ones(name, gravity, p, a, tool):
-    trial, approach = trial_of(name, gravity, tool), np.array(a) / np.linalg.norm(a)
-    result = inverse_kinematics(
-        trial.arm, tool, np.array(p)[:, None], approach[:, None], trial.gravity_R_m_s2
-    )
-    assert claimed_roots(result).sum() >= 2
-    assert_no_root_twice(result)
-    assert_consistent(trial.arm, result)

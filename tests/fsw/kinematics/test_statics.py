@@ -138,15 +138,3 @@ def test_a_strain_is_rotation_first_and_the_links_come_second():
     lever_kg_m += 4.92 * (beyond_m + 0.785 - 0.08) + 4.24 * (beyond_m + 0.785 - 0.144)
     lever_kg_m += 31.4 * (beyond_m + 0.785 - 0.144 + 0.02)
     assert here.strain[2, 2] == pytest.approx(1e-9 * 3.711 * lever_kg_m, rel=1e-6)
-
-
-def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_says():
-    arm = rigid(config_of().arm)
-    q = np.zeros(5)
-    # mass [kg] times horizontal distance from the elevation axis [m], from the table of links
-    lever_kg_m = 6.8 * 0.42 + 7.8 * 0.827 + 6.4 * (0.827 + 0.33) + 4.24 * (0.827 + 0.785)
-    lever_kg_m += 4.92 * (0.827 + 0.785 - 0.08) + 4.24 * (0.827 + 0.785 - 0.144)
-    lever_kg_m += 31.4 * (0.827 + 0.785 - 0.144 + 0.02)
-    torque = settle_output(arm, q, MARS_R_m_s2).torque_Nm[1]
-    # positive elevation pitches the straight arm down, as gravity does
-    assert torque == pytest.approx(3.711 * lever_kg_m, rel=1e-6)

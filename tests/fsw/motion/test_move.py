@@ -20,14 +20,13 @@ from fsw.motion.move import (
     Phase,
     advance_move,
     command_actuators,
-    find_closed_switch,
     stop_early,
 )
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.motion.plan import Refusal
 from helpers.marks import slow_but
 from tests.fsw.rig import Rig, config_of, floats, in_limits, quiet_sensors
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
+from tests.tools import TOOLS
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
@@ -95,13 +94,6 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
         assert isinstance(path, StopPath)
 
 
-def test_a_tool_without_switches_never_touches():
-    assert find_closed_switch(CONFIG, "portion", np.ones(10, bool)) is None
-    for tool, switches in TOOL_SWITCHES.items():
-        for switch in switches:
-            assert find_closed_switch(CONFIG, tool, np.isin(SWITCHES, [switch])) == switch
-
-
 @pytest.mark.parametrize("phase", Phase)
 @pytest.mark.parametrize("joint", Joint)
 def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, joint):
@@ -164,25 +156,6 @@ def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_
         np.testing.assert_array_equal(answer[: Joint.WRIST], joints.output_rad[: Joint.WRIST])
         assert np.all(answer >= config.arm.soft_min_rad)
         assert np.all(answer <= config.arm.soft_max_rad)
-
-
-@pytest.mark.parametrize("arm", slow_but(["nominal", "calibrated:1"], "calibrated:1"))
-def test_what_is_refused_is_out_of_reach_of_the_wrist_or_beyond_a_limit(arm):
-    config = config_of(arm)
-    rng = np.random.default_rng([*arm.encode(), 81])
-    rig = Rig(config)
-    held = 0
-    for pose in in_limits(config, rng, 40, shrink=0.05).T:
-        gravity = tilted(rng, np.radians(20.0))
-        joints = replace(rig.state.joints, motor_rad=pose, imu_R_m_s2=gravity)
-        wanted, tool = rng.standard_normal(3), TOOLS[rng.integers(5)]
-        answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
-        if isinstance(answer, Refusal):
-            assert "the wrist can bring it to" in answer.reason or "is outside" in answer.reason
-            continue
-        held += 1
-        assert np.linalg.norm(down_in(config, answer, gravity, tool) - wanted / np.linalg.norm(wanted)) < 1e-9
-    assert held > 15
 
 
 def test_what_the_wrist_cannot_do_with_this_azimuth_is_refused_with_what_it_can():

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.collision.distance import compute_clearances
-from fsw.dictionary.commands import MoveTool, Retract
+from fsw.dictionary.commands import Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
-from fsw.kinematics.statics import settle, settle_output
+from fsw.kinematics.statics import settle
 from fsw.motion.paths import (
     COARSE_STEP_M,
     DEFLECTION_CHANGE_M,
@@ -23,18 +22,13 @@ from fsw.motion.paths import (
     sample_paths,
 )
 from fsw.motion.plan import Compensation, Plan, plan_poses
-from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
-from sim.arm_check import calibration_poses, sweep_poses
-from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
-from sim.setting import World
-from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, find_violation, in_limits
+from fsw.motion.plan_tool import plan_guarded, plan_retract
+from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, facing, find_violation, in_limits
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
 PARAMS = CONFIG.params
 PADDING_M = PARAMS.collision.padding_m
-RUN_UP_MM = 4.0
-"""Run-up of a tool past its target, so that it ends on a known side of its backlash."""
 READY = np.array(PARAMS.poses.ready_rad)
 JOINTS = Rig(CONFIG).state.joints
 
@@ -138,32 +132,3 @@ def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
     for part, clear in ((share - 0.02, True), (share + 0.02, False)):
         there = READY + part * (down - READY)
         assert (check_paths(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear
-
-
-@pytest.mark.parametrize(("touching", "free"), [("apxs", True), ("drill", False), (None, False)])
-def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
-    """The APXS points straight down and ends 10 mm above the ground."""
-    above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
-    plan = plan_tool(config_of(), JOINTS, MoveTool("apxs", above, (0.0, 0.0, 1.0)), "apxs")
-    assert isinstance(plan, Plan)
-    said = check_paths(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
-    assert (said is None) is free
-    if said is not None:
-        assert "at least 15.0 mm are to be kept" in said
-        near_mm = float(said.removeprefix("the APXS comes within ").split(" mm of the ground")[0])
-        assert near_mm == pytest.approx(10.0, abs=RUN_UP_MM)
-
-
-def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
-    there = np.array([PARAMS.poses.stowed_rad, *PARAMS.poses.unstow_via_rad, READY])
-    for poses_rad in (there, there[::-1]):
-        assert check_paths(CONFIG, JOINTS, way(*poses_rad), PADDING_M) is None
-
-
-def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
-    poses_rad = sweep_poses(calibration_poses(PARAMS), 0.1)
-    space = ClearanceModel(PARAMS, World())
-    ours = compute_clearances(
-        GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, MAX_CLEARANCE_M
-    ).min()
-    assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6

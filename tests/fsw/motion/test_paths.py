@@ -1,7 +1,6 @@
 """Paths over time: from rest to rest, within their bounds, and straight for straight moves."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -118,27 +117,6 @@ def without_play(name):
     return in_the_open(config)
 
 
-def settled(config, start_rad=None):
-    """Return a rig after some estimates of the load."""
-    rig = Rig(config, start_rad=start_rad)
-    for _ in range(3 * config.params.motion.load_period_cycles):
-        rig.cycle()
-    return rig
-
-
-@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
-@pytest.mark.parametrize("tool", TOOLS)
-def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
-    config = without_play(name)
-    rig = settled(config, facing(config, tool))
-    path = straight(plan_guarded(config, rig.state.joints, rig.touch(tool, 0.15)))
-    X, _ = along(config, tool, path, likely(rig.state.joints))
-    off_m, turn_rad, length_m = line_errors(X)
-    assert length_m == pytest.approx(0.15, abs=1e-6)
-    assert off_m < STRAIGHT_M
-    assert turn_rad < AXIS_RAD
-
-
 CROSSING = [
     *(
         (tool, kind, start)
@@ -233,13 +211,3 @@ def test_a_joint_at_the_end_of_its_speed_slows_the_line():
     path = line_path(CONFIG, knots, line(0.01))
     _, _, rate = sampled(path)
     assert np.abs(rate).max() == pytest.approx(CONFIG.speed_rad_s[4], rel=1e-6)
-
-
-def test_a_line_passes_through_its_knots():
-    rng = np.random.default_rng(5)
-    knots = np.cumsum(rng.normal(0, 1e-3, (8, 5)), axis=0)
-    path = line_path(CONFIG, knots, line(0.07))
-    for k, t in [(0, 0.0), (7, path.duration_s)]:
-        np.testing.assert_allclose(path.at(t).motor_rad, knots[k], atol=1e-12)
-    travelled = [path.travel_at(t)[0] for t in np.linspace(0, path.duration_s, 500)]
-    assert all(a <= b + 1e-15 for a, b in pairwise(travelled))

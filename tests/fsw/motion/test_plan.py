@@ -111,17 +111,6 @@ def test_a_named_branch_is_refused_for_its_own_reason(name):
     assert refused > 0
 
 
-def test_a_tool_target_beyond_the_soft_limits_is_refused_with_branch_joint_and_limits():
-    # behind the rover's left shoulder: azimuth beyond +91.2 deg outward, and inward too high for the rest
-    angles = np.array([np.radians(125), np.radians(-20), np.radians(40), np.radians(30), 1.0])
-    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, angles, np.zeros(5), MARS_R_m_s2).frames, "drill")
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool("drill", floats(X.p), floats(X.R[:, 0])))
-    assert refusal == Refusal(
-        "drill: the target: shoulder-out elbow-up wrist-down: "
-        "joint azimuth: about 33.8 deg outside its soft limits -180.2 .. 91.2 deg"
-    )
-
-
 def test_poses_are_met_at_the_output_gap_and_wind_up_allowed_for():
     poses = list(in_limits(CONFIG, np.random.default_rng(8), 5, shrink=0.05).T)
     joints = joints_at()
@@ -144,7 +133,7 @@ def test_a_move_smaller_than_the_gap_is_planned_from_where_the_output_lies(motio
     assert abs(plan.backlash_rad[0]) == pytest.approx(CONFIG.half_backlash_rad[0], abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", slow_but(range(8), 4))
+@pytest.mark.parametrize("seed", slow_but([*range(8), 12], 12))
 def test_every_output_ends_on_a_known_side_of_its_gap(seed):
     start, pose = in_limits(CONFIG, np.random.default_rng([400, seed]), 2, shrink=0.05).T
     rig = Rig(CONFIG, start_rad=start)
@@ -253,25 +242,6 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
         at = found.output_rad
     assert worst_limit_excess(CONFIG, at) < 0
     assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
-
-
-def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_its_end():
-    """Newton's method from the start of the line diverges or leaves the branch."""
-    tool, length_m = "drt", 0.2
-    rig = Rig(CONFIG, start_rad=(-1.7069743, -1.4192549, 0.1796573, -1.2550237, 3.8179913))
-    joints, X = rig.state.joints, rig.tool_pose(tool)
-    at = joints.output_rad
-    ahead_m = np.arange(0.0, length_m + 1e-9, CONFIG.params.motion.line_step_m)
-    p, axes = X.p[:, None] + ahead_m * X.R[:, [0]], np.tile(X.R[:, [0]], ahead_m.size)
-    at_once = refine_roots(CONFIG.arm, tool, p, axes, MARS_R_m_s2, np.tile(at[:, None], ahead_m.size))
-    assert not at_once.converged.all() or np.abs(np.diff(at_once.output_rad)).max() > 0.15
-    plan = plan_guarded(CONFIG, joints, rig.touch(tool, length_m))
-    for path in plan.paths:
-        angle = np.array([path.at(t).motor_rad for t in np.linspace(0.0, path.duration_s, 500)])
-        assert np.abs(np.diff(angle, axis=0)).max() < 0.05
-    X_end = tool_at(CONFIG, plan.end.output_rad, tool)
-    np.testing.assert_allclose(X_end.p, X.p + length_m * X.R[:, 0], atol=MEETS)
-    np.testing.assert_allclose(X_end.R[:, 0], X.R[:, 0], atol=MEETS)
 
 
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():

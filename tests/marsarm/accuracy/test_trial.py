@@ -81,11 +81,8 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
 def where(*found: Effect, backlash: str = "on") -> tuple[Pose, Array]:
     arm = BuiltArm("tried", tuple(found), NOMINAL.params)
     # nominal backlash, whatever the true backlash is
-    return trial.closed_loop_model(arm, true_reference(NOMINAL if _widths(found) else arm), backlash)(PLACE)
-
-
-def _widths(found: Iterable[Effect]) -> bool:
-    return any(isinstance(effect, BacklashWidth) for effect in found)
+    known = NOMINAL if any(isinstance(effect, BacklashWidth) for effect in found) else arm
+    return trial.closed_loop_model(arm, true_reference(known), backlash)(PLACE)
 
 
 @pytest.fixture(scope="module")

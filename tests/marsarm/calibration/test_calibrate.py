@@ -10,6 +10,7 @@ from fsw.kinematics.transforms import Pose
 from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign_data import MeasuredPoses
 from marsarm.calibration.execution import check_fit
+from simgap.common.errors import UserError
 from tests.marsarm.calibration.lab import NOMINAL, calibration, campaign
 from validation.campaigns import Context
 
@@ -38,7 +39,7 @@ def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
 
 
 def test_without_backlash_state_the_fit_is_refused():
-    with pytest.raises(ValueError, match=r"times the noise|no arm explains them"):
+    with pytest.raises(UserError, match=r"times the noise|no arm explains them"):
         check_fit(calibrate(NOMINAL, campaign().at(np.arange(0, 160, 4)), with_backlash=False))
 
 

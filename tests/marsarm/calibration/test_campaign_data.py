@@ -10,6 +10,7 @@ from pyarrow import parquet
 from fsw.kinematics.transforms import Pose, inverse
 from marsarm.calibration.calibrate import data_sha256
 from marsarm.calibration.campaign_data import BadData, MeasuredPoses, read_campaign, save_campaign
+from marsarm.calibration.consensus import whiten_joint_jacobian
 from marsarm.calibration.execution import check_data
 from sim.frames import P_NR_M
 from tests.marsarm.calibration.lab import NOMINAL, campaign
@@ -21,7 +22,8 @@ def test_whitened_noise_has_variance_one():
     n = 20_000
     root = RNG.standard_normal((6, 6))
     measured = MeasuredPoses(Pose(np.zeros((3, 3, n)), np.zeros((3, n))), np.tile(root @ root.T, (n, 1, 1)))
-    noise = np.einsum("nij,jk,nk->ni", measured.whitener, root, RNG.standard_normal((n, 6)))
+    W, _ = whiten_joint_jacobian(measured, np.zeros((6, n, 5)))
+    noise = np.einsum("nij,jk,nk->ni", W, root, RNG.standard_normal((n, 6)))
     np.testing.assert_allclose(np.cov(noise.T), np.eye(6), atol=0.05)
 
 

@@ -16,7 +16,6 @@ from marsarm.calibration.arm_parameters import (
     move_zeros_to_hardstops,
     params_with_values,
 )
-from marsarm.calibration.campaign_data import BelievedPoses
 from marsarm.calibration.residual_model import joint_jacobian, predict_poses, residual_model, settle_poses
 from sim.effects.structure import StandInTurret
 from simgap.serial_arm.chain import error_screw
@@ -108,11 +107,8 @@ def test_a_pose_whose_gap_nobody_knows_tells_nothing_along_that_joint(model):
     unknown = campaign().believed.side[:, ::8] == 0
     counted = model(np.zeros(SCALE.size)).is_informative
     np.testing.assert_array_equal(6 - counted.sum(axis=1), unknown.sum(axis=0))
-    shifted = replace(model, believed=_elsewhere(model.believed, unknown))
+    elsewhere = np.where(unknown, -model.believed.backlash_rad, model.believed.backlash_rad)
+    shifted = replace(model, believed=replace(model.believed, backlash_rad=elsewhere))
     off = shifted(np.zeros(SCALE.size)).residual - model(np.zeros(SCALE.size)).residual
     # a backlash of 4 mrad would show as 40 sigma; the remainder is of second order
     assert np.abs(off).max() < 1.0
-
-
-def _elsewhere(believed: BelievedPoses, unknown) -> BelievedPoses:
-    return replace(believed, backlash_rad=np.where(unknown, -believed.backlash_rad, believed.backlash_rad))

@@ -16,7 +16,7 @@ from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.recorder import Recorder
 from tests.marsarm.command import SHORT_RUN, largest_file, marsarm
-from tests.marsarm.telemetry.conftest import cycle_at
+from tests.marsarm.telemetry.lab import cycle_at
 
 SEVERAL = re.compile(r"\d+ things are wrong, one in each line:")
 
@@ -55,23 +55,16 @@ TEXTS = {
     "arm7.toml": 'arm_name = "as-built:7"\n',
     "empty.toml": "",
     "half.toml": "[motion\n",
-    "word.toml": "[motion]\ntakeup_rad = 'much'\n",
-    "nan.toml": "[motion]\ntakeup_rad = nan\n",
-    "date.toml": "[motion]\ntakeup_rad = 2026-11-22\n",
     "huge.toml": f"[motion]\ntakeup_rad = 1{'0' * 400}\n",
     "foreign.toml": "[links.arm2.transform]\na_m = 0.3\n",
-    "unknown.toml": "[motion]\nspeed = 4\n",
-    "no_effect.toml": "[[effect]]\nname = 3\n",
     "bad_command.toml": "title = 'a'\n[[command]]\ntype = 'FLY'\n[[check]]\ntype = 'done'\n",
     "boom.py": BROKEN_EFFECT,
-    "no_code.py": "def (\n",
     "exits.py": "raise SystemExit(0)\n",
     "ragged.csv": "a,b\n1\n2,3,4\n",
     "few.csv": "a,b\n1,2\n",
     "cut.parquet": "PAR1xx",
     "empty.mcap": "",
     "text.mcap": "hello",
-    "text.jsonl": "hello\nworld\n",
 }
 
 
@@ -81,14 +74,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bad")
     for name, text in TEXTS.items():
         (folder / name).write_text(text)
-    for name in ("utf16.toml", "utf16.csv", "utf16.py"):
-        (folder / name).write_bytes("name = 'é'\n".encode("utf-16"))
     (folder / "bytes.csv").write_bytes(b"a,b\n\xff\xfe\x00\x01,2\n")
-    (folder / "bytes.toml").write_bytes(bytes(range(256)))
     with (folder / "sparse.toml").open("wb") as file:
         file.truncate(1 << 30)
-    for suffix in ("toml", "mcap", "csv", "py", "npz", "jsonl"):
-        os.mkfifo(folder / f"pipe.{suffix}")
+    os.mkfifo(folder / "pipe.mcap")
+    for suffix in ("toml", "mcap"):
         (folder / f"folder.{suffix}").mkdir()
         (folder / f"loop.{suffix}").symlink_to(f"loop.{suffix}")
     (folder / "dangling.png").symlink_to("nowhere/there.png")
@@ -126,12 +116,10 @@ CASES = {
     "place --tilt-roll nan": "is not finite",
     "place --seed -1": "seed: -1 is below 0",
     "hardstop --temperature -300": "temperature: -300",
-    "ik --position nan 0 0 --approach 0 0 1": "not three finite numbers",
     "reach --warming nan": "warming",
     "budget --poses 10": "poses: 10 is not within",
     "monte-carlo --arms 99999999999999999999": "arms: 99999999999999999999 is not within",
     "calibrate --arm nominal --tracker 0 0": "tracker: its noise",
-    "place --arm as-built:99999999999": "its seed has 11 digits",
     f"place --arm {300 * 'a'}": "is not known; write nominal",
     "arm full": "arm 'full': this folder has no arm.toml",
     f"arm --build {300 * 'a'}": "is not known; there are m2020, msl",
@@ -140,12 +128,7 @@ CASES = {
     "place --target 9 9 9": "out of reach",
     "place --target 1.3 -1 -0.1 --normal 0 1 0": "joint elevation: about 12",
     "place --target 0 0 -0.8": "inside the rover",
-    "place --normal 1e200 0 1e200": "cannot be reached",
-    "place --tilt-roll 30.0001": "by 30.0001 deg",
     "place --tilt-roll 25 --tilt-pitch 25": "34.8 deg",
-    "hardstop --temperature nan": "temperature: nan degC",
-    "ik --position 1e300 1e300 0 --approach 0 0 1": "1e+300 1e+300 0 m is farther than 20 m",
-    "ik --position 2 0 0 --approach 0 0 1 --warming 1e300": "warming: 1e+300 K is not within 200 K",
     # contradictions
     "ik": "position and approach: give both",
     "place --params good.toml --log ./good.toml": "the file of params",
@@ -160,24 +143,15 @@ CASES = {
     "run nosuch.toml": "nosuch.toml: cannot be read",
     "hardstop --joint knee": "there are azimuth",
     "place --tool hammer": "cannot be placed",
-    "hardstop --scene moon": "scene: 'moon' is not known",
-    "budget --case best": "is not known",
     "budget --tool spoon": "tool: 'spoon' is not known; there are drill",
     "monte-carlo --case venus": "case: 'venus' is not known; there are accuracy",
-    "calibrate --arm as-new:1": "not known",
-    "place --effect flex-cabel": "did you mean flex-cable?",
     "run short_run.toml --effect warming:warming_K=9e9": "warming_K: 9e+09 is outside -200 .. 200",
-    "hardstop --effect coulomb-friction:elbo:torque_Nm=1": "place: joint 'elbo' is not known",
     "gap record --out new --effect rusty-gear": "'rusty-gear' is not known",
     "gap record --out new --sessions poses-levl-*": "sessions: nothing is called 'poses-levl-*'",
     # parameters
     "place --params nosuch.toml": "nosuch.toml: cannot be read (No such file or directory)",
     "place --params half.toml": "is not TOML",
-    "place --params word.toml": "motion.takeup_rad: should be a valid number",
-    "place --params nan.toml": "motion.takeup_rad: must be",
-    "place --params date.toml": "is a date or a time",
     "place --params huge.toml": "takeup_rad",
-    "place --params unknown.toml": "motion.speed: is not known",
     "place --params folder.toml": "is not a regular file",
     "reach --params loop.toml": "cannot be read (Too many levels of symbolic links)",
     "hardstop --params sparse.toml": "has 1073741824 bytes",
@@ -194,25 +168,19 @@ CASES = {
     "run beyond_run.toml": "beyond_run.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
     "run far_run.toml": "far_run.toml: command 2, PLACE_TOOL: apxs: the target: ",
     "run tilted_run.toml": "command 1, SET_TILT: the IMU reads gravity 0.1745 rad from there, at most",
-    "run empty.toml": "command: is missing",
     "run bad_command.toml": "'FLY' is not known",
-    "place --effect no_effect.toml": "type: is missing",
     "place --effect boom.py:Boom --no-picture": "boom.py:13: TypeError",
-    "place --effect no_code.py:Boom": "no_code.py:1: cannot be run: SyntaxError",
     "place --effect exits.py:Boom": "exits.py:1: cannot be run: SystemExit",
-    "place --effect pipe.py:Boom": "no such file",
     # logs
     "log info nosuch.mcap": "cannot be read (No such file or directory)",
     "log info empty.mcap": "an empty file",
-    "log info text.mcap": "not an MCAP file",
     "view few.csv": "for diagnose, export or Python, not for view or replay",
+    "log info text.mcap": "not an MCAP file",
+    "log info pipe.mcap": "is not a regular file",
     "log info cut.mcap": "cut short before its header",
     "log info flipped.mcap": "a chunk does not match its CRC",
     "log info later.mcap --json": "log format 9",
-    "log recover later.mcap good.mcap": "log format 9",
     "log info run.mcap /joint.motor_rad[5]": "has no channel /joint.motor_rad[5]; did you mean",
-    "log info pipe.mcap": "is not a regular file",
-    "replay loop.mcap": "cannot be read (Too many levels of symbolic links)",
     "replay run.mcap": "its header has no params",
     "replay run.mcap --params half.toml": "log run.mcap",
     "log export header.mcap tables": "holds no message; there is nothing to export",
@@ -229,7 +197,6 @@ CASES = {
     "calibrate --data bytes.csv": "line 2 is not text in UTF-8",
     "calibrate --data ragged.csv": "columns missing",
     "calibrate --data cut.parquet": "cannot be read: Parquet file size",
-    "calibrate --data utf16.csv": "is not text in UTF-8; save it as UTF-8",
     "log import few.csv empty.toml out.mcap": "channels: is missing",
     # outputs
     "view none.mcap": "none.mcap",
@@ -237,16 +204,12 @@ CASES = {
     "monte-carlo --results results.csv": "its name must end in .jsonl",
     "place --log nosuch/run.mcap": "there is no folder nosuch",
     "place --log folder.mcap": "this is a folder",
-    "place --log run.txt": "its name must end in .mcap",
     "place --picture dangling.png": "this is a link to nowhere/there.png",
-    "place --picture run.xyz": "its name must end in",
     "run contact-science --log loop.mcap": "loop.mcap",
     "gap record --out full": "name a new or empty one",
     "gap record --out nosuch/logs": "there is no folder nosuch",
-    "monte-carlo --results text.jsonl --arms 1": "holds something else",
     "log export run.mcap run.mcap": "is a file; give a folder",
     "log export run.mcap tables --topic /jiont": "has no topic /jiont; it has /command, /drive",
-    "log export run.mcap nosuch/tables": "there is no folder nosuch",
     f"log export run.mcap {300 * 'a'}": "cannot be written (File name too long)",
     "log export run.mcap /proc/tables": "this folder cannot be made",
     "log recover run.mcap good.txt": "must end in .mcap",

@@ -29,7 +29,7 @@ from simgap.common.interruption import (
     report_interruption,
 )
 from tests.marsarm.command import ROOT, marsarm
-from tests.marsarm.telemetry.conftest import cycle_at
+from tests.marsarm.telemetry.lab import cycle_at
 
 RUN = [sys.executable, "-c", "from marsarm.__main__ import start; start()"]
 

@@ -16,15 +16,11 @@ from marsarm.accuracy.monte_carlo import ArmJob, run_job, run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import pool
 from marsarm.common.pool import Runner, WorkersDied, in_order, run_here, select_runner
-from marsarm.ik.reach import reach
-from marsarm.ik.request import ReachRequest
 from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
-from validation.campaigns import Context
-from validation.hardstops import campaign as hardstops
 
 pytestmark = [
     pytest.mark.slow,
@@ -64,7 +60,8 @@ def start_two_nodes() -> Iterator[LoopbackCluster]:
 
 def list_arms(count: int, seed: int) -> list[ArmJob]:
     """List jobs of the Monte Carlo of the error budget, one place each."""
-    return [ArmJob("mars", "sampled", 1, "statics", seed, arm, nominal_params()) for arm in range(count)]
+    request = MonteCarloRequest("mars", move_model="statics", seed=seed)
+    return [(request, nominal_params(), arm) for arm in range(count)]
 
 
 def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], None] = lambda _: None) -> str:
@@ -183,17 +180,6 @@ def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
     alone = tmp_path / "alone.jsonl"
     run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), no_progress)
     assert there == [json.loads(line) for line in alone.read_text().splitlines()[1:]]
-
-
-def test_a_reach_map_is_that_of_one_process(nodes):
-    request = ReachRequest(samples=20_000, picture=None)
-    there = reach(replace(request, cluster=nodes.address)).tally
-    assert there == reach(request).tally
-
-
-def test_a_campaign_is_that_of_one_process(run):
-    there, here = (json.dumps(hardstops(Context(3, one), 1, 2, "ELBOW")) for one in (run, run_here))
-    assert there == here
 
 
 def test_the_option_alone_takes_the_cluster_of_the_environment(nodes, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from marsarm.cli.app import app
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
-from marsarm.diagnosis.arm.planned_motion import list_motions, make_session, motion_text, read_motion
+from marsarm.diagnosis.arm.record import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.request import NextRequest
 from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import run_session, start_session

@@ -6,7 +6,7 @@ import pytest
 
 from marsarm.ik.reach import reach, reach_document
 from marsarm.ik.request import ReachRequest
-from sim.frames import approach_from, random_surface, random_targets
+from sim.frames import approach_from, random_targets
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 
@@ -45,13 +45,6 @@ def test_the_workspace_is_the_cylinder_and_the_wedge():
     assert down.min() >= 0.0
     assert np.all(np.abs(right) <= forward + 1e-12)
     assert np.allclose(forward**2 + right**2 + down**2, 1.0)
-
-
-def test_a_placement_campaign_draws_from_the_same_workspace():
-    point, normal = random_surface(np.random.default_rng(7))
-    p_N_m, angles = random_targets(np.random.default_rng(7), 1)
-    assert point == tuple(p_N_m[:, 0])
-    assert normal == tuple(-approach_from(angles)[:, 0])
 
 
 def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):

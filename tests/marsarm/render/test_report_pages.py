@@ -16,7 +16,7 @@ from marsarm.calibration.report import calibration_page
 from marsarm.common.options import CalibrateRequest
 from simgap.common.report import save_report_page
 from tests.marsarm.calibration.lab import campaign
-from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED, MISSING, Browser, find_chromium
+from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED
 
 PHONE = 400
 WIDTHS = (320, PHONE, 1400)
@@ -70,19 +70,17 @@ def test_a_report_holds_vector_figures_and_asks_for_nothing(page):
     assert not re.search(r"<img|<image|data:image|<script|<link|url\(['\"]?http|src=", text)
 
 
-@pytest.mark.skipif(find_chromium() is None, reason=MISSING)
-def test_a_report_never_scrolls_sideways_and_is_readable_in_a_browser(page):
-    with Browser() as browser:
-        papers = set()
-        for width in WIDTHS:
-            for dark in (False, True):
-                browser.open(page.as_uri(), width, 900, dark, LOADED)
-                assert browser.evaluate("innerWidth") == width
-                assert browser.evaluate("document.documentElement.scrollWidth") == width
-                if width >= PHONE:
-                    assert browser.evaluate(VERDICTS_SHOWN)
-                assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
-                papers.add((dark, browser.evaluate("getComputedStyle(document.body).backgroundColor")))
-        assert len(papers) == 2
-        assert browser.requests.count(page.as_uri()) == len(browser.requests) == 2 * len(WIDTHS)
-        assert not browser.problems
+def test_a_report_never_scrolls_sideways_and_is_readable_in_a_browser(browser, page):
+    papers = set()
+    for width in WIDTHS:
+        for dark in (False, True):
+            browser.open(page.as_uri(), width, 900, dark, LOADED)
+            assert browser.evaluate("innerWidth") == width
+            assert browser.evaluate("document.documentElement.scrollWidth") == width
+            if width >= PHONE:
+                assert browser.evaluate(VERDICTS_SHOWN)
+            assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
+            papers.add((dark, browser.evaluate("getComputedStyle(document.body).backgroundColor")))
+    assert len(papers) == 2
+    assert browser.requests.count(page.as_uri()) == len(browser.requests) == 2 * len(WIDTHS)
+    assert not browser.problems

@@ -98,20 +98,22 @@ def test_a_whole_log_is_replayed_to_its_end():
     assert [len(commands) for commands in inputs.commands.values()] == [1]
 
 
-def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
-    inputs = inputs_from_log(replace(LOG, truncated=True))
-    assert inputs.ticks == TICKS - 1
-    assert inputs.notes == (
-        f"the log was cut short: replayed up to tick {TICKS - 2}, the last that is surely complete",
-    )
+SHORT = {
+    "cut short": (replace(LOG, truncated=True), "the log was cut short", TICKS - 1),
+    "a missing tick": (
+        with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])),
+        "something after tick 19 is missing",
+        19,
+    ),
+}
 
 
-def test_a_missing_tick_ends_the_replay():
-    inputs = inputs_from_log(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
-    assert inputs.ticks == 19
-    assert inputs.notes == (
-        "something after tick 19 is missing: replayed up to tick 18, the last that is surely complete",
-    )
+@pytest.mark.parametrize(("log", "why", "ticks"), SHORT.values(), ids=SHORT)
+def test_a_log_is_replayed_to_the_last_tick_that_is_surely_whole(log, why, ticks):
+    inputs = inputs_from_log(log)
+    assert inputs.ticks == ticks
+    note = f"{why}: replayed up to tick {ticks - 1}, the last that is surely complete"
+    assert inputs.notes == (note,)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from marsarm.telemetry.import_table import ImportedLog, convert_table, import_ta
 from marsarm.telemetry.read import Log, read_log
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import no_progress
+from tests.marsarm.telemetry.lab import cycle_at, record
 
 GRID_S = np.arange(4) / 64
 N_CYCLES = 64
@@ -75,8 +76,8 @@ def values(made: ImportedLog, field: str) -> Any:
 
 
 @pytest.fixture(scope="module")
-def run(make: Any, folder: Path) -> Log:
-    return read_log(make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES))))
+def run(folder: Path) -> Log:
+    return read_log(record(folder / "run.mcap", map(cycle_at, range(N_CYCLES))))
 
 
 def exported(log: Log) -> tuple[dict[str, Any], str]:

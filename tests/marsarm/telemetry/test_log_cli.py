@@ -2,9 +2,9 @@
 
 import csv
 import json
+from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -17,8 +17,10 @@ from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.tables import channels_document
 from sim.record import CycleRecord
+from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
+from tests.marsarm.telemetry.lab import cycle_at, packet_of, record
 from validation.benchmarks import record_log
 
 CYCLES = 130
@@ -95,22 +97,15 @@ def test_tables_have_a_folder_and_no_name_of_a_file(folder):
     assert "out out.csv: is no name of a folder" in done.stderr
 
 
-@pytest.mark.parametrize("verb", ["info", "export", "recover"])
-def test_every_verb_has_help_with_an_example(folder, verb):
-    ran = marsarm(folder, "log", verb, "--help")
-    assert ran.returncode == 0
-    assert f"Example: marsarm log {verb}" in " ".join(ran.stdout.split())
-
-
 HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
 """A signalling NaN with a payload; as an integer a large one, as a flag true."""
 
 
 @pytest.fixture(scope="module")
-def log(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Log:
-    hostile = make.packet_of(CycleRecord, lambda size: (HOSTILE * size)[:size], tick=40)
-    cycles = [*map(make.cycle_at, range(40)), hostile]
-    return read_log(make.record(tmp_path_factory.mktemp("log") / "run.mcap", cycles))
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    hostile = packet_of(CycleRecord, lambda size: (HOSTILE * size)[:size], tick=40)
+    cycles = [*map(cycle_at, range(40)), hostile]
+    return read_log(record(tmp_path_factory.mktemp("log") / "run.mcap", cycles))
 
 
 def assert_same_bits(log: Log, topic: str, path: Path) -> None:
@@ -135,6 +130,13 @@ def test_parquet_keeps_every_bit_of_every_topic(log: Log, tmp_path: Path) -> Non
         assert_same_bits(log, topic, files[topic])
 
 
+def test_a_mode_that_is_not_known_is_named_with_those_that_are(log: Log, tmp_path: Path) -> None:
+    joint = log["/joint"].copy()
+    joint["mode"][3] = 99
+    with pytest.raises(BadRequest, match=r"/joint\.mode: 99 is no mode; there are 0 STOWED, .* --topic$"):
+        export(replace(log, packets={**log.packets, "/joint": joint}), tmp_path, ["/joint"], no_progress)
+
+
 def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
     (path,) = export(log, tmp_path, ["/joint"], no_progress).values()
     schema = pq.read_schema(path)
@@ -143,11 +145,8 @@ def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
     assert schema.field("motor_rate_rad_s[3]").metadata == {b"unit": b"rad/s"}
     assert schema.field("mode").metadata is None
     assert b"marsarm.truth" not in schema.metadata
-
-
-def test_the_truth_stays_marked(log: Log, tmp_path: Path) -> None:
-    (path,) = export(log, tmp_path, ["/truth"], no_progress).values()
-    assert b"marsarm.truth" in pq.read_schema(path).metadata
+    (truth,) = export(log, tmp_path, ["/truth"], no_progress).values()
+    assert b"marsarm.truth" in pq.read_schema(truth).metadata
 
 
 def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:

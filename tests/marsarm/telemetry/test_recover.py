@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from marsarm.telemetry.format import TICK_NS, LogDamaged, LostMessages
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
+from tests.marsarm.telemetry.lab import cycle_at, record
 from validation.broken_logs import CUT_EVERY, change_records, flip_bits, is_part, original, truncate_file
 
 N_CYCLES = 12
@@ -16,17 +16,17 @@ PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
 
 
 @pytest.fixture(scope="module")
-def other(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def other(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the log of another run, longer than the first."""
     folder = tmp_path_factory.mktemp("other")
-    cycles = map(make.cycle_at, range(2 * N_CYCLES))
-    return bytes(make.record(folder / "run.mcap", cycles, chunk_cycles=1).read_bytes())
+    cycles = map(cycle_at, range(2 * N_CYCLES))
+    return bytes(record(folder / "run.mcap", cycles, chunk_cycles=1).read_bytes())
 
 
 @pytest.fixture(scope="module")
-def data(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def data(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("log")
-    path = make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_cycles=1)
+    path = record(folder / "run.mcap", map(cycle_at, range(N_CYCLES)), chunk_cycles=1)
     return path.read_bytes()
 
 
@@ -68,11 +68,9 @@ def test_losses_at_the_end_are_of_an_unknown_number(tmp_path: Path, data: bytes)
     assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.156250 s"
 
 
-def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(make: Any, tmp_path: Path) -> None:
-    cycles = [
-        make.cycle_at(tick) if tick < 3 else replace(make.cycle_at(tick), commands=()) for tick in range(8)
-    ]
-    data = make.record(tmp_path / "run.mcap", cycles, chunk_cycles=1).read_bytes()
+def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(tmp_path: Path) -> None:
+    cycles = [cycle_at(tick) if tick < 3 else replace(cycle_at(tick), commands=()) for tick in range(8)]
+    data = record(tmp_path / "run.mcap", cycles, chunk_cycles=1).read_bytes()
     recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     assert LostMessages("/command", None, 4 * TICK_NS, 6 * TICK_NS) in recovered.lost
 

@@ -13,7 +13,7 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, run_header
 from marsarm.view.frames import compute_frames
 from marsarm.view.scene import build_scene
-from marsarm.view.watched_run import build_surroundings, watch_log
+from marsarm.view.watched_run import watch_log
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params
 from sim.effects.geometry import ToolOffset
@@ -158,11 +158,8 @@ def test_a_tool_that_the_arm_lacks_is_refused(run):
         compute_frames(run.scene, beyond, arm, arm, None)
 
 
-def test_an_arm_without_its_turret_is_drawn_without_it():
-    whole, bare = (
-        build_surroundings(World(), ARM.params, effects, default_arm()).scene
-        for effects in ((), (StandInTurret(0.0),))
-    )
+def test_an_arm_without_its_turret_is_drawn_without_it(logged):
+    whole, bare = (logged(ARM, effects).scene for effects in ((), (StandInTurret(0.0),)))
     assert whole.carriers == bare.carriers
     faces, kept = (
         [sum(len(p.triangles.faces) for p in one.parts if p.carrier == k) for k in range(len(one.carriers))]

@@ -14,7 +14,6 @@ import pytest
 
 from marsarm.view.page import make_page, save_page
 from tests.marsarm.view.lab import arm_at, between
-from validation.browser import MISSING, Browser, find_chromium
 
 MOST_BYTES = 5_000_000
 TIMES_S = (0.0, 0.4, 1.1, 2.9, 99.0)
@@ -33,7 +32,6 @@ DRAWN_TWICE_MORE = """
 """
 
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js on this machine")
-needs_chromium = pytest.mark.skipif(find_chromium() is None, reason=MISSING)
 
 
 def contents(page):
@@ -109,72 +107,64 @@ def test_the_player_computes_the_poses_of_the_frames(run, tmp_path):
                 assert np.abs(np.sum(played[:, 3:] * q, axis=1)) == pytest.approx(1.0, abs=1e-6)
 
 
-@needs_chromium
-def test_a_page_plays_from_a_file_at_every_speed(run, tmp_path):
+def test_a_page_plays_from_a_file_at_every_speed(run, browser, tmp_path):
     page = tmp_path / "run.html"
     save_page(run, page)
-    with Browser() as browser:
-        browser.open(page.as_uri(), 700, 500)
-        assert browser.evaluate("[...document.getElementById('speed').options].map((o) => o.value)") == [
-            *("1", "2", "5", "10", "20", "50")
-        ]
-        for speed in (1, 2, 5, 10, 20, 50):
-            begun, ended = browser.evaluate(
-                f"document.getElementById('speed').value = {speed}; player.playing || player.toggle();"
-                "player.seek(player.start); player.advance(0.01); [player.start, player.time]"
-            )
-            assert ended - begun == pytest.approx(0.01 * speed)
-        assert browser.evaluate(DRAWN_TWICE_MORE)
-        browser.evaluate("player.seek(player.end); player.advance(1)")
-        assert browser.evaluate("document.getElementById('play').textContent") == "Play", (
-            "it stops at the end"
+    browser.open(page.as_uri(), 700, 500)
+    assert browser.evaluate("[...document.getElementById('speed').options].map((o) => o.value)") == [
+        *("1", "2", "5", "10", "20", "50")
+    ]
+    for speed in (1, 2, 5, 10, 20, 50):
+        begun, ended = browser.evaluate(
+            f"document.getElementById('speed').value = {speed}; player.playing || player.toggle();"
+            "player.seek(player.start); player.advance(0.01); [player.start, player.time]"
         )
-        assert all(address.startswith(("file:", "about:", "data:")) for address in browser.requests)
-        assert browser.problems == []
+        assert ended - begun == pytest.approx(0.01 * speed)
+    assert browser.evaluate(DRAWN_TWICE_MORE)
+    browser.evaluate("player.seek(player.end); player.advance(1)")
+    assert browser.evaluate("document.getElementById('play').textContent") == "Play", "it stops at the end"
+    assert all(address.startswith(("file:", "about:", "data:")) for address in browser.requests)
+    assert browser.problems == []
 
 
-@needs_chromium
-def test_plots_events_and_camera_follow_what_the_user_does(run, tmp_path):
+def test_plots_events_and_camera_follow_what_the_user_does(run, browser, tmp_path):
     page = tmp_path / "run.html"
     save_page(run, page)
-    with Browser() as browser:
-        browser.open(page.as_uri() + "#t=2&x=20&camera=tool", 1400, 900)
-        assert browser.evaluate("[player.playing, player.time, Math.round(player.factor)]") == [False, 2, 20]
-        assert browser.evaluate("player.orbit.distance") == pytest.approx(1.3)
-        counts = browser.evaluate("[[0.8, 9.2], [-1, 1]].map((ends) => ticksBetween(...ends).length)")
-        assert all(2 <= count <= 5 for count in counts)
-        shown = browser.evaluate("""(() => { const plot = player.plots[0];
-          player.show(1, 3); player.point(1.5); player.draw(); plot.choose(2, true);
-          return [player.range, plot.shown, plot.labels[0].value.textContent]; })()""")
-        angle_deg = np.degrees(between(run.frames, run.frames.samples.believed_rad[0], 1.5))
-        assert shown[:2] == [[1, 3], [False, False, True, False, False]]
-        assert float(shown[2]) == pytest.approx(angle_deg, abs=0.1)
-        body_of_line = "player.painter.gl.getVertexAttrib(2, player.painter.gl.CURRENT_VERTEX_ATTRIB)[3]"
-        assert browser.evaluate(body_of_line) == 0, "the trail does not ride on a link"
-        last = len(run.events) - 1
-        seen = browser.evaluate(f"""(() => {{ player.seek(player.end); player.draw();
-          const list = byId("events").getBoundingClientRect();
-          const button = player.rows[{last}][1].getBoundingClientRect();
-          return button.top >= list.top && button.bottom <= list.bottom + 1; }})()""")
-        assert seen, "the present event is in view"
-        assert browser.problems == []
+    browser.open(page.as_uri() + "#t=2&x=20&camera=tool", 1400, 900)
+    assert browser.evaluate("[player.playing, player.time, Math.round(player.factor)]") == [False, 2, 20]
+    assert browser.evaluate("player.orbit.distance") == pytest.approx(1.3)
+    counts = browser.evaluate("[[0.8, 9.2], [-1, 1]].map((ends) => ticksBetween(...ends).length)")
+    assert all(2 <= count <= 5 for count in counts)
+    shown = browser.evaluate("""(() => { const plot = player.plots[0];
+      player.show(1, 3); player.point(1.5); player.draw(); plot.choose(2, true);
+      return [player.range, plot.shown, plot.labels[0].value.textContent]; })()""")
+    angle_deg = np.degrees(between(run.frames, run.frames.samples.believed_rad[0], 1.5))
+    assert shown[:2] == [[1, 3], [False, False, True, False, False]]
+    assert float(shown[2]) == pytest.approx(angle_deg, abs=0.1)
+    body_of_line = "player.painter.gl.getVertexAttrib(2, player.painter.gl.CURRENT_VERTEX_ATTRIB)[3]"
+    assert browser.evaluate(body_of_line) == 0, "the trail does not ride on a link"
+    last = len(run.events) - 1
+    seen = browser.evaluate(f"""(() => {{ player.seek(player.end); player.draw();
+      const list = byId("events").getBoundingClientRect();
+      const button = player.rows[{last}][1].getBoundingClientRect();
+      return button.top >= list.top && button.bottom <= list.bottom + 1; }})()""")
+    assert seen, "the present event is in view"
+    assert browser.problems == []
 
 
-@needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [400, 1400])
-def test_a_page_fits_the_screen_and_draws_the_arm(run, tmp_path, width, dark):
+def test_a_page_fits_the_screen_and_draws_the_arm(run, browser, tmp_path, width, dark):
     page = tmp_path / "run.html"
     save_page(run, page)
-    with Browser() as browser:
-        browser.open(page.as_uri(), width, 900, dark)
-        assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        colours = browser.evaluate("""(() => {
-          player.draw();
-          const gl = player.painter.gl, { width, height } = gl.canvas;
-          const pixels = new Uint8Array(4 * width * height);
-          gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
-          return new Set(new Uint32Array(pixels.buffer)).size; })()""")
-        assert colours > 500
-        assert browser.problems == []
+    browser.open(page.as_uri(), width, 900, dark)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    colours = browser.evaluate("""(() => {
+      player.draw();
+      const gl = player.painter.gl, { width, height } = gl.canvas;
+      const pixels = new Uint8Array(4 * width * height);
+      gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+      return new Set(new Uint32Array(pixels.buffer)).size; })()""")
+    assert colours > 500
+    assert browser.problems == []

@@ -64,11 +64,6 @@ def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_s
     assert np.all(rms_difference(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
 
 
-@pytest.mark.parametrize("effect", slow_but(EFFECTS, EFFECTS[0]), ids=lambda effect: type(effect).__name__)
-def test_looked_at_twice_as_often_it_is_nearer(effect):
-    assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
-
-
 def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() -> None:
     """Delay and voltage are defined per cycle, and grease keeps its temperature.
 

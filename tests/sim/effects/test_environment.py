@@ -66,7 +66,7 @@ FINER = 6
 def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme: str) -> None:
     drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(scheme, FINER),)))
     for plant in (drawn, other):
-        plant.place(lab.READY_RAD, 16.0)
+        plant.place(lab.READY_RAD, 8.0)
     assert other.steps_per_cycle == FINER * drawn.steps_per_cycle
     np.testing.assert_allclose(other.output_rad(), drawn.output_rad(), atol=2e-6)
     held = other.gear_torque_Nm()[Joint.ELEVATION]

@@ -6,7 +6,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.arm import build_arm, transform6_to_pose
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
-from fsw.kinematics.statics import settle, settle_output
+from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose
 from helpers.marks import slow_but
 from sim.arms import nominal_params
@@ -126,37 +126,6 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
     np.testing.assert_allclose(rigid_shift_m(geometry.Warming(warming_K)), expected, rtol=1e-3, atol=1e-9)
     one = rigid_shift_m(geometry.LinkWarming(Frame.ARM4, warming_K))
     np.testing.assert_allclose(one, J[3:, :, 3] @ growth[:, 3], rtol=1e-3, atol=1e-9)
-
-
-def rest_position_m(*effects: Effect) -> lab.Array:
-    """Return the position of the drill of the plant at rest on its brakes."""
-    plant, _ = bench.build_arm(*effects, world=TILTED, calm=True)
-    return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[tool_index(TOOL)]
-
-
-@pytest.fixture(scope="module")
-def nominal_position_m() -> lab.Array:
-    return rest_position_m()
-
-
-def wrenches() -> lab.Array:
-    """Return the wrench on each of the first five springs of the nominal arm: C x wrench = strain."""
-    deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
-    return np.array([deflected.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
-
-
-@pytest.mark.parametrize("effect", SPRINGS, ids=str)
-def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, nominal_position_m) -> None:
-    """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
-    frame, axis, compliance = effect.added_compliance()
-    deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
-    X_RL, tool = deflected.frames.X_RL, tool_pose(ARM, deflected.frames, TOOL)
-    spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]
-    turn_R = X_RL.R[:, axis, frame] * compliance * wrenches()[axis, frame]
-    expected = np.cross(turn_R, tool.p - spring_R)
-    moved = rest_position_m(effect) - nominal_position_m
-    assert np.linalg.norm(expected) > 5e-6
-    np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
 TOLD = [

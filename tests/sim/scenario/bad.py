@@ -21,17 +21,17 @@ approach = [0.0, 0.0, 1.0]
 type = "MOVE_TOOL"
 tool = "apxs"
 position_m = [2.0, 0.0, -0.3]
-approach = [0.0, 0.0, 1.0]
+approach = [0.0, 0.0, 2.0]
 
 [[command]]
 type = "PLACE_TOOL"
 tool = "apxs"
 position_m = [2.0, 0.0, -0.2]
-approach = [0.0, 0.0, 1.0]
+approach = [0.0, 0.0, 3.0]
 
 [[command]]
 type = "RETRACT"
-tool = "apxs"
+tool = "APXS"
 distance_mm = 100
 
 [[command]]
@@ -52,94 +52,59 @@ after = 2
 tool = "apxs"
 """
 
+DEAF = '"SENSOR_FAULT"\nsensor = "'
 BAD = [
-    (
-        'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
-        'type = "PRELOAD"\ntool = "apxs"\nforce_N = 5000',
-        "command[3].force_N: 5000 is outside 0 .. 1000",
-    ),
+    ("distance_mm = 100", "distance_m = 5000", "command[3].distance_m: 5000 is outside"),
     ("tilt_roll_deg = 5", "tilt_rol_deg = 5", "world.tilt_rol_deg: is not known here"),
     ('start = "ready"', 'begin = "ready"', "begin: is not known here; there"),
     ("distance_mm = 100", "distance_mm = 100\nangle_deg = 1", "command[3].angle_deg: is not known here"),
     (
         "position_m = [2.0, 0.0, -0.3]",
-        "position = [2.0, 0.0, -0.3]",
-        "command[1].position: has no unit; write position_m or position_mm",
+        "position = 2",
+        "command[1].position: has no unit; write position_m or",
     ),
     ("angle_deg = 100", "angle_mm = 100", "command[4].angle_mm: has another unit; write angle_rad or"),
     ("angle_deg = 100", "angle_deg = 100\nangle_rad = 1.0", "command[4].angle_rad: angle_deg sets the same"),
     ('"MOVE_TOOL"', '"MOVE_TOLL"', "command[1].type: 'MOVE_TOLL' is not known; did you mean MOVE_TOOL?"),
     ('type = "RETRACT"\n', "", "command[3].type: is missing; there are"),
-    (
-        'tool = "apxs"\ndistance',
-        'tool = "spoon"\ndistance',
-        "command[3].tool: 'spoon' is not known; did you mean portion? there are drill",
-    ),
+    ('"APXS"', '"spoon"', "command[3].tool: 'spoon' is not known; did you mean portion? there are drill"),
     ('"elbow"', '"elbo"', "command[4].joint: 'elbo' is not known; did you"),
-    ('tool = "apxs"\ndistance', "tool = 3\ndistance", "command[3].tool: 3 is not known; there are drill"),
+    ('"APXS"', "3", "command[3].tool: 3 is not known; there are drill"),
     ("distance_mm = 100", 'distance_mm = "100"', "command[3].distance_mm: should be a valid number, not"),
     ("distance_mm = 100", "distance_mm = inf", "command[3].distance_mm: should be a finite"),
-    (
-        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        'approach = [0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        "command[1].approach[3]: is missing; add it",
-    ),
+    ("[0.0, 0.0, 2.0]", "[0.0, 1.0]", "command[1].approach[3]: is missing; add it"),
     ("normal = [0.0, 0.0, -1.0]", "normal = [0, 0, 'up']", "world.surface.normal[3]: should be a valid"),
     ("distance_mm = 100\n", "", "command[3].distance_m or distance_mm: is missing"),
-    (
-        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        'approach = [0.0, 0.0, 1.0]\nframe = "RNAW"\n\n[[command]]\ntype = "PLACE',
-        "command[1].frame: 'RNAW' is not known; did you mean RNAV?",
-    ),
-    (
-        '[[command]]\ntype = "RETRACT"',
-        'frame = "ARM3"\n[[command]]\ntype = "RETRACT"',
-        "command[2].frame: 'ARM3' is not known; there are RNAV, RMECH",
-    ),
+    ("2.0]", '2.0]\nframe = "RNAW"', "command[1].frame: 'RNAW' is not known; did you mean RNAV?"),
+    ("3.0]", '3.0]\nframe = "ARM3"', "command[2].frame: 'ARM3' is not known; there are RNAV, RMECH"),
     ("distance_mm = 100", 'distance_mm = 100\nframe = "RNAV"', "command[3].frame: is not known here"),
-    (
-        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        'approach = [0.0, 0.0, 1.0]\nbranch = "aut"\n\n[[command]]\ntype = "PLACE',
-        "command[1].branch: 'aut' is not known; did you mean auto?",
-    ),
-    (
-        "position_m = [2.0, 0.0, -0.2]\napproach = [0.0, 0.0, 1.0]\n",
-        "position_m = [2.0, 0.0, -0.2]\napproach = [0.0, 0.0, 1.0]\nnormal = [0.0, 0.0, 1.0]\n",
-        "command[2]: PLACE_TOOL: the normal points along the approach, not out of the surface",
-    ),
-    (
-        "position_m = [2.0, 0.0, -0.3]",
-        "position_mm = [-20000.0, 0.0, -300.0]",
-        "command[1].position_mm: in RMECH, number 1: -20.09002 is outside -20 .. 20",
-    ),
+    ("2.0]", '2.0]\nbranch = "aut"', "command[1].branch: 'aut' is not known; did you mean auto?"),
+    ("3.0]", "3.0]\nnormal = [0, 0, 1]", "command[2]: PLACE_TOOL: the normal points along the approach, not"),
+    ("m = [2.0, 0.0, -0.3]", "mm = [-2e4, 0, 0]", "command[1].position_mm: in RMECH, number 1: -20.09002 is"),
     ("angle_deg = 100", f"angle_deg = {'9' * 4301}", "is not TOML: a whole number has more than 4300 digits"),
     (
-        'type = "MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',
-        'type = "MOVE_TEACH_POINT"\npoint = "inlit"',
+        'MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',
+        'DOCK"\npoint = "inlit"',
         "command[4].point: 'inlit' is not known; did you mean inlet?",
     ),
     ("after = 2", "after = 9", "check[2].after: there is no command 9; they"),
     ("at_s = 100", "during = 0\nafter_s = 1", "fault[1].during: there is no command 0; they are numbered 1"),
     (
-        'type = "POWER_LOSS"',
-        'type = "SENSOR_FAULT"\nsensor = "switch_closed"\nkind = "nan"',
-        "fault[1]: switch_closed cannot read nan; write frozen, biased or noisy",
+        '"POWER_LOSS"',
+        f'{DEAF}switch_closed"\nkind = "nan"',
+        "fault[1]: switch_closed cannot read nan; write frozen",
     ),
     (
-        'type = "POWER_LOSS"',
-        'type = "SENSOR_FAULT"\nsensor = "resolver_rad"\nkind = "nan"\nindex = 5',
-        "fault[1]: index: 5 is outside 0 .. 4, the range of resolver_rad",
+        '"POWER_LOSS"',
+        f'{DEAF}resolver_rad"\nkind = "nan"\nindex = 5',
+        "fault[1]: index: 5 is outside 0 .. 4, the",
     ),
     (
-        'type = "POWER_LOSS"',
-        'type = "SENSOR_FAULT"\nsensor = "switch_closed"\nkind = "biased"\nindex = 12\nsize = -1.0',
+        '"POWER_LOSS"',
+        f'{DEAF}switch_closed"\nkind = "biased"\nsize = 1\nindex = 12',
         "fault[1]: index: 12 is outside 0 .. 9",
     ),
-    (
-        'type = "POWER_LOSS"',
-        'type = "WEAK_MOTOR"\njoint = "elbow"\nfactor = 2',
-        "fault[1].factor: 2 is outside 0 .. 1",
-    ),
+    ('"POWER_LOSS"', '"WEAK_MOTOR"\njoint = "elbow"\nfactor = 2', "fault[1].factor: 2 is outside 0 .. 1"),
     ("normal = [0.0, 0.0, -1.0]", "normal = [0, 0, 0]", "world.surface.normal: has no length"),
     ('type = "done"', 'type = "faulted"\nevr = "ContactMade"', "check[1].evr: 'ContactMade' is not known"),
     (

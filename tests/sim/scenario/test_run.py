@@ -80,12 +80,6 @@ def test_a_fault_during_a_command_comes_so_long_after_it_began():
     assert found_s == pytest.approx(begins_s + 0.5, abs=1.5 / 64)
 
 
-def test_a_fault_that_is_not_cleared_ends_the_scenario_before_the_next_command():
-    cut = Injection(PowerLoss(0.5))
-    result = run(scenario(A_LITTLE, Stop(), faults=(cut,)))
-    assert (result.outcome, result.command) == (Outcome.FAULTED, 1)
-
-
 def test_the_temperature_of_a_scenario_is_that_of_the_windings():
     cold = replace(scenario(A_LITTLE), temperature_C=-40.0)
     loop = ClosedLoop(scenario_setup(cold, NOMINAL, REFERENCE, 1))
@@ -155,12 +149,6 @@ def test_a_pressed_tool_is_pushed_out_of_the_rock_with_what_sensors_and_mujoco_s
     mujoco.mj_rnePostConstraint(plant.model, plant.data)
     external = plant.data.cfrc_ext[plant.model.body(tool).id, 3:]
     assert force_N == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
-
-
-def test_what_touches_nothing_feels_nothing():
-    plant = lab.plant()
-    plant.place(lab.READY_RAD, 1.0)
-    assert not tool_forces(plant).any()
 
 
 AIR = TaughtPoint("air", "apxs", (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))

@@ -35,7 +35,7 @@ from simgap.report.sentences import verdict_lines
 from simgap.report.traces import Trace, convert_trace, trace_motions
 from simgap.result import Comparison, Diagnosis
 from simgap.robot import Robot
-from simgap.serial_arm.calibrate import JointTerms, contributions_m, held_out_ratio, joint_errors
+from simgap.serial_arm.calibrate import JointTerms, held_out_ratio, joint_errors
 from simgap.serial_arm.effects import patch_arm
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_series
 from simgap.serial_arm.fit import assess_identifiability
@@ -78,7 +78,6 @@ def calibration_json(fitted: TrackerFit) -> dict[str, Any]:
             "outlier_rows": list(fitted.found.outliers),
             "unidentifiable": to_json(seen.unidentifiable_groups()),
         },
-        "contributions_m": contributions_m(fitted.found),
         "joints": to_json(joint_errors(fitted.found)),
         "temperature": None
         if test is None

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from simgap.common.errors import RobotError
 from simgap.files.mcap_log import BadMessage, Decoder, make_decoder, open_mcap, ros_decoder
-from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
+from simgap.files.message_log import Message, MessageLog, is_wanted, open_messages
 
 METADATA: Final = "metadata.yaml"
 """File of a folder that is a bag of ROS 2."""
@@ -29,7 +29,7 @@ def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
     if path.is_dir() and any(path.glob("*.mcap")):
         return open_mcap(path, names)
     try:
-        return open_messages(_read(path, names), names)
+        return _read(path, names)
     except (RobotError, MemoryError):
         raise
     except Exception as error:  # damage ends in any error of the readers, and in errors of SQLite
@@ -39,7 +39,7 @@ def open_bag(path: Path, names: Sequence[str] | None) -> MessageLog:
         raise RobotError(f"{path}: cannot be read: {what}{hint}") from error
 
 
-def _read(path: Path, names: Sequence[str] | None) -> MessageFile:
+def _read(path: Path, names: Sequence[str] | None) -> MessageLog:
     is_ros1 = path.suffix.lower() == ".bag"
     with Reader1(path) if is_ros1 else Reader2(path) as reader:
         decoders = _decoders(path, reader.connections, names, is_ros1)
@@ -47,13 +47,13 @@ def _read(path: Path, names: Sequence[str] | None) -> MessageFile:
         if isinstance(reader, Reader1):
             _check_index(reader)
         _check_times(path, _list_times(reader, chosen))
-        messages = [
+        messages = (
             Message(one.topic, time_ns, partial(decoders[one.id], bytes(data)))
             for one, time_ns, data in (reader.messages(chosen) if chosen else ())
             if is_wanted(one.topic, len(data), names)
-        ]
+        )
         topics = sorted({one.topic for one in reader.connections})
-        return MessageFile(path, topics, messages, start_ns=reader.start_time)
+        return open_messages(path, names, topics, messages, reader.start_time)
 
 
 def _check_index(reader: Reader1) -> None:

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from simgap.common.errors import RobotError
-from simgap.files.message_log import Message, MessageFile, MessageLog, is_wanted, open_messages
+from simgap.files.message_log import Message, MessageLog, is_wanted, open_messages
 
 Decoder = Callable[[bytes], Any]
 DEFINITIONS: Final = {"ros1": ("ros1msg",), "cdr": ("ros2msg", "ros2idl")}
@@ -75,7 +75,7 @@ def open_mcap(path: Path, names: Sequence[str] | None) -> MessageLog:
     losses = [one.loss if one.path == path else f"{one.path.name} {one.loss}" for one in cut]
     try:
         start_ns = min((scan.first_ns for scan in scans if scan.first_ns is not None), default=None)
-        return open_messages(MessageFile(path, topics, messages, losses, start_ns), names)
+        return open_messages(path, names, topics, messages, start_ns, losses)
     except BadMessage as error:
         raise RobotError(f"{path}: cannot be read: {error}") from error
 

@@ -1,7 +1,7 @@
 """Logs of messages: fields by topic, each with the times of its messages, and joints by their names."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -31,20 +31,6 @@ class Message:
     time_ns: int
     read: Callable[[], Any]
     """Decodes its content: records and dictionaries, lists and arrays, numbers and texts."""
-
-
-@dataclass(frozen=True, slots=True)
-class MessageFile:
-    """Messages of a file, in its order."""
-
-    path: Path
-    topics: Sequence[str]
-    messages: Sequence[Message]
-    """Those of the wanted topics."""
-    losses: Sequence[str] = ()
-    """Sentences about what could not be read."""
-    start_ns: int | None = None
-    """Time of the first message of all topics; None: that of `messages`."""
 
 
 def is_wanted(topic: str, n_bytes: int, names: Sequence[str] | None) -> bool:
@@ -173,17 +159,30 @@ class MessageLog:
         raise columns.missing_column(self.path, one.name, names)
 
 
-def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
-    """Read fields such as `/joint_states.position[2]`, None for all; RobotError if one cannot be read."""
-    chosen = {} if names is None else {name: _parse(file.path, name, file.topics) for name in names}
-    topics = list(file.topics) if names is None else list(dict.fromkeys(one.topic for one in chosen.values()))
+def open_messages(
+    path: Path,
+    names: Sequence[str] | None,
+    topics: Sequence[str],
+    messages: Iterable[Message],
+    start_ns: int | None,
+    losses: Sequence[str] = (),
+) -> MessageLog:
+    """Read fields such as `/joint_states.position[2]`, None for all; RobotError if one cannot be read.
+
+    Args:
+        topics: All topics of the file.
+        messages: Those of the wanted topics, in the order of the file.
+        start_ns: Time of the first message of all topics; None: that of `messages`.
+        losses: Sentences about what could not be read.
+    """
+    chosen = {} if names is None else {name: _parse(path, name, topics) for name in names}
+    wanted = topics if names is None else list(dict.fromkeys(one.topic for one in chosen.values()))
     wholes = {one.whole: one for one in chosen.values()}
-    by_topic = {topic: [one for one in wholes.values() if one.topic == topic] for topic in topics}
-    reader = _Reader(file.path, {name: {} for name in wholes}, {})
-    counts = dict.fromkeys(topics, 0)
-    start_ns = file.start_ns
+    by_topic = {topic: [one for one in wholes.values() if one.topic == topic] for topic in wanted}
+    reader = _Reader(path, {name: {} for name in wholes}, {})
+    counts = dict.fromkeys(wanted, 0)
     try:
-        for message in file.messages:
+        for message in messages:
             if message.topic not in counts:
                 continue
             counts[message.topic] += 1
@@ -195,14 +194,11 @@ def open_messages(file: MessageFile, names: Sequence[str] | None) -> MessageLog:
             for one in by_topic[message.topic]:
                 reader.add(one, content, at)
     except RecursionError as error:
-        raise RobotError(
-            f"{file.path}: a message is nested too deeply; write fields of a few levels"
-        ) from error
+        raise RobotError(f"{path}: a message is nested too deeply; write fields of a few levels") from error
     empty = next((topic for topic, n in counts.items() if n == 0), None)
     if empty is not None and names is not None:
-        raise RobotError(f"{file.path}: topic {empty!r} has no messages; name a topic that was recorded")
-    told = tuple(file.losses)
-    return MessageLog(file.path, chosen, reader.series, reader.places, start_ns or 0, file.topics, told)
+        raise RobotError(f"{path}: topic {empty!r} has no messages; name a topic that was recorded")
+    return MessageLog(path, chosen, reader.series, reader.places, start_ns or 0, topics, tuple(losses))
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,8 +59,6 @@ class Patch:
     """Patched model and what is left for the run."""
 
     model_xml: str
-    changes: tuple[str, ...]
-    """A sentence for each changed element."""
     runtime: str
     """Text of the runtime file; empty if there is nothing left."""
     found: str
@@ -141,9 +139,8 @@ def make_patch(
     changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
-    said = [f"{one.tag} {one.name}: {one.reason}".replace(" :", ":") for one in changes]
     left = _runtime_text(robot, runtime, rotors) if runtime or rotors else ""
-    return Patch(text, tuple(said), left, found)
+    return Patch(text, left, found)
 
 
 def _on_text(robot: Robot, text: str) -> Robot:

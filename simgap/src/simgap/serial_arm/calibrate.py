@@ -9,23 +9,13 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from simgap.arrays import Array, Flags
 from simgap.common.errors import RobotError
 from simgap.serial_arm.chain import IDENTITY, Pose, PoseSeries, compose, forward_kinematics, norm, repeat_pose
-from simgap.serial_arm.fit import (
-    FALSE_ALARM,
-    MAX_OUTLIER_SHARE,
-    Fit,
-    fit,
-    leave_one_out_distance,
-    validate_hold_out,
-)
+from simgap.serial_arm.fit import Fit, fit, fit_without_outliers, validate_hold_out
 from simgap.serial_arm.model import (
-    GEOMETRY,
     NON_PERIODIC,
-    PERIODIC,
     SerialArm,
     SerialModel,
     TrackerSetup,
@@ -120,14 +110,6 @@ def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
     return "see that this is the arm of the file, and that positions and joints have their order and signs"
 
 
-COMPONENTS: Final = 6
-"""Number of components of a pose."""
-REJECTION_FACTOR: Final = 4.0
-"""Poses whose squared distance is within this factor of the worst are left out together."""
-MOST_ROUNDS: Final = 20
-NOT_LINKS = ("base", "target")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialCalibration:
     """Result of a calibration."""
@@ -174,42 +156,17 @@ class PoseErrors:
 def calibrate_series(
     arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
 ) -> SerialCalibration:
-    """Fit an arm to poses and leave out outliers; RobotError if too many poses do not agree.
-
-    A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
-    with the next fit are included again.
-    """
-    used = np.ones(series.count, bool)
-    found = fit_poses(arm, setup, series, terms, used)
-    for _ in range(MOST_ROUNDS):
-        distance = leave_one_out_distance(found.fit)
-        typical = max(1.0, float(np.median(distance[used])) / chi2.median(COMPONENTS))
-        limit = typical * chi2.isf(FALSE_ALARM / series.count, COMPONENTS)
-        agree = distance <= max(limit, float(distance[used].max()) / REJECTION_FACTOR)
-        if np.array_equal(agree, used):
-            break
-        if np.count_nonzero(~agree) > MAX_OUTLIER_SHARE * series.count:
-            raise RobotError(
-                f"more than {MAX_OUTLIER_SHARE:.0%} of {series.count} poses do not agree with the rest: "
-                "see that this is "
-                "the arm of the file, and that the tracker kept its target"
-            )
-        used = agree
-        found = fit_poses(arm, setup, series, terms, used, found.fit.values)
-    return found
+    """Fit an arm to poses and leave out outliers; RobotError if too many poses do not agree."""
+    model = serial_model(arm, setup, series, terms)
+    return SerialCalibration(model, fit_without_outliers(model.parameters, model))
 
 
 def fit_poses(
-    arm: SerialArm,
-    setup: TrackerSetup,
-    series: PoseSeries,
-    terms: Sequence[str],
-    used: Flags,
-    start: Array | None = None,
+    arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str], used: Flags
 ) -> SerialCalibration:
     """Fit an arm to selected poses of a series."""
     model = serial_model(arm, setup, series, terms)
-    return SerialCalibration(model, fit(model.parameters, model, start, used))
+    return SerialCalibration(model, fit(model.parameters, model, None, used))
 
 
 def pose_errors(arm: SerialArm, setup: TrackerSetup, series: PoseSeries) -> PoseErrors:
@@ -240,28 +197,6 @@ class JointTerms:
     """Root mean square periodic error at the measured poses."""
     periodic_peak_rad: float
     """Largest periodic error at the measured poses."""
-
-
-def contributions_m(found: SerialCalibration) -> dict[str, float]:
-    """Compute the root mean square motion of the target that each term causes."""
-    fit, sigma_m = found.fit, found.model.arm.repeatability.position_m
-    J = fit.at.jacobian[:, 3:]
-    contributions = {}
-    for term in found.model.terms:
-        is_of_term = np.array([term_of(one.name) == term for one in fit.parameters])
-        shift = J[:, :, is_of_term] @ fit.values[is_of_term] * sigma_m
-        contributions[term] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-    return contributions
-
-
-def term_of(parameter: str) -> str | None:
-    """Return the term of a parameter by its name; None for base and target."""
-    place, _, number = parameter.rpartition(".")
-    if place in NOT_LINKS:
-        return None
-    if number in NON_PERIODIC:
-        return number
-    return PERIODIC if number.startswith(("cos", "sin")) else GEOMETRY
 
 
 def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:

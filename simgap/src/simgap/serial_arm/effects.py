@@ -8,10 +8,10 @@ import numpy as np
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-from simgap.arrays import Array, Flags, Integers
+from simgap.arrays import Array, Flags
 from simgap.effects.effect import Effect, Family, Size
 from simgap.serial_arm.calibrate import SerialCalibration
-from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
+from simgap.serial_arm.fit import BlockEquations, Fit
 from simgap.serial_arm.model import (
     COMPLIANCE,
     GEOMETRY,
@@ -145,25 +145,14 @@ class Eliminated:
     """Root mean square whitened residual of each block, predicted from the others, shape (b,)."""
 
 
-class Elimination:
-    """Normal equations of a fit, by block of time, solved for any part of the parameters."""
+class Elimination(BlockEquations):
+    """Fits to all poses, and to those outside of each block of time, without any part of the parameters."""
 
     def __init__(self, fitted: Fit):
-        used = fitted.used
-        self._fit = fitted
-        self._scale = np.array([one.scale for one in fitted.parameters])
-        prior = self._scale / np.array([one.prior_sigma for one in fitted.parameters])
-        self._J = fitted.at.jacobian[used] * self._scale
-        self._r = fitted.at.residual[used]
-        self.block: Integers = np.arange(self._r.shape[0]) * BLOCKS // self._r.shape[0]
-        parts = [self._J[self.block == k].reshape(-1, self._scale.size) for k in range(BLOCKS)]
-        H = np.array([part.T @ part for part in parts])
-        g = np.array([part.T @ self._r[self.block == k].ravel() for k, part in enumerate(parts)])
-        penalty = np.diag(prior**2 + MIN_SENSITIVITY**2)
-        pull = prior**2 * fitted.values / self._scale
-        left_out = [np.zeros_like(H[0]), *H], [np.zeros_like(g[0]), *g]
-        self._inverse = [np.linalg.inv(H.sum(axis=0) - part + penalty) for part in left_out[0]]
-        self._gradient = [g.sum(axis=0) - part + pull for part in left_out[1]]
+        super().__init__(fitted, BLOCKS)
+        H, g = self.H.sum(axis=0) + self.penalty, self.g.sum(axis=0) + self.pull
+        self._inverse = [np.linalg.inv(H - part) for part in (np.zeros_like(H), *self.H)]
+        self._gradient = [g - part for part in (np.zeros_like(g), *self.g)]
 
     def without(self, removed: Flags) -> Eliminated:
         """Fit with some parameters at zero.
@@ -175,8 +164,8 @@ class Elimination:
         error = np.empty(BLOCKS)
         for k in range(BLOCKS):
             here = self.block == k
-            error[k] = np.sqrt(np.mean((self._r[here] + self._J[here] @ steps[k + 1]) ** 2))
-        values = self._fit.values + np.array(steps) * self._scale
+            error[k] = np.sqrt(np.mean((self.r[here] + self.J[here] @ steps[k + 1]) ** 2))
+        values = self.fit.values + np.array(steps) * self.scale
         values[:, removed] = 0.0
         return Eliminated(values[0], values[1:], error)
 
@@ -184,7 +173,7 @@ class Elimination:
         """Solve the normal equations under the constraint that the values of some parameters become zero."""
         step = -inverse @ gradient
         if removed.any():
-            excess = step[removed] + (self._fit.values / self._scale)[removed]
+            excess = step[removed] + (self.fit.values / self.scale)[removed]
             step = step - inverse[:, removed] @ np.linalg.solve(inverse[np.ix_(removed, removed)], excess)
         return step
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.errors import RobotError
 
 NO_PRIOR: Final = np.inf
 """Prior sigma of a parameter without prior knowledge."""
@@ -184,6 +185,23 @@ def _flat(jacobian: Array) -> Array:
     return jacobian.reshape(-1, jacobian.shape[-1])
 
 
+class BlockEquations:
+    """Normal equations of a fit in units of the scales, by block of time."""
+
+    def __init__(self, fitted: Fit, n_blocks: int):
+        self.fit = fitted
+        self.scale = np.array([one.scale for one in fitted.parameters])
+        prior = self.scale / np.array([one.prior_sigma for one in fitted.parameters])
+        self.J = fitted.at.jacobian[fitted.used] * self.scale
+        self.r = fitted.at.residual[fitted.used]
+        self.block: Integers = np.arange(len(self.r)) * n_blocks // len(self.r)
+        parts = [self.block == k for k in range(n_blocks)]
+        self.H = np.array([_flat(self.J[part]).T @ _flat(self.J[part]) for part in parts])
+        self.g = np.array([_flat(self.J[part]).T @ self.r[part].ravel() for part in parts])
+        self.penalty = np.diag(prior**2 + MIN_SENSITIVITY**2)
+        self.pull = prior**2 * fitted.values / self.scale
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HoldOutValidation:
     """Residuals of held-out poses, and their variance by noise and covariance of the fit; whitened.
@@ -306,3 +324,42 @@ def leave_one_out_distance(fitted: Fit) -> Array:
     # a fitted pose pulls the fit towards itself, which reduces the variance of its residual
     variance = np.eye(r.shape[1]) + sign * hat
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(variance, r[..., None])[..., 0]))
+
+
+REJECTION_FACTOR: Final = 4.0
+"""Outliers within this factor of the worst are left out together."""
+MOST_ROUNDS: Final = 20
+
+
+def fit_without_outliers(
+    parameters: Sequence[FitParameter],
+    model: ResidualModel,
+    start: Array | None = None,
+    used: Flags | None = None,
+    false_alarm: float = FALSE_ALARM,
+) -> Fit:
+    """Fit, and leave out the poses that do not agree with the others; RobotError if too many do not.
+
+    A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
+    with the next fit are included again. If all poses have more noise than stated, the limit rises, so that
+    no outliers appear. Poses with fewer informative components have a lower limit.
+    """
+    found = fit(parameters, model, start, used)
+    selected = found.used
+    count = int(np.count_nonzero(selected))
+    for _ in range(MOST_ROUNDS):
+        components = np.maximum(found.at.is_informative.sum(axis=1), 1)
+        distance = leave_one_out_distance(found)
+        typical = max(1.0, float(np.median((distance / chi2.median(components))[found.used])))
+        share = distance / (typical * chi2.isf(false_alarm / count, components))
+        agree = selected & (share <= max(1.0, float(share[found.used].max()) / REJECTION_FACTOR))
+        if np.array_equal(agree, found.used):
+            break
+        if np.count_nonzero(selected & ~agree) > MAX_OUTLIER_SHARE * count:
+            raise RobotError(
+                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
+                "explains them all; see that this is the arm of the file, and that the tracker kept its "
+                "target"
+            )
+        found = fit(parameters, model, found.values, agree)
+    return found

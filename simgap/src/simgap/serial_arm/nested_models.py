@@ -11,7 +11,7 @@ from simgap.arrays import Array, Flags, Integers
 from simgap.common.progress import Progress
 from simgap.serial_arm import calibrate
 from simgap.serial_arm.chain import PoseSeries
-from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
+from simgap.serial_arm.fit import BlockEquations, Fit
 from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, SerialArm, TrackerSetup, serial_model
 
 BLOCKS: Final = 5
@@ -44,24 +44,13 @@ def gain_m(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
     return float(np.mean(reduction)), float(np.std(reduction, ddof=1) / np.sqrt(reduction.size))
 
 
-class CrossValidation:
-    """Normal equations of a fit, by block of time."""
+class CrossValidation(BlockEquations):
+    """Errors of each block of time by a fit to the others."""
 
     def __init__(self, fitted: Fit, position_sigma_m: float):
-        used = fitted.used
-        scale = np.array([parameter.scale for parameter in fitted.parameters])
-        prior = 1.0 / np.array([parameter.prior_sigma for parameter in fitted.parameters])
-        self._J = fitted.at.jacobian[used] * scale
-        self._r = fitted.at.residual[used]
+        super().__init__(fitted, BLOCKS)
         self._sigma_m = position_sigma_m
-        n = self._r.shape[0]
-        self.block: Integers = np.arange(n) * BLOCKS // n
-        self._penalty = (prior * scale) ** 2 + MIN_SENSITIVITY**2
-        self._pull = (prior * scale) ** 2 * fitted.values / scale
-        self._H = np.array([self._square(self._J[self.block == k]) for k in range(BLOCKS)])
-        self._g = np.array([self._against(self._J, k) for k in range(BLOCKS)])
-        H = [self._H.sum(axis=0) - own + np.diag(self._penalty) for own in self._H]
-        self._factor = [cho_factor(one) for one in H]
+        self._factor = [cho_factor(self.H.sum(axis=0) - own + self.penalty) for own in self.H]
 
     def held_out(self, more: Array | None = None) -> HeldOutErrors:
         """Predict each block from the others.
@@ -69,36 +58,27 @@ class CrossValidation:
         Args:
             more: Additional whitened columns of the Jacobian, in units of prior sigmas, shape (n, 6, m).
         """
-        square = np.empty(self._r.shape[0])
+        square = np.empty(self.r.shape[0])
         for k in range(BLOCKS):
             in_block = self.block == k
-            residual = self._r[in_block] + self._predicted(k, in_block, more)
+            residual = self.r[in_block] + self._predicted(k, in_block, more)
             square[in_block] = np.sum(residual[:, 3:] ** 2, axis=1) * self._sigma_m**2
         return HeldOutErrors(square, self.block)
 
     def _predicted(self, k: int, in_block: Flags, more: Array | None) -> Array:
         """Compute the change of a block's residuals if only the other blocks are fitted."""
-        factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
+        factor, g = self._factor[k], self.pull + self.g.sum(axis=0) - self.g[k]
         if more is None:
             step = -cho_solve(factor, g)
-            return np.asarray(self._J[in_block] @ step)
+            return np.asarray(self.J[in_block] @ step)
         others = ~in_block
         E = more[others].reshape(-1, more.shape[2])
-        B = self._J[others].reshape(E.shape[0], -1).T @ E
+        B = self.J[others].reshape(E.shape[0], -1).T @ E
         solved = cho_solve(factor, np.column_stack([B, g]))
         corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
-        extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
+        extra = -np.linalg.solve(corner, E.T @ self.r[others].ravel() - B.T @ solved[:, -1])
         step = -solved[:, -1] - solved[:, :-1] @ extra
-        return np.asarray(self._J[in_block] @ step + more[in_block] @ extra)
-
-    def _against(self, J: Array, k: int) -> Array:
-        in_block = self.block == k
-        return np.asarray(J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel())
-
-    @staticmethod
-    def _square(J: Array) -> Array:
-        flat = J.reshape(-1, J.shape[2])
-        return flat.T @ flat
+        return np.asarray(self.J[in_block] @ step + more[in_block] @ extra)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ from simgap.files.robot_file import RobotFile
 from simgap.loading import load
 from simgap.logs import Logs
 from simgap.mjcf import joint_name, joints_of_tendon, read_model_text, tied_joints
-from simgap.robot import Robot
+from simgap.robot import Robot, build_robot
 from simgap.setup import gains
 from simgap.setup.column_names import Match, match_columns, split_words
 from simgap.setup.draft import Draft
@@ -344,5 +344,5 @@ def _cut_at_pauses(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robo
 
 
 def _read(draft: Draft, path: Path, logs: Sequence[Path]) -> tuple[Robot, Logs]:
-    robot = Robot.from_file(parse_record(RobotFile, draft.content, path), path)
+    robot = build_robot(parse_record(RobotFile, draft.content, path), path)
     return robot, load(robot, logs)

@@ -5,14 +5,13 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.faults import Fault, MotorStalled, NotSettled
+from fsw.dictionary.faults import Fault, NotSettled
 from helpers.marks import slow_but
 from tests.fsw.executive.faults.lab import (
     BOUNDS,
     CONFIG,
     REFUSED,
     START,
-    braked,
     found,
     in_guarded_motion,
     moving,
@@ -20,39 +19,6 @@ from tests.fsw.executive.faults.lab import (
     resolver_off,
 )
 from tests.fsw.rig import Rig, floats
-
-
-def seize(rig, joint):
-    """The encoders from now on, of an arm whose joint does not turn any more."""
-    stood = rig.count[joint]
-    return lambda: {"encoder_count": np.where(np.arange(5) == joint, stood, rig.count)}
-
-
-def lag_rad(rig, joint):
-    return abs(rig.state.move.setpoint.motor_rad - rig.state.joints.motor_rad)[joint]
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("cycles", slow_but([1, 10, 30, 60, 90, 120], 1, 60))
-def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow_it_was(joint, cycles):
-    goal = START + 0.05 * (np.arange(5) == joint)
-    rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(MoveJoints(floats(goal)))
-    for _ in range(cycles):
-        rig.cycle()
-    rig.evrs.clear()
-    reading, beyond = seize(rig, joint), 0
-    while not found(rig, Fault):
-        rig.cycle(**reading())
-        beyond += lag_rad(rig, joint) > BOUNDS.stall_error_rad
-    (evr,) = found(rig, Fault)
-    assert evr == MotorStalled(joint, 0.0, evr.commanded_rad_s)
-    assert evr.commanded_rad_s > 0
-    # in the cycle of the response the set-point is back where the motor is
-    assert BOUNDS.stall_persistence - 1 <= beyond <= BOUNDS.stall_persistence + 1
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
 
 
 @pytest.mark.parametrize("joint", slow_but(Joint, Joint.ELBOW, Joint.TURRET))

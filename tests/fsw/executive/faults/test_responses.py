@@ -202,7 +202,7 @@ def test_a_sequence_does_not_go_on_after_any_response(response):
         rig.cycle(**TROUBLES[response])
     rig.run()
     for _ in range(20):
-        assert not rig.cycle().drive.power_on.any()
+        assert not rig.cycle(ClearFault()).drive.power_on.any()
     assert rig.evrs.count(CommandAborted("CalibrateAll")) == 1
     assert rig.evrs.count(CommandAborted("MoveJoints")) == 1
     assert rig.state.sequence is None

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.config import CYCLE_HZ
 from fsw.dictionary import faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
@@ -22,19 +21,9 @@ from tests.fsw.executive.faults.lab import (
     closed,
     found,
     in_guarded_motion,
-    moving,
 )
 from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, levers_m, made_once
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
-
-
-@pytest.mark.parametrize("switch", SWITCHES)
-def test_a_contact_in_free_space_faults_at_once(switch):
-    rig = moving()
-    rig.cycle(**closed(switch))
-    assert rig.evrs[:2] == [faults.ContactInFreeSpace(switch), REFUSED]
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 
 @pytest.mark.parametrize("tool", slow_but([tool for tool in TOOLS if TOOL_SWITCHES[tool]], "apxs", "drill"))
@@ -165,36 +154,6 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
     assert braked(rig)
 
 
-@pytest.mark.parametrize(
-    ("share", "switches"),
-    [(0.8, ()), (-3.0, ()), (2.0, TOOL_SWITCHES["apxs"][:1])],
-    ids=["small", "pull", "touch"],
-)
-def test_a_force_that_is_small_or_pulls_or_that_a_switch_shows_does_not(share, switches):
-    rig = in_guarded_motion()
-    pushed(rig, "apxs", share * BOUNDS.guarded_force_N, LATEST, **closed(*switches))
-    assert not found(rig, faults.Fault)
-
-
-def test_a_large_force_is_felt_within_three_cycles():
-    rig = in_guarded_motion()
-    pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
-    assert found(rig, faults.PreloadOutside)
-
-
-def test_in_free_space_a_force_is_an_unexpected_contact():
-    rig = moving()
-    for _ in range(CYCLE_HZ):  # until the mean of the wind-up is known
-        rig.cycle()
-    pushed(rig, "apxs", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
-    (evr,) = found(rig, faults.Fault)
-    assert isinstance(evr, faults.UnexpectedContact)
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert rig.state.fault.may_touch
-    assert braked(rig)
-
-
 CYCLES = 150
 JITTER_RAD = 1e-3
 
@@ -294,13 +253,3 @@ def test_one_wild_encoder_reading_does_not_become_a_set_point_under_power():
     # no farther than a motor may follow
     bound = np.ceil(CONFIG.params.monitors.following_error_rad / CONFIG.rad_per_count)
     assert (np.abs(drive.setpoint_count - before) <= bound).all()
-
-
-@pytest.mark.parametrize("wild_m_s2", [0.0, 0.99, 20.1, 1e6, 1e200])
-def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
-    rig = Rig(CONFIG)
-    rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
-    for _ in range(64):
-        rig.cycle()
-    assert np.isfinite(rig.state.joints.backlash_state).all()
-    assert np.isfinite(rig.state.load.torque_Nm).all()

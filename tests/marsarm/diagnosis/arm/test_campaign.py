@@ -10,9 +10,15 @@ from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm import feature_set
-from marsarm.diagnosis.arm.arm_effects import list_nuisances
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
-from marsarm.diagnosis.arm.case_simulator import build_case_simulator, resimulate
+from marsarm.diagnosis.arm.case_simulator import (
+    SHORT_SETTLING,
+    ArmSimulator,
+    build_case_simulator,
+    build_layout,
+    resimulate,
+)
 from marsarm.diagnosis.arm.feature_set import (
     FeatureSet,
     build_feature_set,
@@ -43,7 +49,6 @@ from marsarm.diagnosis.arm.finite_differences import (
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, ArmSimulator, build_layout, list_hypotheses
 from marsarm.diagnosis.problem import Hypothesis, Sensitivities
 from sim.arm_model.load import default_arm
 from sim.effects.effect import Effect
@@ -113,7 +118,7 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recor
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
     arm = simulator_of(campaign)
-    found = build_case_simulator(arm, arm.layout)
+    found = build_case_simulator(arm, arm.layout, 0)
     assert found.rows.size == arm.layout.size - 1
 
 
@@ -121,7 +126,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     """Rests and touches are always computed; motions if they are wanted."""
     arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout) for one in (arm, replace(arm, patch=patch)))
+    before, after = (build_case_simulator(one, arm.layout, 0) for one in (arm, replace(arm, patch=patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([
         feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)

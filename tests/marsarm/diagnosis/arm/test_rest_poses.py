@@ -1,4 +1,7 @@
-"""Rests without dynamics: a link that creeps, and joints that were turned together."""
+"""Rests without dynamics, the error of the tool from them, and every candidate at both ends of its sizes."""
+
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,13 +9,20 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.statics import settle_output
+from marsarm.diagnosis.arm.arm_effects import list_hypotheses
+from marsarm.diagnosis.arm.case import compute_tool_error
+from marsarm.diagnosis.arm.case_simulator import SHORT_SETTLING
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, rests_moved_by, simulate_features
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING
 from sim.arms import nominal_params
+from sim.effects.effect import Effect
+from sim.effects.joints import BusSag
+from sim.effects.sensors import CounterStart
 from sim.effects.structure import LinkCreep
+from sim.loop import SimulationOptions
+from sim.plant import SCREW_AXES
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +78,7 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: Feature
     change = np.array([by_rad * (feature.channel == RESOLVER) for feature in one.features])
     for joint in Joint:
         turned = motor_rad + by_rad * (np.arange(len(Joint)) == joint)[:, None]
-        before, after = (
-            settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned)
-        )
+        before, after = (settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned))
         found = rests_moved_by(rests, change, joint)
         shift = found[-3 * motor_rad.shape[1] :].reshape(3, -1)
         expected = np.einsum("kin,kn->in", before.R, after.p - before.p)
@@ -82,3 +90,63 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: Feature
         assert not np.any(found[resolvers & ~own])
         read = rests_moved_by(rests, change, joint, turns=False)
         np.testing.assert_array_equal(read, np.where(resolvers & own, by_rad, 0.0))
+
+
+DRAWING = nominal_params()
+KEYS = [f"poses/rest 0/{axis}" for axis in reversed(SCREW_AXES)] + ["poses/rest 1/rx", "poses/rest 0/elbow"]
+
+
+def off(**screw: float) -> np.ndarray:
+    return np.array([screw.get(key.rpartition("/")[2], 0.0) for key in KEYS])
+
+
+def test_a_shift_moves_every_tool_by_as_much() -> None:
+    found = compute_tool_error(
+        KEYS, [off(tx=3e-3, ty=4e-3), off(tx=3e-3), off(tz=1e-3)], off(tx=2e-3), DRAWING
+    )
+    assert found is not None
+    assert (found.nominal, found.base, found.explained) == pytest.approx((5e-3, 3e-3, 1e-3))
+    assert found.noise_floor == pytest.approx(2e-3)
+    assert compute_tool_error(KEYS[1:], np.zeros((3, len(KEYS) - 1)), off(), DRAWING) is None
+
+
+def test_a_turn_moves_a_tool_by_its_way_from_the_axis() -> None:
+    found = compute_tool_error(KEYS, [off(rz=1e-3), off(rz=1e-3, tx=1e-3), off()], off(rz=1e-3), DRAWING)
+    assert found is not None
+    p = np.array([X.p for X in configure(DRAWING).arm.X_FT.values()])
+    away = 1e-3 * np.sqrt(np.mean(p[:, 0] ** 2 + p[:, 1] ** 2))
+    with_shift = 1e-3 * np.sqrt(np.mean((1.0 - p[:, 1]) ** 2 + p[:, 0] ** 2))
+    assert (found.nominal, found.base, found.noise_floor) == pytest.approx((away, with_shift, away))
+
+
+BRIEF = SimulationOptions(settle_s=1.0)
+
+
+def candidates_at_ends() -> Iterator[Any]:
+    """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
+    for one in {candidate.effect: candidate for candidate in list_hypotheses()}.values():
+        ends = np.transpose([parameter.departure_range for parameter in one.parameters])
+        for end, departures in zip(("least", "most"), ends, strict=True):
+            yield pytest.param(one.switch_on(departures), id=f"{one.key}, {end}")
+
+
+@pytest.fixture(scope="module")
+def features(recordings: list[Recording]) -> FeatureSet:
+    """Return the features of a motion of all joints, and of its rests."""
+    (recording,) = (one for one in recordings if one.name == "poses-level-1")
+    return build_feature_set([recording])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", list(candidates_at_ends()))
+def test_the_simulator_carries_it(features: FeatureSet, effect: Effect) -> None:
+    assert np.all(np.isfinite(simulate_features(features, (effect,), BRIEF)))
+
+
+def test_two_sagging_buses_leave_servos_without_power_not_with_negative_gains(features: FeatureSet) -> None:
+    assert np.all(np.isfinite(simulate_features(features, (BusSag(5.0), BusSag(5.0)), BRIEF)))
+
+
+def test_where_a_counter_started_before_homing_changes_nothing(features: FeatureSet) -> None:
+    found = simulate_features(features, (CounterStart(Joint.ELBOW, 1.0),), BRIEF)
+    np.testing.assert_array_equal(found, simulate_features(features, (), BRIEF))

@@ -1,16 +1,13 @@
-"""Random cycles, made from the annotations of the messages; as a program it records until it is killed."""
+"""Random cycles, made from the annotations of the messages."""
 
 import struct
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from enum import IntEnum
-from itertools import count
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-import pytest
 
 from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.evrs import Booted, ContactMade
@@ -65,16 +62,3 @@ def record(path: Path, cycles: Iterable[CycleRecord], **more: Any) -> Path:
         for cycle in cycles:
             recorder.write(cycle)
     return path
-
-
-@pytest.fixture(scope="session")
-def make() -> Any:
-    """Return this module, for tests."""
-    return sys.modules[__name__]
-
-
-if __name__ == "__main__":
-    with Recorder(sys.argv[1], {"seed": "1"}, chunk_cycles=int(sys.argv[2])) as recorder:
-        for tick in count():
-            recorder.write(cycle_at(tick))
-            print(tick, flush=True)

@@ -1,0 +1,267 @@
+"""Sensitivities, their normal equations, and the features as residuals of the shared selection."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from marsarm.diagnosis.arm.finite_differences import (
+    MAX_ROUNDS,
+    MAX_STEP_RATIO,
+    MAX_STEP_SHARE,
+    MIN_STEP_SHARE,
+    TARGET_SIGMAS,
+    adapt_step,
+    step_error,
+)
+from marsarm.diagnosis.model import (
+    alias_cosines,
+    build_full_whitener,
+    build_model,
+    detection_limits,
+    equivalence_classes,
+    fit_linear,
+    form_normal_equations,
+    noncentrality,
+)
+from marsarm.diagnosis.problem import (
+    Departures,
+    Sensitivities,
+    fit_parabola,
+    load_sensitivities,
+    save_sensitivities,
+)
+from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, select_simulated
+from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
+from tests.marsarm.diagnosis.worlds import world
+
+
+def test_a_parabola_goes_through_both_steps_and_one_step_makes_a_line(rng):
+    slope, curve = rng.normal(size=(2, 5))
+    ends = [(slope * x + curve * x**2, x) for x in (0.5, -0.8)]
+    np.testing.assert_allclose(fit_parabola(ends), (slope, curve))
+    np.testing.assert_allclose(fit_parabola(ends[:1]), (slope + 0.5 * curve, np.zeros(5)))
+
+
+@pytest.fixture
+def kept(made):
+    """Return the sensitivities of a world."""
+    return Sensitivities(*(getattr(made, field.name) for field in fields(Sensitivities)))
+
+
+def test_what_is_kept_comes_back(kept, tmp_path):
+    save_sensitivities(tmp_path / "s.npz", kept)
+    again = load_sensitivities(tmp_path / "s.npz", kept.hypotheses, kept.nuisances)
+    assert to_json(again) == to_json(kept)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.npz"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_file_that_was_damaged_or_is_something_else_is_refused(kept, tmp_path, share):
+    path = tmp_path / "s.npz"
+    save_sensitivities(path, kept)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(BadRequest, match=r"s\.npz: no sensitivities .*remove it"):
+        load_sensitivities(path, (), ())
+    np.savez(path, a=np.zeros(3))
+    with pytest.raises(BadRequest, match="no sensitivities"):
+        load_sensitivities(path, (), ())
+
+
+def test_a_robot_that_cannot_be_simulated_has_no_sensitivities(made):
+    with pytest.raises(ValueError, match="must be finite"):
+        replace(made, effect=np.nan * made.effect)
+
+
+@pytest.mark.parametrize(
+    "per_typical", np.geomspace(2 * TARGET_SIGMAS / MAX_STEP_SHARE, TARGET_SIGMAS / MIN_STEP_SHARE / 2, 7)
+)
+def test_a_step_along_a_line_is_adapted_at_once(per_typical: float) -> None:
+    better = adapt_step(1.0, per_typical) or 1.0
+    assert 1.0 / MAX_STEP_RATIO <= better * per_typical / TARGET_SIGMAS <= MAX_STEP_RATIO
+    assert adapt_step(better, better * per_typical) is None
+    assert step_error(better * per_typical) < step_error(0.0)
+
+
+def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
+    """A backlash changes sides at 0.05 of a typical size, and hides what is visible from 0.02 on."""
+    share = 1.0
+    for _ in range(MAX_ROUNDS):
+        share = adapt_step(share, 100.0 * share + (400.0 if share > 0.05 else 0.0)) or share
+    assert share < 0.05
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Return a campaign small enough for dense matrices."""
+    return world(seed=3, m=160, effects=4, places=2, nuisances=4, blocks=5, alike=1, two=1)
+
+
+def _dense(made):
+    """Return the covariance of the features in their units."""
+    layout = made.layout
+    V = np.diag(layout.sigma**2)
+    for index, nuisance in enumerate(made.nuisances):
+        n = made.nuisance[:, index] * nuisance.sigma
+        same = layout.block[:, None] == layout.block[None, :] if nuisance.random_per_block else 1.0
+        V = V + np.outer(n, n) * same
+    return V
+
+
+def likelihood_ratio(equations, y, chosen):
+    """Return the deviance that hypotheses explain: a'R a, with nuisances eliminated."""
+    a, columns = fit_linear(equations, y, chosen).theta[equations.q :], np.isin(equations.owner, chosen)
+    return float(a @ equations.R[np.ix_(columns, columns)] @ a)
+
+
+def _deviance(V, S, y, t):
+    return (y - S @ t) @ np.linalg.solve(V, y - S @ t)
+
+
+def test_a_fit_is_generalised_least_squares(small, rng):
+    equations, V = form_normal_equations(small), _dense(small)
+    y = small.measured(rng)
+    case = equations.whiten(y)
+    S = small.effect[:, np.isin(small.owner, (1, 3))]
+    t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
+    expected = _deviance(V, S, y, 0 * t) - _deviance(V, S, y, t)
+    assert float(likelihood_ratio(equations, case, (1, 3))) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_full_whitener_leaves_white_noise(small):
+    """W V W' is the identity, with V the covariance by noise and all nuisances."""
+    W = build_full_whitener(small)(np.eye(small.layout.size))
+    np.testing.assert_allclose(W @ _dense(small) @ W.T, np.eye(small.layout.size), atol=1e-6)
+
+
+def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
+    cosine, label = alias_cosines(campaign.equations), equivalence_classes(campaign.equations)
+    same = label[:, None] == label[None, :]
+    assert label.max() + 1 == 30
+    assert np.all(cosine[~same] <= 0.99)
+    assert np.all(cosine[same] > 0.99)
+
+
+def test_what_nuisances_imitate_is_not_seen(small):
+    kept = small
+    free = tuple(replace(n, sigma=1e6, random_per_block=False) for n in kept.nuisances)
+    effect = kept.effect.copy()
+    effect[:, 0] = kept.nuisance[:, 3]
+    equations = form_normal_equations(replace(kept, nuisances=free, effect=effect))
+    assert list(np.flatnonzero(~equations.identifiable)) == [0]
+    assert detection_limits(equations, equivalence_classes(equations))[0][0] == np.inf
+
+
+def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
+    """Power of the likelihood-ratio test at the limit, simulated: the interval of 400 cases is +-3 %."""
+    one = int(np.flatnonzero(np.bincount(made.owner) == 2)[0])
+    limit = campaign.limits[one]
+    hits = 0
+    for _ in range(400):
+        y = made.measured(rng, t=np.where(made.owner == one, limit, 0.0))
+        case = campaign.equations.whiten(y)
+        hits += float(likelihood_ratio(campaign.equations, case, (one,))) > chi2.isf(0.05, 2)
+    assert 0.86 <= hits / 400 <= 0.94
+    assert noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)
+
+
+WORLD = SENSITIVITIES = world(bent=0.3)
+MODEL = build_model(SENSITIVITIES)
+EFFECTS = list_competitors(MODEL)
+WHITEN = build_full_whitener(SENSITIVITIES)
+
+
+def residuals(value: np.ndarray) -> FeatureResiduals:
+    return FeatureResiduals(SENSITIVITIES, WHITEN, value)
+
+
+def test_without_effect_features_are_white() -> None:
+    values = [WORLD.measured(np.random.default_rng([1, k])) for k in range(40)]
+    white = np.array([residuals(value).residuals((), np.zeros((1, 0)))[0] for value in values])
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_class_competes_once() -> None:
+    labels = [MODEL.label[SENSITIVITIES.index(one.key)] for one in EFFECTS]
+    assert len(set(labels)) == len(labels) == int(MODEL.label.max()) + 1
+
+
+def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
+    """Also beyond their reach, and for several effects at once."""
+    rng = np.random.default_rng(3)
+    value, some = WORLD.measured(rng), EFFECTS[4:12:3]
+    sizes = rng.uniform(-2.0, 2.0, sum(len(one.sizes) for one in some))
+    parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
+    change = SENSITIVITIES.change(dict(zip(some, parts, strict=True)))
+    expected = WHITEN(value - change)
+    np.testing.assert_allclose(residuals(value).residuals(some, sizes[None])[0], expected, atol=1e-8)
+
+
+def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None:
+    rng = np.random.default_rng(4)
+    for h in (3, int(np.flatnonzero(np.bincount(WORLD.owner) == 2)[0])):
+        hypothesis = SENSITIVITIES.hypotheses[h]
+        a = rng.uniform(1.0, 3.0, len(hypothesis.parameters))
+        change = rng.normal(size=WORLD.layout.size)
+        simulated = SENSITIVITIES.with_simulated(h, a, change)
+        for one in (simulated, simulated.linearised(h, a)):
+            np.testing.assert_allclose(one.change({hypothesis: a}), change)
+
+
+def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
+    """The bounds of the first members are one typical size; those of their copies are a thousand."""
+    pairs = [of for k in range(len(SENSITIVITIES.hypotheses)) if len(of := MODEL.equivalence_class(k)) == 2]
+    assert pairs
+    hypotheses = list(SENSITIVITIES.hypotheses)
+    for first, _ in pairs:
+        narrow = [replace(one, least=-one.typical, most=one.typical) for one in hypotheses[first].parameters]
+        hypotheses[first] = replace(hypotheses[first], parameters=tuple(narrow))
+    model = replace(MODEL, sensitivities=replace(SENSITIVITIES, hypotheses=tuple(hypotheses)))
+    chosen = {SENSITIVITIES.index(one.key) for one in list_competitors(model)}
+    assert {second for _, second in pairs} <= chosen
+    assert not {first for first, _ in pairs} & chosen
+
+
+def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
+    """At the simulated size it has the slope of the parabola; other nuisances stay."""
+    h, a = 3, np.array([2.0])
+    (column,) = np.flatnonzero(WORLD.owner == h)
+    nuisance = SENSITIVITIES.nuisance.copy()
+    nuisance[:, 5] = 0.1 * SENSITIVITIES.effect[:, column]
+    given = replace(SENSITIVITIES, nuisance=nuisance)
+    slope = given.effect[:, column]
+    bent = given.with_simulated(h, a, 3.0 * slope)  # 2 a by the slope, and a^2 / 4
+    np.testing.assert_allclose(bent.nuisance[:, 5], 0.1 * 2.0 * slope)
+    np.testing.assert_array_equal(np.delete(bent.nuisance, 5, 1), np.delete(nuisance, 5, 1))
+
+
+class Steep:
+    """Simulator whose response grows faster than any parabola; it remembers the sizes that it simulated."""
+
+    def __init__(self) -> None:
+        self.sizes: list[np.ndarray] = []
+
+    def simulate(self, settings: Departures) -> np.ndarray:
+        ((hypothesis, departures),) = settings.items()
+        self.sizes.append(departures)
+        return self.respond(SENSITIVITIES.hypotheses.index(hypothesis), self.sizes[-1])
+
+    def respond(self, h: int, a: np.ndarray) -> np.ndarray:
+        (column,) = np.flatnonzero(SENSITIVITIES.owner == h)
+        return SENSITIVITIES.effect[:, column] * float(a[0] + 0.02 * a[0] ** 3)
+
+
+def test_a_second_simulation_does_not_depend_on_the_first() -> None:
+    """A selection that simulates twice begins at the sensitivities of the campaign each time."""
+    simulator, h = Steep(), 3
+    value = simulator.respond(h, np.array([6.0]))
+    found = select_simulated(MODEL, WHITEN, value, 1, simulator.simulate)
+    assert found.chosen == (h,)
+    assert len(simulator.sizes) > 1
+    last = SENSITIVITIES.with_simulated(h, simulator.sizes[-1], simulator.respond(h, simulator.sizes[-1]))
+    np.testing.assert_array_equal(found.sensitivities.nuisance, last.nuisance)
+    np.testing.assert_array_equal(found.sensitivities.curve, last.curve)
+    np.testing.assert_allclose(*found.departures.values(), 6.0, rtol=0.02)
