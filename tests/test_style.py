@@ -28,33 +28,21 @@ def problems(folder: Path, place: str, text: str) -> list[tuple[int, str]]:
     return list(STYLE.check_module(place, path))
 
 
+KINEMATICS = "fsw/kinematics/a.py"
+OF_ANGLE = FUNCTION + '    """Turn it.\n\n    Args:\n        angle: Angle{}.\n    """\n'
+
+
 @pytest.mark.parametrize(
     ("place", "text", "line", "expected"),
     [
         ("sim/a.py", '"""What nothing is."""\n', 1, "opens with 'What'"),
         ("sim/a.py", '"""`how` it is."""\n', 1, "opens with 'how'"),
-        (
-            "fsw/kinematics/a.py",
-            MODULE + 'class Arm:\n    def turn(self, angle: Array) -> None:\n        """Turn it."""\n',
-            3,
-            "Args does not name angle",
-        ),
         ("sim/a.py", MODULE + "\n" * 401, 1, "402 lines, 400 at most"),
         ("sim/a.py", MODULE + "def long():\n" + "    pass\n" * 60, 2, "long has 61 lines, 60 at most"),
-        ("fsw/kinematics/a.py", MODULE + FUNCTION + '    """Turn it."""\n', 2, "Args does not name angle"),
-        (
-            "fsw/kinematics/a.py",
-            MODULE + FUNCTION + '    """Turn it.\n\n    Args:\n        angle: Angle [rad].\n    """\n',
-            2,
-            "Args gives no shape of angle",
-        ),
-        (
-            "fsw/kinematics/a.py",
-            MODULE + FUNCTION + '    """Turn it.\n\n    Args:\n        angle: Angle, shape (5,).\n    """\n',
-            2,
-            "Args gives no unit of angle",
-        ),
-        ("fsw/kinematics/a.py", MODULE + FUNCTION + '    """Turn it."""\n', 2, "shape that is returned"),
+        (KINEMATICS, MODULE + FUNCTION + '    """Turn it."""\n', 2, "Args does not name angle"),
+        (KINEMATICS, MODULE + OF_ANGLE.format(" [rad]"), 2, "Args gives no shape of angle"),
+        (KINEMATICS, MODULE + OF_ANGLE.format(", shape (5,)"), 2, "Args gives no unit of angle"),
+        (KINEMATICS, MODULE + FUNCTION + '    """Turn it."""\n', 2, "shape that is returned"),
         (
             "sim/a.py",
             MODULE + "def show(j: JointEstimate) -> None:\n"

@@ -163,21 +163,13 @@ def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -
     return reorder_poses(parts, believed.motor_rad.shape[1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TruthComparison:
-    """Difference of the calibrated arm from the true arm."""
+def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> tuple[Array, Array]:
+    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal.
 
-    error: Array
-    """Screws from calibrated to true poses, at the believed positions in the backlash, shape (6, n)."""
-    sigmas: Array
-    """Error along each combination, over its stated sigma.
-
-    Only combinations that the data determine better than the prior are included.
+    Returns:
+        Screws from calibrated to true poses, at the believed positions in the backlash, shape (6, n). The
+        error along each combination that the data determine better than the prior, over its stated sigma.
     """
-
-
-def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> TruthComparison:
-    """Compare the calibrated arm with the true arm; the frame Tool of the targets is taken as nominal."""
     fitted = residual_model(found.nominal, found.campaign, found.preliminary)
     truth = MeasuredPoses(
         true_poses(arm, found.campaign.believed, motor_error_rad), found.campaign.measured.covariance
@@ -188,7 +180,7 @@ def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array
     share, along = np.linalg.eigh(J @ found.best.covariance @ J.T)
     determined = share > MIN_DATA_SHARE
     error = along[:, determined].T @ at_best.residual[found.best.used].ravel()
-    return TruthComparison(model.errors(found.best.values), error / np.sqrt(share[determined]))
+    return model.errors(found.best.values), error / np.sqrt(share[determined])
 
 
 COLD_C: Final = -35.0
@@ -212,14 +204,15 @@ HARDSTOP_TARGETS: Final = 10
 """Number of targets that last as long as the hardstops of all joints, for the progress."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class PlaceErrors:
-    """Tool errors at the targets of one environment; arrays of shape (n,)."""
+    """Tool errors at the targets of one environment."""
 
     name: str
-    total_m: Array
-    lateral_m: Array
-    axis_rad: Array
+    rms_m: float
+    max_m: float
+    max_lateral_m: float
+    max_axis_rad: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +245,8 @@ def verify_calibration(
         for one in _tool_errors(known, reference, world, effects, targets, seed):
             found.append(one)
             moving(k * targets + len(found), len(where) * targets, name)
-        places.append(PlaceErrors(name, *np.array(found).T))
+        rms_m = float(np.sqrt(np.mean(np.array(found)[:, 0] ** 2)))
+        places.append(PlaceErrors(name, rms_m, *np.max(found, axis=0).tolist()))
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 

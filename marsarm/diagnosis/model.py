@@ -49,16 +49,12 @@ ABSORBED_SHARE: Final = 1e-6
 """A column counts as not identifiable if the nuisances leave less than this share of its square."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockCovariance:
-    """Low-rank covariance by nuisances: of the features of a block, if random per block, or of all."""
+BlockCovariance = tuple[Ints, Array, Array]
+"""Low-rank covariance by nuisances: of the features of a block, if random per block, or of all.
 
-    rows: Ints
-    """Indices of the features, shape (n,)."""
-    U: Array
-    """Orthonormal directions, shape (n, s)."""
-    shrinkage: Array
-    """Share by which whitening reduces each direction, shape (s,)."""
+Indices of the features, shape (n,), orthonormal directions, (n, s), and the share by which whitening reduces
+each of them, (s,).
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,9 +67,8 @@ class Whitener:
     def __call__(self, X: Array) -> Array:
         """Whiten features in the units of their channels, shape (m,) or (m, n)."""
         Z = (X.T / self.sigma).T
-        for block in self.scatter:
-            part = Z[block.rows]
-            Z[block.rows] = part - (block.U * block.shrinkage) @ (block.U.T @ part)
+        for rows, U, shrinkage in self.scatter:
+            Z[rows] -= (U * shrinkage) @ (U.T @ Z[rows])
         return Z
 
 
@@ -104,7 +99,7 @@ def build_full_whitener(sensitivities: Sensitivities) -> Whitener:
 def _block_covariance(rows: Ints, L: Array) -> BlockCovariance:
     """Return the covariance L L' of some features beside unit noise, L (n, s)."""
     U, S, _ = np.linalg.svd(L, full_matrices=False)
-    return BlockCovariance(rows, U, 1.0 - 1.0 / np.sqrt(1.0 + S**2))
+    return rows, U, 1.0 - 1.0 / np.sqrt(1.0 + S**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -170,8 +170,10 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("robot", ["pendulum", "kr300"])
-def test_logs_of_other_robots_lose_no_sample(real_data, robot):
-    assert audit(*load_real(real_data, robot)).refused == ()
+def test_logs_of_other_robots_lose_no_sample_and_have_the_units_of_their_files(real_data, robot):
+    found = audit(*load_real(real_data, robot))
+    assert found.refused == ()
+    assert RemarkKind.UNIT not in {one.kind for one in found.remarks}
 
 
 def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):

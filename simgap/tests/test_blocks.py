@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from helpers.toy import draw_toy
-from helpers.two_joint_arm import arm, scales, simulated
+from helpers.two_joint_arm import arm, simulated
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction
 from simgap.residuals.inverse_residuals import InverseResiduals
 from simgap.residuals.noise import Blocks, correlation_time_s, cut_into_blocks, cut_rows
@@ -111,7 +112,7 @@ def test_rows_of_several_joints_are_cut_by_the_longest_memory():
 @pytest.mark.parametrize("wanted", [(1, 5), (6,), (0, 2, 3)])
 def test_selected_blocks_keep_their_residuals(wanted):
     wanted = tuple(blocks().motions[k] for k in wanted)
-    effects = [CoulombFriction.at(arm(), "elbow", scales(arm(), *logs()))]
+    effects = [CoulombFriction.at(arm(), "elbow", joint_scales(arm(), logs()))]
     part = blocks().select(wanted)
     rows = np.isin(blocks().motion_of, [blocks().motions.index(name) for name in wanted])
     assert part.motions == wanted

@@ -80,29 +80,27 @@ def test_the_constants_of_a_motor_are_those_at_the_joint(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("attributes", "mode", "said"),
+    ("said", "given"),
     [
-        (f'{MOTOR} inductance="0.001"', "voltage", r"actuator: 'motor' has dynamics of its own"),
-        (f'{MOTOR} thermal="1 1 1"', "voltage", r"dynamics of its own \(thermal\); a diagnosis lacks them"),
-        (f'{MOTOR} lugre="100 1 .1 .2 .01"', "voltage", r"dynamics of its own \(lugre\)"),
-        (f'{MOTOR} cogging="0.01 6 0"', "voltage", r"dynamics of its own \(cogging\)"),
-        (f'{MOTOR} input="pos" controller="1 1 0"', "position", "an integral gain or slewmax"),
-        (f'{MOTOR} input="pos" controller="1 0 0 5"', "position", "an integral gain or slewmax"),
-        (f'{MOTOR} input="pos" controller="1 0 0 0 0 12"', "position", "has a largest voltage .* saturation"),
-        (f'{MOTOR} input="vel" controller="1 0 1"', "velocity", "so set kp to 0"),
-        (MOTOR, "position", "joints.swing.kp_Nm_rad: is 0 or missing, and the model has no gain"),
-        (MOTOR, "velocity", "joints.swing.kd_Nms_rad: is 0 or missing, and the model has no gain"),
+        (r"actuator: 'motor' has dynamics of its own", (f'{MOTOR} inductance="0.001"', "voltage")),
+        (r"dynamics of its own \(thermal\); a diagnosis lacks them", (f'{MOTOR} thermal="1 1 1"', "voltage")),
+        (r"dynamics of its own \(lugre\)", (f'{MOTOR} lugre="100 1 .1 .2 .01"', "voltage")),
+        (r"dynamics of its own \(cogging\)", (f'{MOTOR} cogging="0.01 6 0"', "voltage")),
+        ("an integral gain or slewmax", (f'{MOTOR} input="pos" controller="1 1 0"', "position")),
+        ("an integral gain or slewmax", (f'{MOTOR} input="pos" controller="1 0 0 5"', "position")),
+        ("a largest voltage .* saturation", (f'{MOTOR} input="pos" controller="1 0 0 0 0 12"', "position")),
+        ("so set kp to 0", (f'{MOTOR} input="vel" controller="1 0 1"', "velocity")),
+        ("joints.swing.kp_Nm_rad: is 0 or missing, and the model has no gain", (MOTOR, "position")),
+        ("joints.swing.kd_Nms_rad: is 0 or missing, and the model has no gain", (MOTOR, "velocity")),
+        ("kp_Nm_rad: has no meaning in the mode voltage; remove it", (MOTOR, "voltage", "kp_Nm_rad = 3.0")),
+        ("mode: is voltage, and the model has no <dcmotor> at", ('gear="2"', "voltage", "", "motor")),
+        (
+            "'motor' has a delay of its own; a diagnosis looks for delays",
+            ('kp="4" delay="0.01" nsample="5"', "position", "", "position"),
+        ),
+        ("has dynamics of its own", ('kp="4" kv="0.1" timeconst="0.05"', "position", "", "position")),
     ],
 )
-def test_a_motor_with_more_than_a_diagnosis_has_is_refused_in_words(attributes, mode, said, tmp_path):
+def test_a_drive_that_no_diagnosis_has_is_refused_in_words(said, given, tmp_path):
     with pytest.raises(RobotError, match=said):
-        read(tmp_path, attributes, mode)
-
-
-def test_the_mode_voltage_needs_a_motor(tmp_path):
-    with pytest.raises(RobotError, match=r"joints.swing.mode: is voltage, and the model has no <dcmotor>"):
-        read(tmp_path, 'gear="2"', "voltage", actuator="motor")
-    with pytest.raises(RobotError, match="kp_Nm_rad: has no meaning in the mode voltage; remove it"):
-        read(tmp_path, MOTOR, "voltage", "kp_Nm_rad = 3.0")
-    with pytest.raises(RobotError, match="'motor' has a delay of its own; a diagnosis looks for delays"):
-        read(tmp_path, 'kp="4" delay="0.01" nsample="5"', "position", actuator="position")
+        read(tmp_path, *given)

@@ -164,8 +164,7 @@ def test_a_sagging_supply_lowers_gains_by_the_torque_in_use():
 def test_a_supply_falls_by_no_more_than_twice_what_its_voltage_shows():
     log = pendulum.motion(TIME_s, 0 * TIME_s, 0 * TIME_s)
     volts = np.where(TIME_s < 0.8 * TIME_s[-1], 12.0, 10.8)
-    swing = replace(log.joints["swing"], voltage=Signal(TIME_s, volts))
-    with_voltage = replace(log, joints={"swing": swing})
+    with_voltage = pendulum.with_signals(log, voltage=volts)
     for logs, high in ([], 1.0), ([log], 1.0), ([with_voltage], 0.2):
         (size,) = SupplySag.of(pendulum.pendulum(), {"swing": pendulum.scales(torque_Nm=1.0)}, logs).sizes
         assert size.high == pytest.approx(high)

@@ -6,10 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from helpers.two_joint_arm import PERIOD_s, arm, check_promises, rms, scales, simulated
+from helpers.two_joint_arm import PERIOD_s, arm, check_promises, rms, simulated
 from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
 from simgap.effects.command import EncoderScale, MeasurementDelay
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
 from simgap.logs import JointLog, Motion, Signal
@@ -49,7 +50,7 @@ def second_log(late_s=SKEW_s, compliance=COMPLIANCE_rad_Nm, offset_rad=OFFSET_ra
 def effects_at(joint, robot=None):
     robot = robot or arm()
     index = [one.name for one in robot.joints].index(joint)
-    delay = MeasurementDelay.at(robot, joint, scales(robot, motor_log()))
+    delay = MeasurementDelay.at(robot, joint, joint_scales(robot, [motor_log()]))
     return [delay, JointCompliance(joint, index, False, 1e-5, 1e-3)]
 
 
@@ -96,7 +97,7 @@ def test_refused_samples_of_the_first_encoder_are_not_compared():
 
 def test_an_encoder_scale_stretches_the_motion():
     model = EncoderResiduals(arm(), [second_log(late_s=0.0, compliance=0.0, scale=0.01)])
-    effect = EncoderScale.at(arm(), "shoulder", scales(arm(), motor_log()))
+    effect = EncoderScale.at(arm(), "shoulder", joint_scales(arm(), [motor_log()]))
     sizes, rest, _ = least_squares(model, [effect], model.joint_of == 0)
     assert sizes[0] == pytest.approx(0.01, rel=1e-6)
     assert rms(rest) < 1e-9
@@ -135,7 +136,7 @@ def test_candidates_and_parts_keep_their_bits():
 
 
 def test_an_effect_that_no_encoder_shows_changes_nothing():
-    friction = CoulombFriction.at(arm(), "shoulder", scales(arm(), motor_log()))
+    friction = CoulombFriction.at(arm(), "shoulder", joint_scales(arm(), [motor_log()]))
     assert not shows(friction)
     none, some = EncoderResiduals(arm(), [second_log()]).residuals([friction], np.array([[0.0], [1.0]]))
     assert np.array_equal(none, some)

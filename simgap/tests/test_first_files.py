@@ -16,7 +16,7 @@ from simgap.common.progress import no_progress
 from simgap.loading import load
 from simgap.robot import Robot
 from simgap.setup.compose import draft_robot_file
-from simgap.setup.draft import list_questions, robot_file_text
+from simgap.setup.draft import list_questions, robot_file_lines
 
 MODEL = """<mujoco model="two servos">
   <compiler angle="radian" autolimits="true"/>
@@ -85,12 +85,12 @@ def by_name(**changes):
     return {name: values for name, values in (columns | changes).items() if values is not None}
 
 
-def make(folder, log, model=MODEL, unit=""):
+def make(folder, log, model=MODEL):
     """Write a first robot file; return its joints, its questions, and the remarks of the check."""
     path = folder / "robot.toml"
     (folder / "model.xml").write_text(model)
-    draft = draft_robot_file(folder / "model.xml", (log,), path, unit, no_progress)
-    path.write_text(robot_file_text(draft, "a test"))
+    draft = draft_robot_file(folder / "model.xml", (log,), path, "", no_progress)
+    path.write_text("\n".join(robot_file_lines(draft, "a test")))
     robot = Robot.from_toml(path)
     remarks = audit(robot, load(robot, log)).remarks
     return tomllib.loads(path.read_text())["joints"], " ".join(list_questions(draft)), remarks

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from helpers.real_robots import load_real
-from helpers.two_joint_arm import arm, check_promises, rms, scales, simulated
+from helpers.two_joint_arm import arm, check_promises, rms, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.command import EncoderScale, JointZero
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction, PositionTorque, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
 from simgap.effects.transmission import JointCompliance
@@ -42,7 +43,7 @@ def residuals_of(*motions):
 
 def at(joint, *kinds):
     robot = arm()
-    return [kind.at(robot, joint, scales(robot, log())) for kind in kinds]
+    return [kind.at(robot, joint, joint_scales(robot, [log()])) for kind in kinds]
 
 
 def of_joint(model, values, joint):
@@ -208,7 +209,7 @@ def test_logs_without_torques_and_logs_that_are_shorter_than_the_filter_are_refu
 def kr300(folder):
     robot, logs = load_real(folder, "kr300")
     effects = {effect.key: effect for effect in catalogue(robot, logs)}
-    shared = {"a2": scales(robot, *logs.motions)["a2"]}
+    shared = {"a2": joint_scales(robot, logs.motions)["a2"]}
     base = [kind.at(robot, "a2", shared) for kind in FRICTION]
     return robot, InverseResiduals(robot, logs.motions), base, effects
 
@@ -242,19 +243,3 @@ def test_friction_alone_leaves_4_newton_metres_at_axis_2_of_the_kr300(real_data)
 def test_a_counterbalance_of_the_first_order_predicts_the_other_batch(real_data, fitted):
     errors = axis_2_errors_Nm(real_data, fitted, ["position-dependent torque"], [0, 1, 2, 3])
     assert errors[1 - fitted] < 0.8
-
-
-@pytest.mark.real_data
-@pytest.mark.parametrize("batch", [0, 1])
-def test_no_mass_of_a_link_within_its_bounds_is_a_counterbalance(real_data, batch):
-    robot, model, base, effects = kr300(real_data)
-    mass = effects["a2: link mass"]
-    bounds = mass.sizes[0].low, mass.sizes[0].high
-    rows = (model.joint_of == 1) & (model.motion_of == batch)
-    slopes = model.residuals(base, np.vstack((np.zeros(2), np.eye(2))))[:, rows]
-    columns = (slopes[:1] - slopes[1:]).T
-    nominal, *others = (
-        rms(rest - columns @ np.linalg.lstsq(columns, rest)[0]) / robot.joint("a2").gear_ratio
-        for rest in model.residuals([mass], np.array([[0.0], *([bound] for bound in bounds)]))[:, rows]
-    )
-    assert min(others) > 0.9 * nominal

@@ -1,19 +1,31 @@
-"""Fits of all joints: coupled joints, sizes at bounds, joints without data, repeats."""
+"""Fits of all joints: coupled ones, sizes at bounds, joints without data, repeats; poor nominal models."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from helpers.pendulum import motion, pendulum, recorded, waves
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
-from simgap.assemble import find_interval
+from helpers.verdicts import ARMATURE, FRICTION, GAIN
+from simgap.assemble import doubt_names, find_interval, list_base
+from simgap.catalogue.catalogue import base_effects
+from simgap.effects.actuation import DampingGain
+from simgap.effects.effect import Size
+from simgap.logs import Logs, Signal
+from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
-from simgap.selection.acceptance import step_without
+from simgap.residuals.residuals import refer_to
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.selection.acceptance import Candidate, pays, step_without
 from simgap.selection.checkpoint import Meter
-from simgap.selection.context import start_context
-from simgap.selection.fit import Hypothesis, Union
+from simgap.selection.context import FittedModel, start_context
+from simgap.selection.fit import Hypothesis, JointFit, Union
 from simgap.selection.fitting import Fitting
 from simgap.selection.joint_fits import fit_base
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import share_nothing
+from simgap.selection.verdict import find_pushed
 
 
 class Coupled(ToyResiduals):
@@ -101,3 +113,94 @@ def test_the_noise_of_all_repeats_counts_in_any_order():
         assert isinstance(white, WhitenedResiduals)
         found.append(white.correlation)
     np.testing.assert_allclose(found[0], found[1])
+
+
+TIME_s = np.arange(0.0, 2.0, 0.01)
+TRUE_KD, TRUE_DAMPING = 0.06, 0.005
+
+
+def swing(seed, on):
+    """Record a damped pendulum whose motor has power where `on` is 1."""
+    command = waves(TIME_s, seed)
+    log = motion(TIME_s, 0.0 * TIME_s + command[0], command, f"m{seed}", enabled=Signal(TIME_s, on))
+    return recorded(pendulum(kp=4.0, kd=TRUE_KD, damping=TRUE_DAMPING), log)
+
+
+def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_power():
+    robot = pendulum(kp=3.0, kd=0.0, damping=0.0)
+    motions = [swing(k, (TIME_s < 1.2).astype(float)) for k in range(4)]
+    base = base_effects(robot, Logs(tuple(motions)))
+    assert any(isinstance(one, DampingGain) for one in base)
+    always = [swing(k, np.ones(TIME_s.size)) for k in range(4)]
+    assert not any(isinstance(one, DampingGain) for one in base_effects(robot, Logs(tuple(always))))
+    raw = SimulationResiduals(robot, motions, n_threads=1, fit_starts=True)
+    context, present = fit_base(start_context(raw, base, (), 1, Meter()))
+    found = {one.name: one.value for one in list_base(robot, context, present, ())}
+    assert found["kd_Nms_rad"] == pytest.approx(TRUE_KD, rel=0.05)
+    assert found["damping_Nms_rad"] == pytest.approx(TRUE_DAMPING, rel=0.2)
+    assert found["gain_ratio"] == pytest.approx(1.0 / 3.0, rel=0.05)
+
+
+def test_residuals_about_the_nominal_model_are_the_same_bits():
+    motions = [swing(1, np.ones(TIME_s.size))]
+    robot = pendulum()
+    raw = SimulationResiduals(robot, motions, n_threads=1, fit_starts=True)
+    base = base_effects(robot, Logs(tuple(motions)))
+    nominal = np.zeros(len(base))
+    again = refer_to(raw, base, nominal)
+    np.testing.assert_array_equal(raw.residuals([], np.zeros((1, 0))), again.residuals([], np.zeros((1, 0))))
+    moved = refer_to(raw, base, nominal + 0.01)
+    assert not np.array_equal(raw.residuals([], np.zeros((1, 0))), moved.residuals([], np.zeros((1, 0))))
+
+
+class Bounded(Toy):
+    """Toy of which at least 0.3 is there, as in the truth, or more."""
+
+    least = 0.0
+
+    @property
+    def sizes(self):
+        return (Size(self.label, self.least, 5.0, 1.0),)
+
+
+@pytest.mark.parametrize(("least", "is_pushed"), [(-5.0, False), (0.3, False), (0.35, True)])
+def test_only_a_bound_that_the_motions_contradict_counts(least, is_pushed):
+    toy = draw_toy(1, {})
+    Bounded.least = least
+    base = tuple(Bounded(name, "gain", lambda x: x) for name in NAMES)
+    context, present = fit_base(start_context(toy, base, (), 1, Meter()))
+    assert [bool(find_pushed(context, fit).size) for fit in present.fits] == [is_pushed] * 2
+
+
+def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion():
+    toy = draw_toy(1, {})
+    near = [one for one in CATALOGUE if one.place == "near"]
+    context, present = fit_base(start_context(toy, (), CATALOGUE, 1, Meter()))
+    rows = np.flatnonzero(toy.joint_of == 0)
+    before = np.ones(toy.joint_of.size)
+    fit = JointFit(present.sizes, np.arange(1), 0, before[rows], rows, np.zeros((rows.size, 1)))
+
+    def judge(after, n_taken):
+        taken = FittedModel(tuple(near[:n_taken]), present.sizes, present.fits, before)
+        return pays(context, taken, Candidate(near[3], (0,), fit, after, False, 0.1, -20.0))
+
+    one_motion = np.where(toy.motion_of[rows] == 0, 0.1, 1.0)
+    assert judge(one_motion, 2)
+    assert not judge(one_motion, 3)
+    assert judge(0.8 * before[rows] * np.linspace(0.9, 1.0, rows.size), 3)
+
+
+def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name():
+    known, elsewhere = FRICTION, replace(FRICTION, place="elbow")
+    unknown = replace(FRICTION, families=(), effects=())
+    small = replace(unknown, share=0.4)
+    assert doubt_names([known, small]) == [known, small]
+    found = doubt_names([known, unknown, elsewhere])
+    assert [one.effects for one in found] == [(), (), FRICTION.effects]
+    assert [one.families for one in found] == [FRICTION.families, (), FRICTION.families]
+    assert "95 % sure of the kind" in finding_sentences(found[:1])[0]
+
+
+def test_a_base_parameter_at_a_contradicted_bound_is_told():
+    (line,) = bound_sentences([GAIN, replace(ARMATURE, value=0.0, is_pushed=True)])
+    assert line.startswith("armature of pan (0) ends at its bound, ")

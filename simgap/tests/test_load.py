@@ -11,8 +11,6 @@ from simgap.files.columns import cut_at_pauses
 from simgap.loading import load
 from simgap.robot import Robot
 
-GERMAN = ('[time]\ncolumn = "t"', '[csv]\nseparator = ";"\ndecimal = ","\n\n[time]\ncolumn = "t"')
-
 
 @pytest.fixture
 def robot(tmp_path):
@@ -33,11 +31,6 @@ def test_values_are_in_si_units_at_the_joint_in_every_format(tmp_path, robot, wr
     np.testing.assert_allclose(elbow.torque.value, [0.0, 5.0, 10.0])
     assert elbow.velocity is None
     assert fast.joints["elbow"].torque.value.size == 4
-
-
-def test_a_csv_may_have_semicolons_and_decimal_commas(tmp_path):
-    slow, _ = load(write_robot(tmp_path, GERMAN), write_csv(tmp_path, ";", ",")).motions
-    np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
 
 
 def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):

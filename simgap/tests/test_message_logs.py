@@ -10,7 +10,7 @@ import pytest
 from mcap.writer import CompressionType
 
 from helpers.message_logs import BY_PLACE, BY_TOPIC, START_NS, joint_state, rows, write_bag, write_mcap
-from helpers.robot_folder import MODEL
+from helpers.robot_folder import MODEL, write_robot
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
@@ -23,9 +23,7 @@ from simgap.robot import Robot
 
 @pytest.fixture(params=[BY_TOPIC, BY_PLACE], ids=["topic", "place"])
 def robot(tmp_path, request):
-    (tmp_path / "model.xml").write_text(MODEL)
-    (tmp_path / "robot.toml").write_text(request.param)
-    return tmp_path / "robot.toml"
+    return write_robot(tmp_path, text=request.param)
 
 
 def check(logs, n=5):
@@ -91,10 +89,9 @@ def test_messages_of_an_unknown_encoding_and_motions_in_a_column_are_refused(rob
     ],
 )
 def test_a_field_that_is_not_there_is_named(tmp_path, column, said):
-    (tmp_path / "model.xml").write_text(MODEL)
-    (tmp_path / "robot.toml").write_text(BY_PLACE.replace("/joint_states.position[0]", column))
+    robot = write_robot(tmp_path, ("/joint_states.position[0]", column), text=BY_PLACE)
     with pytest.raises(RobotError, match=re.escape(said)):
-        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", rows(), "ros2msg"))
+        load(robot, write_mcap(tmp_path / "log.mcap", rows(), "ros2msg"))
 
 
 @pytest.mark.parametrize(
@@ -107,12 +104,11 @@ def test_a_field_that_is_not_there_is_named(tmp_path, column, said):
     ],
 )
 def test_a_message_without_a_usable_number_is_refused(tmp_path, value, said):
-    (tmp_path / "model.xml").write_text(MODEL)
     command = 'command = { column = "/command.deg", unit = "deg" }'
-    (tmp_path / "robot.toml").write_text(BY_TOPIC.replace('command_topic = "/joint_command"', command))
+    robot = write_robot(tmp_path, ('command_topic = "/joint_command"', command), text=BY_TOPIC)
     messages = [*rows()[::2], ("/command", START_NS, b'{"deg": %s}' % value)]
     with pytest.raises(RobotError, match=re.escape(said)):
-        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", messages))
+        load(robot, write_mcap(tmp_path / "log.mcap", messages))
 
 
 @pytest.mark.parametrize("name", ["log.bag", "log"])
@@ -142,13 +138,12 @@ def test_joints_that_have_numbers_as_names_are_read_by_name(tmp_path):
 
 
 def test_a_place_of_another_joint_is_refused_with_the_right_column(tmp_path):
-    (tmp_path / "model.xml").write_text(MODEL)
-    (tmp_path / "robot.toml").write_text(BY_PLACE.replace("position[0]", "position[2]").replace("[1]", "[0]"))
+    robot = write_robot(tmp_path, ("position[0]", "position[2]"), ("[1]", "[0]"), text=BY_PLACE)
     three = ("shoulder", "elbow", "finger")
     messages = [(topic, time_ns, joint_state(0, three)) for topic, time_ns, _ in rows()]
     said = r"'/joint_states.position\[0\]' is that of 'shoulder' in the messages"
     with pytest.raises(RobotError, match=said):
-        load(tmp_path / "robot.toml", write_mcap(tmp_path / "log.mcap", messages))
+        load(robot, write_mcap(tmp_path / "log.mcap", messages))
 
 
 @pytest.mark.parametrize(
@@ -162,10 +157,8 @@ def test_a_clock_that_steps_back_is_refused_with_topic_and_message(robot, tmp_pa
 
 
 def test_a_signal_that_never_is_a_number_is_absent_and_told(tmp_path):
-    (tmp_path / "model.xml").write_text(MODEL)
-    (tmp_path / "robot.toml").write_text(BY_TOPIC)
     never = write_mcap(tmp_path / "log.mcap", rows(velocity=[np.nan, np.nan]))
-    logs = load(tmp_path / "robot.toml", never)
+    logs = load(write_robot(tmp_path, text=BY_TOPIC), never)
     check(logs)
     (velocity, torque) = logs.losses
     columns = "/joint_states.velocity[shoulder], /joint_states.velocity[elbow]"
@@ -265,8 +258,7 @@ def test_a_bag_that_was_not_closed_and_json_of_another_form_are_refused(robot, t
         load(robot, other)
 
 
-def test_a_topic_gives_a_slide_in_its_own_units(robot, tmp_path):
+def test_a_topic_gives_a_slide_in_its_own_units(tmp_path):
     slide = MODEL.replace('name="shoulder" axis', 'name="shoulder" type="slide" axis')
-    (tmp_path / "model.xml").write_text(slide)
-    robot.write_text(BY_TOPIC)
+    robot = write_robot(tmp_path, model=slide, text=BY_TOPIC)
     check(load(robot, write_mcap(tmp_path / "log.mcap", rows())))

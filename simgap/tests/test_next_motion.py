@@ -10,13 +10,14 @@ from scipy.stats import norm
 
 from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
-from helpers.pendulum import motion, pendulum, simulated, waves
+from helpers.pendulum import motion, pendulum, recorded, waves
 from helpers.robot_folder import write_csv, write_robot
 from helpers.verdicts import diagnosis
 from simgap.arrays import Array
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.command.next_motion import command_table
 from simgap.common.errors import RobotError
+from simgap.effects.effect import joint_scales
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
@@ -87,13 +88,9 @@ DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement d
 ZONE = EFFECTS["swing: dead zone"]
 
 
-def swing(log, delay_s, seed):
-    noise = np.random.default_rng(seed).normal(0.0, 3e-4, TIME_s.size)
-    position = Signal(TIME_s, simulated(ROBOT, log, (DELAY, (delay_s,))) + noise)
-    return replace(log, joints={"swing": replace(log.joints["swing"], position=position)})
-
-
-LOGS = Logs(tuple(swing(one, 0.02, k) for k, one in enumerate(PLANNED)))
+LOGS = Logs(
+    tuple(recorded(ROBOT, one, (DELAY, (0.02,)), noise_rad=3e-4, seed=k) for k, one in enumerate(PLANNED))
+)
 
 
 def rival(effect, size, p=0.3):
@@ -146,7 +143,7 @@ def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion
 def test_torques_are_compared_along_the_motion_though_no_command_is_known():
     logs = Logs(tuple(two_joint_arm.simulated(two_joint_arm.arm(), seed, noise_rad=1e-5) for seed in (1, 2)))
     logs = Logs(tuple(replace(one, name=str(k)) for k, one in enumerate(logs.motions)))
-    robot, ranges = two_joint_arm.arm(), two_joint_arm.scales(two_joint_arm.arm(), *logs.motions)
+    robot, ranges = two_joint_arm.arm(), joint_scales(two_joint_arm.arm(), logs.motions)
     friction, weight = CoulombFriction.at(robot, "elbow", ranges), LinkMass("elbow", 2.0)
     rivals = [
         Rival("elbow: Coulomb friction", one.key, 0.5, "inverse dynamics", (one,), ((size,),), 1)

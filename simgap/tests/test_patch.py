@@ -176,11 +176,6 @@ def test_a_gear_keeps_its_sign_and_a_range_of_commands_limits_neither_engine_nor
     assert_patch_moves_as_engine(read(tmp_path, actuator, mode))
 
 
-def test_an_actuator_with_dynamics_of_its_own_is_refused(tmp_path):
-    with pytest.raises(RobotError, match="has dynamics of its own"):
-        read(tmp_path, '<position joint="swing" kp="4" kv="0.1" timeconst="0.05"/>')
-
-
 @pytest.mark.parametrize("given_Nm", [None, 1.0])
 def test_the_torque_limit_is_the_smaller_range_or_that_of_the_file(given_Nm, tmp_path):
     actuator = '<position joint="swing" kp="4" kv="0.1" gear="-2" forcerange="-1 1"/>'

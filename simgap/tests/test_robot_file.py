@@ -102,6 +102,11 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
         ('mode = "torque"', 'mode = "force"', "joints.elbow.mode: should be 'position', 'velocity'"),
         ('mode = "torque"', 'mode = "current"', "joints.elbow.torque_constant_Nm_A: is missing"),
         ("gear_ratio = 50.0", "gear_ratio = -50.0", "joints.elbow.gear_ratio: should be greater than 0"),
+        (
+            "kp_Nm_rad = 15.0",
+            "kp_Nm_rad = 15.0\ntorque_limit_Nm = -8.0",
+            "torque_limit_Nm: should be greater than 0",
+        ),
         ("gear_ratio = 50.0", "gear_ration = 50.0", "joints.elbow.gear_ration: is not known; did you mean"),
         ("counts_per_turn = 4096.0, ", "", "joints.elbow.position: counts_per_turn is needed for the units"),
         ('column = "c1"', 'colum = "c1"', "joints.shoulder.command.colum: is not known; did you mean"),

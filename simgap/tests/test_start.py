@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
+from helpers.pendulum import at_swing, motion, pendulum, recorded, waves
 from helpers.toy import BASE, CATALOGUE, draw_toy
 from helpers.verdicts import diagnosis
 from simgap import diagnose, verdict_lines
@@ -15,7 +15,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.actuation import GainError
 from simgap.effects.command import CommandDelay, CommonCommandDelay, CommonMeasurementDelay, MeasurementDelay
 from simgap.effects.variation import Variation
-from simgap.logs import Logs, Signal
+from simgap.logs import Logs
 from simgap.patch.patch import save_patch
 from simgap.patch.text import read_found
 from simgap.report.traces import trace_motions
@@ -33,9 +33,7 @@ def swing(seed, delay):
     gain = at_swing(GainError, MODEL)
     command = waves(TIME_s, seed)
     log = motion(TIME_s, 0.0 * TIME_s, command, f"m{seed}")
-    noise_rad = np.random.default_rng(seed).normal(0.0, 1e-4, TIME_s.size)
-    position = Signal(TIME_s, simulated(MODEL, log, (gain, (1 / 3,)), (delay, (DELAY_s,))) + noise_rad)
-    return replace(log, joints={"swing": replace(log.joints["swing"], position=position)})
+    return recorded(MODEL, log, (gain, (1 / 3,)), (delay, (DELAY_s,)), noise_rad=1e-4, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -79,28 +77,19 @@ def test_a_change_of_what_was_known_is_found_with_its_sign():
     assert Change("near", square, (0.4,)).sizes[0].low == pytest.approx(-5.4)
 
 
-def test_every_effect_of_the_catalogue_can_be_a_start(tmp_path):
+def test_every_effect_of_the_catalogue_and_a_delay_of_all_joints_can_be_a_start(tmp_path):
     logs = Logs(tuple(motion(TIME_s, 0.1 * waves(TIME_s, k), waves(TIME_s, k), f"m{k}") for k in range(2)))
-    effects = catalogue(MODEL, logs)
+    effects = list(catalogue(MODEL, logs))
+    for kind, own in ((CommonCommandDelay, CommandDelay), (CommonMeasurementDelay, MeasurementDelay)):
+        one = at_swing(own, MODEL)
+        effects.append(kind((one, replace(one, place="lift")), MODEL.control_period_s))
     sizes = [tuple(0.0 for _ in one.sizes) for one in effects]
-    save_patch(MODEL, diagnosis(effects=effects, sizes=tuple(sizes)), tmp_path)
+    save_patch(MODEL, diagnosis(effects=tuple(effects), sizes=tuple(sizes)), tmp_path)
     again = read_found(MODEL, tmp_path)
     assert [repr(one) for one in again] == [repr(one) for one in effects]
 
 
-@pytest.mark.parametrize(
-    ("kind", "own"), [(CommonCommandDelay, CommandDelay), (CommonMeasurementDelay, MeasurementDelay)]
-)
-def test_a_delay_of_all_joints_can_be_a_start(kind, own, tmp_path):
-    one = at_swing(own, MODEL)
-    common = kind((one, replace(one, place="lift")), MODEL.control_period_s)
-    save_patch(MODEL, diagnosis(effects=(common,), sizes=((DELAY_s,),)), tmp_path)
-    assert [repr(one) for one in read_found(MODEL, tmp_path)] == [repr(common)]
-
-
-def test_a_folder_without_a_result_and_a_result_of_another_robot_are_refused(tmp_path, late):
-    with pytest.raises(RobotError, match=r"has no effects\.toml; give the folder of a patch"):
-        read_found(MODEL, tmp_path)
+def test_a_result_of_another_robot_is_refused(tmp_path, late):
     save_patch(MODEL, diagnosis(effects=(late,), sizes=((DELAY_s,),)), tmp_path)
     other = replace(MODEL, joints=(replace(MODEL.joints[0], name="lift"),))
     with pytest.raises(RobotError, match=r"are \['swing'\], and the robot has \['lift'\]"):

@@ -93,10 +93,13 @@ def test_json_lines_have_objects_and_lists(tmp_path):
 @pytest.mark.parametrize(
     ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", "."), ("|", "."), ("   ", ".")]
 )
-def test_the_form_of_a_csv_is_found_by_itself(tmp_path, separator, decimal):
-    slow, fast = load(write_robot(tmp_path), write_csv(tmp_path, separator, decimal)).motions
-    np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
-    assert fast.name == "fast"
+def test_the_form_of_a_csv_is_found_by_itself_and_may_be_told(tmp_path, separator, decimal):
+    write_csv(tmp_path, separator, decimal)
+    told = f"[csv]\nseparator = '{separator[0]}'\ndecimal = '{decimal}'\n\n[time]\ncolumn"
+    for changes in ([], [("[time]\ncolumn", told)]):
+        slow, fast = load(write_robot(tmp_path, *changes), tmp_path / "log.csv").motions
+        np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
+        assert fast.name == "fast"
 
 
 @pytest.mark.parametrize("head", ["", "0,1\n"])

@@ -9,11 +9,6 @@ from simgap.common.names import list_names
 from tests.marsarm.command import ROOT
 
 
-def run_python(text: str) -> str:
-    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True, text=True, check=True)
-    return done.stdout.strip()
-
-
 def test_every_name_exists_and_comes_from_the_module_that_defines_it():
     for name in marsarm.__all__:
         value = getattr(marsarm, name)
@@ -28,4 +23,5 @@ def test_no_name_is_that_of_a_module_which_would_hide_it():
 
 def test_an_import_loads_nothing_before_a_name_is_used():
     ask = "import sys, marsarm; print([name for name in ('numpy', 'mujoco', 'fsw') if name in sys.modules])"
-    assert run_python(ask) == "[]"
+    done = subprocess.run([sys.executable, "-c", ask], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

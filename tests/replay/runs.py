@@ -48,7 +48,6 @@ APXS_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
 """Rock closer by 8 mm, which is the deflection of the arm under its weight."""
 NEAR_ROCK = Surface((2.044, 0.1012, -0.2602), ROCK.normal_N)
 """Rock closer by another 4 mm, for an arm that is deflected less."""
-DRILL_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
 TURRET_AT_ITS_STOP = (-87.7, -153.4, -157.8, -184.2, -21.627)
 DRILL_THERE = (31.006, -51.53, 114.065, 183.206, 200.107)
 
@@ -125,7 +124,7 @@ RUNS = (
         DRILL_THERE,
         ((GuardedMove("drill", beyond(0.06), IN), LONG), (Preload("drill", 24.0), LONG)),
         "Preloaded",
-        world=World(surface=DRILL_ROCK),
+        world=World(surface=APXS_ROCK),
     ),
     ReferenceRun(
         "tool-change",

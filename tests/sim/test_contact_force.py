@@ -1,6 +1,5 @@
 """Forces of contact: touches, pushes and presses."""
 
-from functools import cache
 from itertools import chain
 
 import mujoco
@@ -11,7 +10,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import GuardedMove, MoveJoints, PlaceTool, Preload, Retract
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted, ContactMade, FaultResponse, Preloaded
-from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
+from fsw.dictionary.faults import ContactInFreeSpace, PreloadOutside
 from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
@@ -202,40 +201,10 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(push):
     )
 
 
-@cache
-def half_pressed() -> ClosedLoop:
-    """Return a run with the drill on its rock at half of its preload; tests fork it and never run it."""
-    loop = on_the_rock()
-    for _ in run_sequence(loop, (PLACE, Preload("drill", 300.0))):
-        if loop.state.preload is not None and loop.state.preload.force_N > 150.0:
-            return loop
-    raise AssertionError("the press did not come so far")
-
-
 def on_the_rock() -> ClosedLoop:
     arm = arm_named("nominal")
     world = World(surface=Surface(POINT_N_M, tuple(NORMAL)))
     return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
-
-
-@pytest.mark.slow
-def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
-    loop = half_pressed()
-    loop = loop.fork((RockGone(loop.plant.data.time),))
-    evrs = run_to_rest(loop)
-    assert ContactLost("drill") in evrs
-    assert FaultResponse("STOP_AND_BRAKE") in evrs
-    assert loop.state.mode is Mode.PRELOAD
-    assert not loop.state.drive.power_on.any()
-
-
-@pytest.mark.slow
-def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
-    loop = half_pressed()
-    biased = SensorFault(loop.plant.data.time, "resolver_rad", "biased", Joint.ELBOW, -0.004)
-    evrs = run_to_rest(loop.fork((biased,)))
-    assert any(isinstance(evr, PreloadOutside) for evr in evrs)
-    assert FaultResponse("BRAKE_AND_REFUSE") in evrs
 
 
 def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]]:

@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
-from sim.arms import nominal_params
+from sim.arms import arm_named, nominal_params
 from sim.frames import FLIP
+from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant
+from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
@@ -138,6 +142,8 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
 
 
 CONVERGED_MM = 0.005
+STOPPED_MM = 0.02
+"""Limit with the motors on, which stop within three of their counts of their set-points."""
 FINE_S = REFERENCE_STEP_S
 AT_REST_J = 1e-7
 """Energy at which the arm still swings by about 6 um."""
@@ -154,6 +160,28 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(w
     coarse, fine = (lab.load(lab.plant(WORLDS[world], step_s), POSES[pose]) for step_s in (None, FINE_S))
     assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
+
+
+@pytest.mark.slow
+def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step():
+    goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
+    coarse, fine = (move_arm(WORLDS["mars, 25 deg"], step_s, goal) for step_s in (None, FINE_S))
+    assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
+    assert lab.tool_distance_mm(coarse.plant, fine.plant) < STOPPED_MM
+
+
+def move_arm(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
+    """Return the arm after a move from the ready pose, on its brakes again."""
+    arm = arm_named("nominal")
+    ready, known = arm.params.poses.ready_rad, lab.true_reference(arm)
+    loop = ClosedLoop(Setup(arm, world, ready, seed=1, reference=known, time_step_s=time_step_s))
+    sequence = run_sequence(loop, (MoveJoints(goal_rad),))
+    evrs = [evr for record in sequence for evr in record.outputs.evrs]
+    assert CommandCompleted("MoveJoints") in evrs
+    for _ in range(lab.CYCLE_HZ):
+        loop.cycle()
+    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
+    return loop
 
 
 @pytest.mark.parametrize("side", [1, -1])

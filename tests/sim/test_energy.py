@@ -126,7 +126,6 @@ def test_a_step_that_does_not_divide_the_control_cycle_is_refused():
         lab.plant(time_step_s=1 / 500)
 
 
-SLOW_RAD_S = np.radians(0.1)
 CREEP_RAD = 1e-6
 """Limit for 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
 
@@ -137,28 +136,6 @@ def weightless() -> Plant:
     plant.model.opt.gravity[:] = 0.0
     plant.place(lab.READY_RAD, 0.0)
     return plant
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction: int) -> None:
-    """The motors drag the outputs at a steady rate, so that the gear torque is the friction."""
-    plant = weightless()
-    lab.hold_by_motors(plant)
-    travelled = 0.0
-    for _ in range(8 * lab.CYCLE_HZ):
-        travelled += direction * SLOW_RAD_S / lab.CYCLE_HZ
-        plant.data.ctrl[0::2] = lab.READY_RAD + travelled
-        plant.data.ctrl[1::2] = direction * SLOW_RAD_S
-        plant.step()
-    before = plant.output_rad()
-    transmitted = []
-    for _ in range(lab.CYCLE_HZ):
-        travelled += direction * SLOW_RAD_S / lab.CYCLE_HZ
-        plant.data.ctrl[0::2] = lab.READY_RAD + travelled
-        plant.step()
-        transmitted.append(lab.gear_torque_Nm(plant))
-    np.testing.assert_allclose(plant.output_rad() - before, direction * SLOW_RAD_S, rtol=0.05)
-    np.testing.assert_allclose(np.mean(transmitted, axis=0), -direction * lab.OUTPUT_FRICTION_NM, rtol=0.02)
 
 
 def pulled(share: float) -> Plant:

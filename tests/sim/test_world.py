@@ -9,25 +9,12 @@ from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.arms import nominal_params
-from sim.frames import FLIP, P_NR_M, approach_from, gravity_in_rover, p_R_from_N, random_targets
+from sim.frames import FLIP, P_NR_M, p_R_from_N, random_surface
 from sim.setting import Surface, World
 from sim.world import WrongMujoco, add_rock, build, inside_rover
 
 APEX = (2.1, 0.1, -0.3)
 NORMAL = (-0.6, 0.1, -0.7)
-
-
-@pytest.mark.parametrize(
-    ("roll", "pitch", "down"),
-    [
-        (0.0, 0.0, [0.0, 0.0, 1.0]),
-        (0.0, 0.1, [-np.sin(0.1), 0.0, np.cos(0.1)]),
-        (0.1, 0.0, [0.0, np.sin(0.1), np.cos(0.1)]),
-    ],
-    ids=["level", "nose up", "right side down"],
-)
-def test_gravity_pulls_down_to_the_rear_or_to_the_right(roll, pitch, down):
-    assert gravity_in_rover(roll, pitch, 3.711) == pytest.approx(3.711 * np.array(down))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -101,11 +88,11 @@ def test_another_mujoco_is_refused(monkeypatch):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed):
     arm = configure(nominal_params()).arm
-    p_N_m, angles = random_targets(np.random.default_rng(seed), 1)
-    approach = approach_from(angles)
-    found = inverse_kinematics(arm, "apxs", p_R_from_N(p_N_m.T).T, approach)
+    point, normal = random_surface(np.random.default_rng(seed))
+    p_N_m, outward = np.array(point)[:, None], np.array(normal)[:, None]
+    found = inverse_kinematics(arm, "apxs", p_R_from_N(p_N_m.T).T, -outward)
     spec = build(World(), for_pictures=True)
-    add_rock(spec, p_N_m[:, 0], -approach[:, 0])
+    add_rock(spec, p_N_m[:, 0], outward[:, 0])
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

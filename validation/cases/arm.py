@@ -14,9 +14,8 @@ from pydantic import TypeAdapter
 from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
 from marsarm.diagnosis.arm import demo
-from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
-from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from sim.arms import arm_named
@@ -114,16 +113,10 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
         load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
 
     def diagnose(self, folder: Path, case: Path, without: str = "") -> Document:
-        """Diagnose a case, with a catalogue that lacks one effect if named.
-
-        NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged as it says.
-        """
+        """Diagnose a case, with a catalogue that lacks one effect if named."""
         campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds, self.arm)
-        if without:
-            campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
-        arm = arm_named(self.arm).model
-        fitted, held = (load_checked_recordings(logs, arm.params, arm) for logs in split_logs(case))
-        return to_document(diagnose_case(fitted, held, campaign, DIAGNOSIS_SEED).diagnosis)
+        found = demo.diagnose_blind(case, campaign, DIAGNOSIS_SEED, without, self.arm)
+        return to_document(found.diagnosis)
 
     def solve(self, folder: Path, case: Path) -> Document:
         """Diagnose a case; "unknown" without effects if it cannot be diagnosed."""
@@ -229,13 +222,9 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
 
 def list_clear_cases(cases: Sequence[TrueCase], classes: EquivalenceClasses) -> list[TrueCase]:
     """List the cases with one effect from the limit of the selection on, the largest first."""
-
-    def size(case: TrueCase) -> float:
-        (one,) = case.effects
-        return one.times_limit / classes.family_wise_share(one.name, one.place)
-
-    single = [case for case in cases if case.kind == "single"]
-    return sorted((case for case in single if size(case) >= 1.0), key=size, reverse=True)
+    sizes = {case.name: classes.times_limit(*case.effects) for case in cases if case.kind == "single"}
+    clear = (case for case in cases if sizes.get(case.name, 0.0) >= 1.0)
+    return sorted(clear, key=lambda case: sizes[case.name], reverse=True)
 
 
 def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:

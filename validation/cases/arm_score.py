@@ -62,17 +62,17 @@ class EquivalenceClasses:
         """Return the families of a hypothesis and of what is the same in this campaign."""
         return frozenset(one.family for one in self._alike(effect, place))
 
-    def family_wise_share(self, effect: str, place: str) -> float:
-        """Return the limit in the selection over that of a single test; BadRequest if it is not known."""
-        if (effect, place) not in self.known:
+    def times_limit(self, true: SealedEffect) -> float:
+        """Return the size of an effect in limits of the selection; BadRequest if it is not known."""
+        if (true.name, true.place) not in self.known:
             raise BadRequest(
-                f"{effect} at {place} is not in the catalogue of this campaign; score it with the marsarm "
-                "that made it"
+                f"{true.name} at {true.place} is not in the catalogue of this campaign; score it with the "
+                "marsarm that made it"
             )
-        one = self.known[effect, place]
+        one = self.known[true.name, true.place]
         assert one.limit is not None
         assert one.family_wise_limit is not None
-        return one.family_wise_limit / one.limit
+        return true.times_limit / (one.family_wise_limit / one.limit)
 
     def _alike(self, effect: str, place: str) -> list[PublishedHypothesis]:
         label = self.of(effect, place)
@@ -109,15 +109,6 @@ FindingDocument = Mapping[str, Any]
 SolvedCase = tuple[TrueCase, ResultDocument]
 
 
-@dataclass(frozen=True, slots=True)
-class _Assigned:
-    """A true effect, its size in limits of the selection, and the finding that stands for it, if any."""
-
-    effect: SealedEffect
-    times_family_wise: float
-    finding: FindingDocument | None
-
-
 def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> CaseScore:
     """Score all cases by the equivalence classes of their campaign."""
     alarms = [result["verdict"] != "none" for true, result in solved if true.kind == "none"]
@@ -125,7 +116,7 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> CaseScor
     wrong = [_find_wrong(*one) for one in outside]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     assigned = [one for true, result in inside for one in _assign(classes, true, result)]
-    clear = [_judge(classes, one) for one in assigned if one.times_family_wise >= 1.0]
+    clear = [_judge(classes, *one) for one in assigned if classes.times_limit(one[0]) >= 1.0]
     seconds = [float(result["seconds"]) for _, result in solved]
     more = {
         "named, but not of the case": rate_of(
@@ -143,8 +134,7 @@ def score(classes: EquivalenceClasses, solved: Sequence[SolvedCase]) -> CaseScor
     return score_bars(level_bars(alarms, wrong, clear, WRONG_RATES), len(solved), to_json(more))
 
 
-def _judge(classes: EquivalenceClasses, one: _Assigned) -> JudgedEffect:
-    true, found = one.effect, one.finding
+def _judge(classes: EquivalenceClasses, true: SealedEffect, found: FindingDocument | None) -> JudgedEffect:
     if found is None:
         return JudgedEffect(False)
     first = found["effect"], found["place"]
@@ -153,7 +143,9 @@ def _judge(classes: EquivalenceClasses, one: _Assigned) -> JudgedEffect:
     return JudgedEffect(True, has_place, _class(classes, true) == classes.of(*first), covered)
 
 
-def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument) -> list[_Assigned]:
+def _assign(
+    classes: EquivalenceClasses, true: TrueCase, result: ResultDocument
+) -> list[tuple[SealedEffect, FindingDocument | None]]:
     """Assign a finding to each true effect: one that names its class, else its place, else any other."""
     free = list(result["findings"])
     assigned: dict[int, FindingDocument] = {}
@@ -169,12 +161,7 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
             if k not in assigned and found is not None:
                 assigned[k] = found
                 free.remove(found)
-    return [
-        _Assigned(
-            effect, effect.times_limit / classes.family_wise_share(effect.name, effect.place), assigned.get(k)
-        )
-        for k, effect in enumerate(true.effects)
-    ]
+    return [(effect, assigned.get(k)) for k, effect in enumerate(true.effects)]
 
 
 def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDocument) -> bool:

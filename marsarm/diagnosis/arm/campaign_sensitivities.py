@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import compress, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -266,8 +266,8 @@ def _assemble(
     hypotheses, nuisances = _list_known(campaign)
     owner = [k for k, one in enumerate(hypotheses) for _ in one.parameters]
     sized = len(owner)
-    nuisance = _restrict_nuisances(simulator, columns[sized:], slope[:, sized:])
-    own = nuisance[:, [one.is_numerical for one in columns[sized:]]]
+    nuisance = _restrict_nuisances(simulator, nuisances, slope[:, sized:])
+    own = nuisance[:, [bool(one.only_place) for one in nuisances]]
     # a share of the numerical errors is noise: the fit removes them only in part
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
     return Sensitivities(
@@ -282,18 +282,18 @@ def _assemble(
     )
 
 
-def _restrict_nuisances(simulator: ArmSimulator, columns: Sequence[Column], change: Array) -> Array:
+def _restrict_nuisances(simulator: ArmSimulator, nuisances: Sequence[Nuisance], change: Array) -> Array:
     """Return the nuisance columns (m, q), each restricted to its place.
 
     Rests are simulated with STEP_NUMERICS only; other numerics share their change.
     """
     cut, places = change.copy(), np.array([one.place for one in simulator.feature_set.list_features()])
-    numerical = [k for k, one in enumerate(columns) if one.is_numerical]
-    stepped = next(k for k in numerical if columns[k].sides(1.0)[0][0] == STEP_NUMERICS)
+    numerical = [k for k, one in enumerate(nuisances) if one.only_place]
+    stepped = next(k for k in numerical if Column(nuisances[k]).sides(1.0)[0][0] == STEP_NUMERICS)
     rests = slice(simulator.feature_set.n_moving, None)
     for k in numerical:
         cut[rests, k] = change[rests, stepped]
-        cut[places != columns[k].only_place, k] = 0.0
+        cut[places != nuisances[k].only_place, k] = 0.0
     return cut
 
 
@@ -330,19 +330,17 @@ def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
     The first part are rests, touches, and the motions that move as many joints as any, away from a surface.
     """
     whole = _simulator(campaign)
-    motions, rests, touches = (getattr(whole.feature_set, name) for name in ("motions", "rests", "touches"))
+    every = whole.feature_set
     joints = [
         len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
-        for one in motions
+        for one in every.motions
     ]
-    chosen = [(count == max(joints)) is is_first for count in joints]
-    flags = [
-        *np.repeat(chosen, [len(one.features) for one in motions]),
-        *[is_first] * (sum(len(one.features) for one in rests) + len(touches)),
-    ]
-    rows = np.flatnonzero(flags)
-    static = (rests, touches) if is_first else ((), ())
-    feature_set = FeatureSet(tuple(compress(motions, chosen)), *static)
+    pairs = zip(every.motions, joints, strict=True)
+    motions = tuple(one for one, count in pairs if (count == max(joints)) is is_first)
+    still = (every.rests, every.touches) if is_first else ((), ())
+    feature_set = FeatureSet(motions, *still)
+    own = set(feature_set.list_features())
+    rows = np.flatnonzero([one in own for one in every.list_features()])
     return replace(whole, feature_set=feature_set, layout=whole.layout.select(rows)), rows
 
 
@@ -356,6 +354,4 @@ def _simulate_at_once(
 ) -> dict[int, OneSidedStep]:
     """Simulate one side of some columns, which have these steps, at once."""
     simulator, _ = _part(campaign, is_first)
-    every = _list_columns(campaign)
-    sides = simulate_side(simulator, [every[k] for k in shares], nominal, side, [*shares.values()])
-    return dict(zip(shares, sides, strict=True))
+    return simulate_side(simulator, _list_columns(campaign), nominal, side, shares)

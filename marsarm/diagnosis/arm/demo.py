@@ -23,7 +23,7 @@ from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_campaign, recor
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import BOUND_SHARE, Hypothesis
-from sim.arms import BuiltArm, arm_named, effects_of_run, nominal_params
+from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.effects.effect import Effect
 from sim.effects.environment import Numerics
@@ -213,7 +213,8 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
         publish(truth.digest())
         progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
-        case = _diagnose(Path(name), campaign, truth, request.seed)
+        left_out = truth.effect if truth.kind == "left out" else ""
+        case = diagnose_blind(Path(name), campaign, request.seed, left_out)
     return Demo(truth, case, *judge(truth, campaign.model, case.diagnosis))
 
 
@@ -267,11 +268,17 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     return truth, (*background, effect)
 
 
-def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> CaseDiagnosis:
-    fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
-    if truth.kind == "left out":
-        campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
-    return diagnose_case(fitted, held_out, campaign, seed)
+def diagnose_blind(
+    folder: Path, campaign: CampaignModel, seed: int, left_out: str = "", arm: str = NOMINAL
+) -> CaseDiagnosis:
+    """Diagnose the logs of an arm in a folder, with a catalogue that lacks one effect if named.
+
+    NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged as it says.
+    """
+    drawing = arm_named(arm).model
+    fitted, held_out = (load_checked_recordings(logs, drawing.params, drawing) for logs in split_logs(folder))
+    lacking = replace(campaign.model, left_out_effect=left_out)
+    return diagnose_case(fitted, held_out, replace(campaign, model=lacking), seed)
 
 
 def judge(truth: DemoTruth, model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[bool, str]:

@@ -6,7 +6,7 @@ kind are simulated at several joints at once, and each takes the motions of its 
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -53,14 +53,9 @@ class Column:
     """Index among the parameters of the hypothesis."""
 
     @property
-    def only_place(self) -> str:
-        """Place of the only features that it influences; empty for all."""
-        return self.source.only_place if isinstance(self.source, Nuisance) else ""
-
-    @property
     def is_numerical(self) -> bool:
         """True for other numerics of the plant, which are told joint by joint."""
-        return bool(self.only_place)
+        return isinstance(self.source, Nuisance) and bool(self.source.only_place)
 
     def sides(self, share: float) -> list[tuple[Effect, float]]:
         """Return steps up and down by a share of the typical size, within the bounds: one or two.
@@ -140,21 +135,27 @@ def group_columns(columns: Sequence[Column], wanted: Sequence[int]) -> list[tupl
 
 
 def simulate_side(
-    simulator: ArmSimulator, columns: Sequence[Column], nominal: Array, number: int, shares: Sequence[float]
-) -> list[OneSidedStep]:
-    """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
+    simulator: ArmSimulator,
+    columns: Sequence[Column],
+    nominal: Array,
+    number: int,
+    shares: Mapping[int, float],
+) -> dict[int, OneSidedStep]:
+    """Simulate one side of some of the columns at once. Repeats of a motion are not simulated.
 
     Args:
         nominal: Prediction without effects in the units of the channels, shape (m,).
         number: 0 for the first side, 1 for the second.
-        shares: Step of each column as a share of its typical size.
+        shares: By the index of the column, its step as a share of its typical size.
     """
-    ends = [column.sides(by)[number] for column, by in zip(columns, shares, strict=True)]
-    changes = [simulate_change(simulator, tuple(effect for effect, _ in ends), nominal)]
-    if _joint(ends[0][0]) is not None:
-        changes = [_change_at_joint(simulator, changes[0], effect) for effect, _ in ends]
-    rows = zip(shares, ends, changes, strict=True)
-    return [OneSidedStep(by, size, change) for by, (_, size), change in rows]
+    ends = {k: columns[k].sides(by)[number] for k, by in shares.items()}
+    effects = tuple(effect for effect, _ in ends.values())
+    change = simulate_change(simulator, effects, nominal)
+    changes = [change]
+    if _joint(effects[0]) is not None:
+        changes = [_change_at_joint(simulator, change, effect) for effect in effects]
+    rows = zip(ends.items(), changes, strict=True)
+    return {k: OneSidedStep(shares[k], size, change) for (k, (_, size)), change in rows}
 
 
 def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> Array:

@@ -10,7 +10,7 @@ from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import run_simgap
 from helpers.message_logs import BY_TOPIC, rows, write_bag, write_mcap
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
-from helpers.robot_folder import MODEL as LINKS
+from helpers.robot_folder import write_robot
 from simgap.command.check import check_parts, check_robot, drawn_motions, summarize_joints
 from simgap.command.first_file import list_logs
 from simgap.command.request import CheckRequest
@@ -98,15 +98,14 @@ def test_a_model_in_place_of_the_robot_file_is_refused_with_the_command_that_mak
 
 @pytest.mark.parametrize("name", ["set", "bag"])
 def test_a_folder_is_a_log_whose_files_have_one_digest(tmp_path, name):
-    (tmp_path / "model.xml").write_text(LINKS)
-    (tmp_path / "robot.toml").write_text(BY_TOPIC)
+    robot = write_robot(tmp_path, text=BY_TOPIC)
     if name == "bag":
         write_bag(tmp_path / name, rows())
     else:
         (tmp_path / name).mkdir()
         write_mcap(tmp_path / name / "log.mcap", rows())
     log = tmp_path / name
-    digest = check_robot(CheckRequest(tmp_path / "robot.toml", (log,))).digests[f"log {log}"]
+    digest = check_robot(CheckRequest(robot, (log,))).digests[f"log {log}"]
     assert digest == file_sha256(log)
     (log / "notes.txt").write_text("other")
     assert digest != file_sha256(log)

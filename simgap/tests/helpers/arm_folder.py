@@ -5,6 +5,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from helpers.planar_arm import MODEL, planar_arm, slow_logs
+from helpers.robot_folder import write_robot
 
 ROBOT = """name = "planar arm"
 model = "model.xml"
@@ -32,9 +33,8 @@ position = {{ column = "position_{name}", unit = "rad" }}
 
 def write_arm(folder):
     """Write the model without a table, the robot file, and logs of an arm that meets a table."""
-    (folder / "model.xml").write_text(MODEL.format(table="", ball=""))
     joints = "".join(JOINT.format(name=name) for name in ("shoulder", "elbow"))
-    (folder / "robot.toml").write_text(ROBOT + joints)
+    write_robot(folder, model=MODEL.format(table="", ball=""), text=ROBOT + joints)
     write_logs(folder / "log.parquet", slow_logs(planar_arm(table=True), low=-0.5, high=1.0))
 
 

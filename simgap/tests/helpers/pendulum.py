@@ -1,8 +1,11 @@
 """A pendulum with a servo, as a robot made by hand."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
+from helpers.robot_folder import write_robot
 from simgap.effects.effect import JointScales
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
@@ -61,9 +64,20 @@ def pendulum(
 def read(folder, xml, mode, step_s=0.002, more=""):
     """Read a pendulum of this model from the files of a user."""
     text = FILE.format(mode=mode, unit=UNITS[mode], step_s=step_s, rate_Hz=round(1 / step_s), more=more)
-    (folder / "model.xml").write_text(xml)
-    (folder / "robot.toml").write_text(text)
-    return Robot.from_toml(folder / "robot.toml")
+    return Robot.from_toml(write_robot(folder, model=xml, text=text))
+
+
+def recorded(robot, log, *effects, noise_rad=0.0, seed=0):
+    """Return a log with the positions of a robot with effects of these sizes, and noise."""
+    noise = np.random.default_rng(seed).normal(0.0, noise_rad, log.joints["swing"].position.time_s.size)
+    return with_signals(log, position=simulated(robot, log, *effects) + noise)
+
+
+def with_signals(log, **values):
+    """Return a log with other values of signals, at the times of its positions."""
+    swing = log.joints["swing"]
+    signals = {key: Signal(swing.position.time_s, one) for key, one in values.items()}
+    return replace(log, joints={"swing": replace(swing, **signals)})
 
 
 def motion(time_s, position_rad, command, name="m", joint="swing", gain=None, **others):

@@ -73,10 +73,10 @@ def changed(text, *changes):
     return text
 
 
-def write_robot(folder, *changes, model=MODEL):
-    """Write the robot with changes of the text of its file; return the path of the file."""
+def write_robot(folder, *changes, model=MODEL, text=ROBOT):
+    """Write a robot with changes of the text of its file; return the path of the file."""
     (folder / "model.xml").write_text(model)
-    (folder / "robot.toml").write_text(changed(ROBOT, *changes))
+    (folder / "robot.toml").write_text(changed(text, *changes))
     return folder / "robot.toml"
 
 

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from helpers.robot_folder import changed
+from helpers.robot_folder import write_robot
 
 MODEL = """<mujoco model="lift">
   <!-- a user's own words -->
@@ -75,9 +75,7 @@ def model_text(has_gripper=False):
 
 def write_folder(folder, *changes, has_gripper=False):
     """Write model and robot file, with changes of the text of the latter; return the path of the file."""
-    (folder / "model.xml").write_text(model_text(has_gripper))
-    (folder / "robot.toml").write_text(changed(FILE, *changes))
-    return folder / "robot.toml"
+    return write_robot(folder, *changes, model=model_text(has_gripper), text=FILE)
 
 
 def command_of(seed, time_s):

@@ -6,7 +6,6 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from simgap.effects.effect import joint_scales
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -87,11 +86,6 @@ def simulated(
     signals = [(Signal(time_s, q[:, j]), Signal(time_s, torque[:, j])) for j in range(2)]
     logs = [JointLog(position, torque=own) for position, own in signals]
     return Motion(name, {joint.name: log for joint, log in zip(robot.joints, logs, strict=True)}, {})
-
-
-def scales(robot, *motions):
-    """Return the numbers from which effects take their bounds."""
-    return joint_scales(robot, motions)
 
 
 def rms(values):

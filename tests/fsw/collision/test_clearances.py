@@ -153,10 +153,6 @@ def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_
         np.testing.assert_array_equal(apart[others], everything[others])
 
 
-def backwards(frames):
-    return type(frames)(frames.X_RL[:, ::-1], frames.X_LD, frames.X_RF[:, ::-1])
-
-
 def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
     frames = lowered_onto_the_ground(steps=200)
     height = compute_clearances(GEOMETRY, frames, FAR_M)[:, GROUND].min(axis=0)
@@ -164,7 +160,8 @@ def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
     assert inside.size >= 2
     k = int(inside[0])
     part_way = type(frames)(frames.X_RL[:, : k + 1], frames.X_LD, frames.X_RF[:, : k + 1])
-    assert find_violation(GEOMETRY, backwards(part_way), PADDING_M) is None
+    back = type(frames)(part_way.X_RL[:, ::-1], frames.X_LD, part_way.X_RF[:, ::-1])
+    assert find_violation(GEOMETRY, back, PADDING_M) is None
     onward = type(frames)(frames.X_RL[:, k:], frames.X_LD, frames.X_RF[:, k:])
     close = find_violation(GEOMETRY, onward, PADDING_M)
     assert close.least_m == pytest.approx(height[k], abs=1e-4)

@@ -53,27 +53,6 @@ from tests.fsw.rig import Rig, floats, with_params
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 
 
-def test_a_joint_may_be_given_by_its_number():
-    """Commands are plain records, so a number is not converted to a Joint."""
-    number: int = int(Joint.ELBOW)
-    rig = deployed()
-    assert "joint elbow: 171.9 deg is outside" in refusal(rig, MoveJoint(number, 3.0))
-    assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(number, float(START[number]) + 0.01))
-    rig.cycle(Calibrate(number))
-    assert rig.state.move.homing.joint is Joint.ELBOW
-
-
-def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
-    rig = deployed()
-    for command in (MoveJoints((0.0, -1.0, 3.0, 1.0, 1.0)), MoveJoint(Joint.ELBOW, 3.0)):
-        reason = refusal(rig, command)
-        assert reason == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
-    assert "m long, the longest allowed is" in refusal(rig, rig.touch("apxs", 3.0))
-    for far in ((9.0, 0.0, 0.0), (5.0, 5.0, -5.0), (20.0, 20.0, -20.0)):
-        assert "out of reach by" in refusal(rig, MoveTool("apxs", far, (1.0, 0.0, 0.0)))
-        assert "m long" in refusal(rig, GuardedMove("apxs", far, (1.0, 0.0, 0.0)))
-
-
 def test_a_tool_move_says_which_branch_it_takes():
     rig = deployed()
     rig.cycle(rig.here("apxs", 0.01))
@@ -144,15 +123,6 @@ def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way
             (reason,) = reasons
             assert reason.startswith(f"joint {joint.name.lower()}: ")
             assert reason.endswith("where turret may be calibrated")
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_joint_may_begin_anywhere_between_its_hardstop_and_its_place(joint):
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    for angle_rad in (stop - 0.01, stop + 0.01, 0.5 * (stop + START[joint])):
-        rig = Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, angle_rad, START))
-        rig.cycle(Calibrate(joint))
-        assert CommandAccepted("Calibrate") in rig.evrs
 
 
 def next_to_its_stop(joint):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import BRANCHES, branch_index, closed_form, fold_distances
+from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS
 
@@ -59,15 +59,3 @@ def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
     np.testing.assert_array_equal(up[clear], (above_m > 0)[clear])
     np.testing.assert_allclose(np.abs(signs[1]), np.abs(np.sin(q[2])), atol=1e-12)
     assert 0.2 < up.mean() < 0.8
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool):
-    q = poses()
-    X = tool_pose(ARM, forward(ARM, q), tool)
-    roots = closed_form(ARM, tool, X.p, X.R[:, 0])
-    signs = fold_distances(ARM.orthogonal[tool], roots.output_rad)
-    clear = (roots.missing_m == 0) & (np.abs(signs).min(axis=0) > 1e-6)
-    assert clear.mean() > 0.5
-    slot = np.broadcast_to(np.arange(8)[:, None], clear.shape)
-    np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear])

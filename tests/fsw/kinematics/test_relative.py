@@ -9,7 +9,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import relative_target
-from tests.fsw.kinematics.test_roots import RIGID, deflected_targets, deflected_tool
+from tests.fsw.kinematics.test_roots import deflected_tool
 from tests.fsw.rig import MARS_R_m_s2, config_of
 from tests.tools import TOOLS
 
@@ -29,14 +29,6 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
     found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)
     assert found.converged
     np.testing.assert_allclose(found.output_rad, REFERENCE, atol=1e-8)
-
-
-def test_without_deflection_relative_is_absolute():
-    config = config_of()
-    _, p, a = deflected_targets(config, "drt", 8, RIGID)
-    moved_p, moved_a = relative_target(config.arm, "drill", REFERENCE, RIGID, p, a)
-    np.testing.assert_allclose(moved_p, p, atol=1e-14)
-    np.testing.assert_allclose(moved_a, a, atol=1e-14)
 
 
 def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():

@@ -34,14 +34,10 @@ NO_LOAD = no_load(5)
 SENSORS = quiet_sensors(np.zeros(5))
 
 
-def resting() -> Setpoint:
-    return Setpoint(READY, np.zeros(5))
-
-
 def move_by(angle_rad: float, phase: Phase = Phase.RELEASE, **fields) -> Move:
     path = joint_path(CONFIG, READY, READY + angle_rad)
     plan = MovePlan("MoveJoints", Mode.DEPLOYED, **({"active": ALL_JOINTS, "paths": (path,)} | fields))
-    return Move(plan, resting(), CONFIG.current_limit_A, phase)
+    return Move(plan, Setpoint(READY, np.zeros(5)), CONFIG.current_limit_A, phase)
 
 
 AT_READY = Rig(CONFIG).state.joints

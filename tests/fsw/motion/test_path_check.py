@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.dictionary.commands import Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle
@@ -22,8 +21,7 @@ from fsw.motion.paths import (
     sample_paths,
 )
 from fsw.motion.plan import Compensation, Plan, plan_poses
-from fsw.motion.plan_tool import plan_guarded, plan_retract
-from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, facing, find_violation, in_limits
+from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, find_violation, in_limits
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
@@ -70,18 +68,6 @@ def test_what_happens_between_two_samples_of_the_first_look_is_within_half_a_ste
     for pose in np.moveaxis(fine[:, :, ::5], -1, 0):
         away = np.linalg.norm(coarse - pose[:, :, None], axis=0).max(axis=0).min()
         assert away <= 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
-
-
-def test_samples_of_a_straight_move_are_as_close():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
-    for plan in (
-        plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", 0.2)),
-        plan_retract(CONFIG, rig.state.joints, Retract("apxs", 0.15)),
-    ):
-        assert isinstance(plan, Plan)
-        motor = sample_paths(CONFIG, plan.paths, FINE_STEP_M)
-        assert farthest_step(forward(CONFIG.arm, motor)) <= FINE_STEP_M
-        assert motor.shape[1] >= 20
 
 
 def test_the_arm_hangs_as_it_settles_with_every_gap_on_the_side_of_its_load():

@@ -245,18 +245,12 @@ def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, off
 @pytest.mark.parametrize("stiffness", slow_but([0.8, 1.15], 1.15))
 def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
     rig = pressed(stiffness, force_N=100.0)
-    for force_N in (200.0, 300.0, 150.0):
+    for force_N in (200.0, 150.0):
         press(rig, force_N, stiffness)
         assert rig.state.preload.model_N * stiffness == pytest.approx(force_N, rel=0.04)
     assert preloads(rig) == [
-        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 300.0, 150.0)
+        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 150.0)
     ]
-
-
-def test_an_arm_as_stiff_as_believed_is_pressed_once():
-    rig = pressed(1.0)
-    assert [event.along for event in force_events(rig)] == [pytest.approx(1.0, abs=0.01)] * 2
-    assert rig.state.preload.model_N == pytest.approx(200.0, abs=MIN_CORRECTION_N)
 
 
 @pytest.mark.parametrize("across", [(0.15, 0.0), pytest.param((0.0, -0.2), marks=pytest.mark.slow)])
@@ -298,12 +292,6 @@ def test_motors_that_turn_only_from_a_later_force_count_from_there():
     never, late = (fit_of(lambda model_N: 0.8 * model_N, (n, 0, n, n, n)) for n in (400.0, 60.0))
     assert late.along == pytest.approx(0.8, abs=0.03)
     assert late.std < 0.7 * never.std
-
-
-def test_nothing_felt_tells_nothing():
-    rig = guarded_in_contact()
-    preload = model_contact(rig.config, rig.state.joints, "apxs")
-    assert estimate_force_ratio(rig.config, ForceFit(preload), rig.state.joints, preload) is None
 
 
 UNKNOWN = "motor currents show the force to 11 N only"

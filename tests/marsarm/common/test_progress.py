@@ -149,12 +149,6 @@ def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells() 
     assert told[0] == told[1]
 
 
-def test_at_the_end_of_the_work_no_time_is_left() -> None:
-    state = ProgressState(0.0, EarlierRun.of_points([(0.5, 10.0)], 20.0))
-    state.update(1.0, 1.0, "fit", 25.0)
-    assert state.left_text(25.0) == "0 s left"
-
-
 def test_what_nobody_knows_stays_unknown_in_a_guess_and_in_a_stage() -> None:
     state = ProgressState(0.0)
     for progress in (as_guess, lambda progress: part_of(progress, 0.2, 0.6)):

@@ -170,21 +170,20 @@ def test_the_shapes_are_those_of_a_run() -> None:
     assert seen == {topic.name for topic in PACKET_TOPICS.values()}
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("angle_rad", "rad"),
-        ("gear_stiffness_Nm_rad", "N m/rad"),
-        ("torque_constant_Nm_A", "N m/A"),
-        ("compliance_urad_Nm", "urad/(N m)"),
-        ("expansion_1_K", "1/K"),
-        ("line_jerk_m_s3", "m/s3"),
-        ("winding_min_C", "degC"),
-        ("error_share", "1"),
-        ("tilt_persistence", "cycle"),
-        ("R_RT", "1"),
-        ("arm_name", None),
-    ],
-)
-def test_the_name_tells_the_unit(name: str, unit: str | None) -> None:
-    assert unit_of(name) == unit
+UNITS = {
+    "angle_rad": "rad",
+    "gear_stiffness_Nm_rad": "N m/rad",
+    "torque_constant_Nm_A": "N m/A",
+    "compliance_urad_Nm": "urad/(N m)",
+    "expansion_1_K": "1/K",
+    "line_jerk_m_s3": "m/s3",
+    "winding_min_C": "degC",
+    "error_share": "1",
+    "tilt_persistence": "cycle",
+    "R_RT": "1",
+    "arm_name": None,
+}
+
+
+def test_the_name_tells_the_unit() -> None:
+    assert {name: unit_of(name) for name in UNITS} == UNITS

@@ -1,5 +1,7 @@
 """Replay of a log by today's flight software: every change shows."""
 
+import json
+
 import pytest
 
 import sim.loop
@@ -10,15 +12,12 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, run_header
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
+from tests.marsarm.command import marsarm
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
 LOG = FOLDER / "joints.mcap"
 TURNS_SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
-
-
-def ticks_of(log) -> int:
-    return read_log(log)["/sensors"].size
 
 
 def replayed(tmp_path, toml: str = "", **request):
@@ -46,6 +45,17 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     for found in (report, replayed(tmp_path, TURNS_SLOWER, log=log, channel="/joint.*")):
         assert any(note in line for line in replay_parts(found))
         assert note in replay_document(found)["notes"][-1]
+    done = marsarm(tmp_path, "replay", str(log), "--params", "other.toml", "--json")
+    assert done.returncode == 3
+    document = json.loads(done.stdout)
+    assert document["evrs"][0]["recorded"]["name"] == "Booted"
+    assert {"channel", "first_tick", "ticks", "greatest", "at_first"} <= document["channels"][0].keys()
+
+
+def test_the_same_is_status_0(tmp_path):
+    done = marsarm(tmp_path, "replay", str(FOLDER / "fault.mcap"))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "117 ticks, 1.8 s, 26 channels" in done.stdout
 
 
 def test_a_channel_that_nobody_has_is_refused(tmp_path):
@@ -71,7 +81,7 @@ def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
     added = [one for one in report.differences.evrs if one.recorded is None]
     assert [(one.event.tick, one.event.name) for one in added] == [(100, "SoftwareError")]
     assert "nobody thought of that" in added[0].replayed.message
-    assert report.differences.ticks == (ticks_of(LOG), 101)
+    assert report.differences.ticks == (read_log(LOG)["/sensors"].size, 101)
     changed = {one.channel: one.first_tick for one in report.differences.channels}
     assert changed["/drive.power_on"] == changed["/drive.brake_release"] == 100
     assert min(changed.values()) == 100

@@ -75,34 +75,6 @@ def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() ->
     }
 
 
-def running() -> ClosedLoop:
-    arm = arm_named("nominal").with_effects(
-        (*EFFECTS, CommandDelay(JOINT, 0.04), BusSag(1.0), gears.ColdFriction(JOINT, 1.5))
-    )
-    loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad, 1, true_reference(arm)))
-    loop.cycle((MoveJoints((0.0, 0.05, 0.0, 0.0, 0.0), relative=True),))
-    for _ in range(120):
-        loop.cycle()
-    return loop
-
-
-def readings(loop: ClosedLoop) -> list[bytes]:
-    found = []
-    for _ in range(60):
-        sensors = loop.cycle().sensors
-        found.append(
-            sensors.encoder_count.tobytes() + sensors.resolver_rad.tobytes() + sensors.current_A.tobytes()
-        )
-    return found
-
-
-def test_two_forks_go_on_bit_by_bit_as_the_run_does_with_all_of_them_on():
-    loop = running()
-    assert abs(loop.state.joints.motor_rate_rad_s[JOINT]) > 1e-3
-    first, second = loop.fork(), loop.fork()
-    assert readings(first) == readings(loop) == readings(second)
-
-
 NEUTRAL = tuple(hypothesis.effect() for hypothesis in hypotheses())
 WORLD = World(surface=Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)))
 NOMINAL = arm_named("nominal")

@@ -63,14 +63,6 @@ SPRINGS = [
 MASSES = [TurretMass(2.0), TurretCentre("x", 0.02), TurretCentre("z", -0.02)]
 
 
-def axis_of(effect) -> int:
-    return "xyz".index(effect.axis)
-
-
-def frame_of(effect) -> Frame:
-    return getattr(effect, "frame", Frame.TOOL)
-
-
 def rigid_shift_m(*effects: Effect) -> lab.Array:
     """Return the shift of the drill of the undeflected plant by these effects."""
     places = [
@@ -94,7 +86,7 @@ def test_a_link_or_tool_of_another_length_or_angle_moves_the_tool_by_its_jacobia
     else:
         size, first = effect.angle_rad, 0
         bound_m = 2 * effect.angle_rad**2
-    expected = size * jacobian()[3:, first + axis_of(effect), frame_of(effect)]
+    expected = size * jacobian()[3:, first + "xyz".index(effect.axis), getattr(effect, "frame", Frame.TOOL)]
     np.testing.assert_allclose(rigid_shift_m(effect), expected, atol=bound_m)
 
 

@@ -88,6 +88,7 @@ BAD = [
         "command[4].point: 'inlit' is not known; did you mean inlet?",
     ),
     ("after = 2", "after = 9", "check[2].after: there is no command 9; they"),
+    ('name = "inlet"', 'name = ""', "teach[1].name: '' is empty or taken; give each its own"),
     ("at_s = 100", "during = 0\nafter_s = 1", "fault[1].during: there is no command 0; they are numbered 1"),
     (
         '"POWER_LOSS"',

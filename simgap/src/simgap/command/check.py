@@ -187,22 +187,18 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
 
 def check_json(report: CheckReport) -> dict[str, Any]:
     """Convert a check to a JSON document in SI units; null where a number is not known."""
-    return {
+    found = {
         "robot": report.robot.name,
         "motions": [motion.name for motion in report.logs.motions],
         "held_out": sorted(report.logs.held_out),
-        "losses": list(report.logs.losses),
-        "joints": [to_json(one) for one in summarize_joints(report)],
-        "remarks": [to_json(one) for one in report.audit.remarks],
-        "untested": list(report.audit.untested),
-        "refused": [to_json(one) for one in report.audit.refused],
-        "rates": [to_json(one) for one in report.audit.rates],
-        "nominal": [
-            {"motion": one.motion, "mean_abs_rad": to_json(one.mean_abs_rad)} for one in report.nominal
-        ],
+        "losses": report.logs.losses,
+        "joints": summarize_joints(report),
+        **{key: getattr(report.audit, key) for key in ("remarks", "untested", "refused", "rates")},
+        "nominal": [{"motion": one.motion, "mean_abs_rad": one.mean_abs_rad} for one in report.nominal],
         "refusal": report.refusal or None,
         "sha256": report.digests,
     }
+    return {key: to_json(value) for key, value in found.items()}
 
 
 def check_parts(report: CheckReport) -> list[str | ReportTable]:

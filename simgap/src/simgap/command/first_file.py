@@ -17,7 +17,7 @@ from simgap.files.columns import ColumnInfo
 from simgap.files.log_file import SUFFIXES, open_whole
 from simgap.files.table_log import TableLog
 from simgap.setup.compose import draft_robot_file
-from simgap.setup.draft import list_questions, robot_file_text
+from simgap.setup.draft import list_questions, robot_file_lines
 from simgap.setup.times import find_times
 from simgap.setup.units import KEYS
 from simgap.units import UNITS
@@ -48,7 +48,8 @@ def write_first_file(request: InitRequest, progress: Progress = no_progress) -> 
         if str(error).startswith(f"{request.out}: "):  # which is not there yet
             raise RobotError(f"{error}. So no robot file was written for {request.model}") from error
         raise
-    text = robot_file_text(draft, f"{request.model.name} and {', '.join(one.name for one in request.logs)}")
+    lines = robot_file_lines(draft, f"{request.model.name} and {', '.join(one.name for one in request.logs)}")
+    text = "\n".join(lines) + "\n"
     with atomic_write(request.out, "out") as file:
         file.write(text.encode())
     columns = {

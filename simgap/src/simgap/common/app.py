@@ -176,14 +176,11 @@ def run_app(app: typer.Typer, program: str) -> None:
     """
     gc.set_threshold(NEW_OBJECTS)
     os.environ["MUJOCO_GL"] = "disable"  # pictures are ray cast; OpenGL may be missing, block or crash
-    _completion_classes._sanitize_help_text = _join_lines  # typer takes brackets for markup, and wraps
+    # typer takes brackets for markup, and wraps
+    _completion_classes._sanitize_help_text = lambda text: " ".join(text.split())
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
     with buffer_stdout():
         _run(app, program)
-
-
-def _join_lines(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _run(app: typer.Typer, program: str) -> NoReturn:

@@ -65,15 +65,11 @@ class Plan:
         speed = top if self.speed_rad_s < np.inf else "in jumps"
         rests = f", with rests of {self.rest_s:g} s" if self.rest_s else ""
         held = [f"{name} at {robot.joint(name).show(at, '.3g')}" for name, at in self.others_rad.items()]
-        known = [(name, value) for name, value in self.gain.items() if robot.file and _has_gain(robot, name)]
-        gains = {f"gain {value:g}" for _, value in known}
+        gained = [name for name, one in (robot.file.joints if robot.file else {}).items() if one.gain_column]
+        gains = {f"gain {self.gain[name]:g}" for name in gained}
         given = [*held, *sorted(gains), *(f"{name} = {value:g}" for name, value in self.conditions.items())]
         more = f"; {', '.join(given)}" if given else ""
         return f"{self.joint} from {low} to {high} and back {speed}{rests}{more}"
-
-
-def _has_gain(robot: Robot, joint: str) -> bool:
-    return robot.file is not None and bool(robot.file.joints[joint].gain_column)
 
 
 def list_plans(

@@ -29,7 +29,7 @@ from simgap.patch.text import (
     number_text,
 )
 from simgap.result import Diagnosis, Rival
-from simgap.robot import Robot
+from simgap.robot import Robot, RobotJoint
 from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
 
 MODEL_FILE: Final = "patched.xml"
@@ -224,12 +224,17 @@ def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason:
         if before is None and law == model_law(robot.model, joint.actuator_index):
             continue
         is_new = joint.actuator_index < 0 and before is None
-        own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
         in_model = robot.mjcf_joint(joint.name)
         place: tuple[tuple[str, str], ...] = (("name", in_model), ("joint", in_model)) if is_new else ()
         said = f"kp {kp:.5g}, kd {kd:.5g}, torque limit {limit:.5g}: {reason}"
         kind = "new actuator" if is_new else "actuator"
-        yield Change(kind, own or in_model, (*place, *law), said)
+        yield Change(kind, _motor(robot, joint), (*place, *law), said)
+
+
+def _motor(robot: Robot, joint: RobotJoint) -> str:
+    """Return the name of the actuator of a joint, or that of the joint where it has none."""
+    own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
+    return own or robot.mjcf_joint(joint.name)
 
 
 def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
@@ -249,10 +254,9 @@ def _rotor_changes(robot: Robot, rotors: Iterable[Rotor], numbers: _Numbers) -> 
         own = tuple((name, number_text(numbers.joints[name][rotor.joint])) for name in names)
         reason = f"the motor of {joint.name} turns {rotor.name}"
         in_model = robot.mjcf_joint(joint.name)
-        motor = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
         yield Change("joint", rotor.name, own, reason)
         yield Change("joint", in_model, tuple((name, "0") for name in names), reason)
-        yield Change("actuator", motor or in_model, (("joint", rotor.name),), reason)
+        yield Change("actuator", _motor(robot, joint), (("joint", rotor.name),), reason)
 
 
 def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
@@ -304,10 +308,8 @@ def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Ma
     """Return the runtime file."""
     joints = []
     for j, joint in enumerate(robot.joints):
-        number, rotor = joint.actuator_index, rotors.get(j)
-        own = "" if number < 0 else robot.model.actuator(number).name
-        name = robot.mjcf_joint(joint.name)
-        table = {"name": joint.name, "joint": name, "actuator": own or name, "mode": joint.mode.value}
+        rotor, table = rotors.get(j), {"name": joint.name, "joint": robot.mjcf_joint(joint.name)}
+        table |= {"actuator": _motor(robot, joint), "mode": joint.mode.value}
         turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
         joints.append({**table, **turned})
     tables: dict[str, Any] = {

@@ -53,19 +53,6 @@ class _Acting:
     memory: dict[str, Array] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Nominal:
-    """Numbers of the patched model that effects change in each period."""
-
-    friction_Nm: Array
-    limit: Array
-    """(n_joints, 2), in the unit of the force of the actuator."""
-    gain: Array
-    bias: Array
-    """(n_joints, 3)."""
-    gear: Array
-
-
 class RuntimeEffects:
     """Effects that act while a model runs; one object for one run."""
 
@@ -100,16 +87,17 @@ class RuntimeEffects:
         ]
         motor = self._motor
         is_limited = model.actuator_forcelimited[motor].astype(bool)[:, None]
-        self._nominal = _Nominal(
-            model.dof_frictionloss[self._motor_dof].copy(),
-            np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf)),
+        # copies of what effects change in each period; the limit is that of the force of the actuator
+        self._friction_Nm = model.dof_frictionloss[self._motor_dof].copy()
+        self._limit = np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf))
+        self._gain, self._bias = (
             model.actuator_gainprm[motor, 0].copy(),
             model.actuator_biasprm[motor, :3].copy(),
-            model.actuator_gear[motor, 0].copy(),
         )
+        self._gear = model.actuator_gear[motor, 0].copy()
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
-        self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
+        self._ctrl_scale = np.where(of_gear, self._gear, 1.0)
         self._path_s, self._path_rad = np.zeros(0), np.zeros((0, len(joints)))
         self._last_share = 0.5 * model.opt.timestep / control_period_s
         self._last_command: Array | None = None
@@ -151,16 +139,16 @@ class RuntimeEffects:
         self._remember(data)
         arrived = self._arrived(np.asarray(command, dtype=float))
         tick = self._tick(model, data, arrived, temperature_degC)
-        motor, nominal = self._motor, self._nominal
+        motor = self._motor
         self._close_loops(data, tick.command[0])
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
         model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
         ratio = tick.gain[0] * np.asarray(is_on, dtype=float)
         of_position, of_speed = ratio * gain, ratio
-        model.actuator_gainprm[motor, 0] = nominal.gain * np.where(self._has_kp, of_position, of_speed)
-        model.actuator_biasprm[motor, :3] = nominal.bias * np.stack((ratio, of_position, of_speed), axis=1)
-        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(nominal.gear)
+        model.actuator_gainprm[motor, 0] = self._gain * np.where(self._has_kp, of_position, of_speed)
+        model.actuator_biasprm[motor, :3] = self._bias * np.stack((ratio, of_position, of_speed), axis=1)
+        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(self._gear)
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
@@ -225,7 +213,7 @@ class RuntimeEffects:
         self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array | None
     ) -> Tick:
         """Let the effects act, as the engine does."""
-        dof, nominal = self._dof, self._nominal
+        dof = self._dof
         force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
         unknown = np.full(dof.size, np.nan)
         state = State(
@@ -239,10 +227,10 @@ class RuntimeEffects:
             state=state,
             command=command[None, :].copy(),
             applied_Nm=np.zeros((1, dof.size)),
-            frictionloss_Nm=nominal.friction_Nm[None, :].copy(),
-            torque_limit_Nm=(nominal.limit[:, 1] * np.abs(nominal.gear))[None, :],
+            frictionloss_Nm=self._friction_Nm[None, :].copy(),
+            torque_limit_Nm=(self._limit[:, 1] * np.abs(self._gear))[None, :],
             gain=np.ones((1, dof.size)),
-            motor_Nm=(data.actuator_force[self._motor] * nominal.gear)[None, :],
+            motor_Nm=(data.actuator_force[self._motor] * self._gear)[None, :],
             period_s=self._period_s,
             memory={},
         )

@@ -134,17 +134,12 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     return [
         heading("Before and after"),
         paragraph(f"Of each joint, the {motions} with the largest, middle and smallest error are shown."),
-        *draw_traces(named),
+        *draw_figures([_trace_figure(title, own) for title, own in named.items()]),
     ]
 
 
-def draw_traces(traces: Mapping[str, Sequence[Trace]]) -> list[str]:
-    """Draw interactive figures of traces by title, as parts in HTML that `figures.css` styles."""
-    return draw_figures([_trace_figure(title, own) for title, own in traces.items()])
-
-
 def draw_figures(figures: Sequence[str]) -> list[str]:
-    """Return figures of `series_figure` with the script that they need."""
+    """Return figures of `series_figure`, which `figures.css` styles, with the script that they need."""
     hint = "<noscript><p>The figures here need JavaScript.</p></noscript>"
     return [hint, *figures, f"<script>{_read('traces.js')}</script>"]
 
@@ -164,6 +159,8 @@ def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str,
         for name in shown
     )
     text, label = html.escape(title), html.escape(f"traces of {title}", quote=True)
+    data = json.dumps([document for _, document in motions], allow_nan=False, separators=(",", ":"))
+    data = data.replace("<", "\\u003c")  # it cannot end the element that it stands in
     return (
         f'<figure class="traces" data-label="{label}"><h3>{text}</h3><div class="tools">'
         f'<select aria-label="motion">{options}</select>{buttons}'
@@ -171,7 +168,7 @@ def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str,
         '<button type="button" data-zoom="2" aria-label="zoom out">−</button>'
         '<button type="button" data-zoom="0">all</button></div>'
         f'<div class="plot"></div><p class="readout" data-hint="{HINT}">{HINT}</p>'
-        f'<script type="application/json">{_json([document for _, document in motions])}</script></figure>'
+        f'<script type="application/json">{data}</script></figure>'
     )
 
 
@@ -273,11 +270,6 @@ def _remaining_part(diagnosis: Diagnosis) -> list[str]:
     about = "No effect of the catalogue explains this part; it is apart from what was named."
     head = ("joint", "regime", "mean error", "depends on", "share of it")
     return _table_part("What remains", head, rows, about)
-
-
-def _json(document: Any) -> str:
-    """Return JSON that cannot end the element it stands in."""
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _read(name: str) -> str:

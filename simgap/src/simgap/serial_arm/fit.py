@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
 from simgap.arrays import Array, Flags, Integers
@@ -271,8 +272,8 @@ class Identifiability:
         share = np.diag(projector)
         part = np.flatnonzero(share > MIN_SHARE)
         together = np.abs(projector) > MIN_CORRELATION * np.sqrt(np.outer(share, share))
-        groups = _connected(part, together)
-        return tuple(self._group(group, projector) for group in groups)
+        count, label = connected_components(together[np.ix_(part, part)])
+        return tuple(self._group(part[label == k], projector) for k in range(count))
 
     def _group(self, group: Integers, projector: Array) -> UnidentifiableGroup:
         unseen = round(float(np.trace(projector[np.ix_(group, group)])))
@@ -292,19 +293,6 @@ def assess_identifiability(
     values = np.zeros(scale.size)
     values[: s.size] = s
     return Identifiability(tuple(parameters), values, Vt.T)
-
-
-def _connected(members: Integers, linked: Flags) -> list[Integers]:
-    """Return the connected components of the links among members (k,), in order."""
-    remaining, groups = list(members), []
-    while remaining:
-        group = [remaining.pop(0)]
-        for one in group:
-            neighbours = [other for other in remaining if linked[one, other]]
-            group += neighbours
-            remaining = [other for other in remaining if other not in neighbours]
-        groups.append(np.array(sorted(group)))
-    return groups
 
 
 FALSE_ALARM: Final = 0.01

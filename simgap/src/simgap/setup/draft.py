@@ -29,11 +29,6 @@ class Draft:
         return self.content["joints"][name]  # type: ignore[no-any-return]
 
 
-def robot_file_text(draft: Draft, source: str) -> str:
-    """Return the text of a draft; the first line names what it was written from."""
-    return "\n".join(_lines(draft, source)) + "\n"
-
-
 def list_questions(draft: Draft) -> list[str]:
     """Return the questions with their places; one that is the same at several places once."""
     places: dict[str, list[str]] = {}
@@ -43,7 +38,8 @@ def list_questions(draft: Draft) -> list[str]:
     return [f"{', '.join(where)}: {one}" for one, where in places.items()]
 
 
-def _lines(draft: Draft, source: str) -> Iterator[str]:
+def robot_file_lines(draft: Draft, source: str) -> Iterator[str]:
+    """Yield the lines of the file of a draft; the first names what it was written from."""
     yield from _comment(f"Written from {source}.")
     yield '# A comment gives the reason of the line below it. A line with "Question:" waits for your answer.'
     tables = {key: value for key, value in draft.content.items() if isinstance(value, dict)}

@@ -69,15 +69,11 @@ def guess_position_units(
         if own and unit == "count" and not is_slide:
             found |= dict.fromkeys(own, _counts(tuple(own.values()), TOLD))
         elif own and unit and not is_slide:
-            found |= {joint: _told(one, unit) for joint, one in own.items()}
+            is_share, plain = unit == "percent", UnitGuess(unit, TOLD)
+            found |= {key: _percent(one, -100.0, TOLD) if is_share else plain for key, one in own.items()}
         elif own:
             found |= _guess_slides(own) if is_slide else _guess_hinges(own)
     return found
-
-
-def _told(one: Values, unit: str) -> UnitGuess:
-    """Return the unit that the user gives, which is no count."""
-    return _percent(one, -100.0, TOLD) if unit == "percent" else UnitGuess(unit, TOLD)
 
 
 def _counts(values: Sequence[Values], reason: str) -> UnitGuess:
@@ -188,13 +184,6 @@ def si_unit(key: str, is_slide: bool) -> UnitGuess:
     return UnitGuess(unit, "nothing in the log says another unit")
 
 
-def describe_values(value: np.ndarray[Any, Any], range_rad: tuple[float, float], is_slide: bool) -> Values:
-    """Describe the logged numbers of a joint, (n,)."""
-    known = value[np.isfinite(value)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    return Values(low, high, bool(np.all(known == np.round(known))), range_rad, is_slide)
-
-
 KEYS: Final = (
     *("command", "position", "secondary", "velocity", "torque", "current", "voltage"),
     *("temperature", "enabled"),
@@ -215,9 +204,11 @@ def write_columns(
     values = {}
     for joint, match in by_joint.items():
         value = np.concatenate([log.numbers(match["position"].info.name).value for log in logs])
-        known = model.joint(joint)
-        limits = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
-        values[joint] = describe_values(value, (float(limits[0]), float(limits[1])), slides[joint])
+        value = value[np.isfinite(value)]
+        ends = (float(value.min()), float(value.max())) if value.size else (0.0, 0.0)
+        are_whole, known = bool(np.all(value == np.round(value))), model.joint(joint)
+        low, high = known.range if model.jnt_limited[known.id] else (-math.inf, math.inf)
+        values[joint] = Values(*ends, are_whole, (float(low), float(high)), slides[joint])
     positions = guess_position_units(values, unit, grippers)
     for joint, own in by_joint.items():
         table = draft.joint(joint)

@@ -194,13 +194,15 @@ TROUBLES = {
 }
 
 
+@pytest.mark.parametrize("clearing", [(), (ClearFault(),)], ids=["at the end", "in every cycle"])
 @pytest.mark.parametrize("response", Response)
-def test_a_sequence_does_not_go_on_after_any_response(response):
+def test_a_sequence_does_not_go_on_after_any_response(response, clearing):
     rig = moving()
     rig.state = replace(rig.state, sequence=SEQUENCE)
     while RESPONDED[response] not in rig.evrs:
         rig.cycle(**TROUBLES[response])
-    rig.run()
+    while rig.outputs.joint.busy:
+        rig.cycle(*clearing)
     for _ in range(20):
         assert not rig.cycle(ClearFault()).drive.power_on.any()
     assert rig.evrs.count(CommandAborted("CalibrateAll")) == 1

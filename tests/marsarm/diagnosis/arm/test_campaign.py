@@ -227,8 +227,8 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
-    sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
-    for hypothesis, side in zip(list_hypotheses([kind]), sides, strict=True):
+    sides = simulate_side(simulator, columns, nominal, 0, dict.fromkeys(wanted, 1.0))
+    for hypothesis, side in zip(list_hypotheses([kind]), sides.values(), strict=True):
         alone = simulator.predict_effects([hypothesis.switch_on(np.array([side.size]))]) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
