@@ -25,7 +25,6 @@ TABLE_MOTIONS = {
     *("oscillation_med_freq", "single_joint_elbow", "workspace_sweep"),
 }
 """Motions of the SO-101 whose commands go below the table, as the data's description lists them."""
-SLOW = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,7 @@ def test_a_table_is_named_with_its_height_and_its_samples_are_refused():
     assert 0.05 < np.mean(~found.is_usable("motion 3", "shoulder")) < 0.6
 
 
-@pytest.mark.parametrize(("joint", "clamp"), [("elbow", 0.38), pytest.param("shoulder", 0.2, marks=SLOW)])
+@pytest.mark.parametrize(("joint", "clamp"), slow_but([("elbow", 0.38), ("shoulder", 0.2)], ("elbow", 0.38)))
 def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp):
     found = audit(planar_arm(), cut_off(joint, lambda sent: np.minimum(sent, clamp)))
     assert kinds(found) == [(RemarkKind.CUT_OFF, joint)]

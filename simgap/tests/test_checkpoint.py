@@ -4,7 +4,6 @@ import os
 import time
 from dataclasses import replace
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -14,13 +13,9 @@ from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, digest_inputs, pack, unpack
-from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
-from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+from simgap.selection.verdict import find_confidence_sets
 
-T = TypeVar("T")
-
-Found = tuple[Selection, list[ConfidenceSet]]
 BODY = Toy("base", "square of all", np.square)
 EFFECTS = (*CATALOGUE, BODY)
 TRUTH = {"near: square": 0.1, "far: square": 0.1, "far: sine": 0.05}

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.effect_lab import ARM_XML, robot_of, simulate
+from helpers.effect_lab import ARM_XML, motion_of, robot_of, simulate
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects.effect import Family
-from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.logs import Logs
 from simgap.patch.patch import make_patch
 from simgap.patch.text import read_effect
 from simgap.residuals.simulation_residuals import list_kinds
@@ -35,14 +35,6 @@ def commands(seed):
     return np.asarray(waves.sum(axis=0))
 
 
-def log_of(name, command, shown_rad, repeat):
-    time_s = ARM.control_period_s * np.arange(N_TICKS - N_REST)
-    joints = {}
-    for joint, shown, sent in zip(ARM.joints, shown_rad[:, N_REST:], command[N_REST:].T, strict=True):
-        joints[joint.name] = JointLog(Signal(time_s, shown), command=Signal(time_s, sent))
-    return Motion(name, joints, {}, repeat)
-
-
 def logs_with(effects, sizes):
     """Simulate motions with these effects; the last one repeats that before it."""
     rng, motions = np.random.default_rng(1), []
@@ -50,7 +42,8 @@ def logs_with(effects, sizes):
         command = commands(min(k, 4))
         (shown,) = simulate(TRUTH, effects, [sizes], command, command[0])
         noise = NOISE_RAD * rng.standard_normal(shown.shape)
-        motions.append(log_of(f"m{k}", command, shown + noise, "r" if k > 3 else ""))
+        time_s, shown = ARM.control_period_s * np.arange(N_TICKS - N_REST), (shown + noise).T[N_REST:]
+        motions.append(motion_of(ARM, time_s, shown, command[N_REST:], f"m{k}", "r" if k > 3 else ""))
     return Logs(tuple(motions))
 
 

@@ -11,6 +11,7 @@ from simgap.patch.patch import make_patch
 from simgap.robot import ControlMode
 
 MOTOR = 'motorconst="0.05" resistance="2" gear="20"'
+SERVO = '<default><default class="servo"><dcmotor motorconst="0.05" resistance="2"/></default></default>'
 STEP_S = 0.0005
 
 
@@ -36,28 +37,18 @@ def by_mujoco(text, command, scale=1.0):
     return np.array(shown)
 
 
-def test_a_motor_of_a_default_class_is_read_and_patched(tmp_path):
-    motor = '<default><default class="servo"><dcmotor motorconst="0.05" resistance="2"/></default></default>'
-    robot = read(tmp_path, 'class="servo" gear="20"', "voltage", defaults=motor)
-    assert (robot.joints[0].kp_Nm_rad, robot.joints[0].kd_Nms_rad) == pytest.approx((0.5, 0.5))
-    command = waves(STEP_S * np.arange(4000), 3)
-    texts = (make_patch(robot, [], []).model_xml, robot.model_xml)
-    patched, native = (by_mujoco(one, command) for one in texts)
-    assert np.ptp(native) > 0.2
-    assert patched == pytest.approx(native, abs=2e-3)
-
-
 @pytest.mark.parametrize(
     ("attributes", "mode", "scale", "expected"),
     [
         (MOTOR, "voltage", 1.0, (0.5, 0.5)),
+        ('class="servo" gear="20"', "voltage", 1.0, (0.5, 0.5)),
         (f'{MOTOR} saturation="0.02"', "voltage", 1.0, (0.5, 0.5)),
         (f'{MOTOR} armature="1e-5" damping="1e-5"', "voltage", 1.0, (0.5, 0.5)),
         (f'{MOTOR} input="pos" controller="0.01 0 0.0003"', "position", 20.0, (4.0, 0.12)),
     ],
 )
 def test_the_engine_moves_as_the_motor_of_mujoco(attributes, mode, scale, expected, tmp_path):
-    robot = read(tmp_path, attributes, mode)
+    robot = read(tmp_path, attributes, mode, defaults=SERVO)
     joint = robot.joints[0]
     assert (joint.kp_Nm_rad, joint.kd_Nms_rad) == pytest.approx(expected)
     time_s = STEP_S * np.arange(4000)

@@ -1,6 +1,5 @@
 """Effects of friction, actuation, command, sensors and external torques, against laws written down here."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +35,6 @@ from simgap.robot import ControlMode
 TIME_s = np.arange(0, 2, 0.01)
 
 LINK_kgm2 = pendulum.MASS_kg * pendulum.LENGTH_m**2
-Torque = Callable[[float, float, float], float]
 
 
 def level(mode=ControlMode.TORQUE, dry_Nm=0.0, limit_Nm=np.inf):
@@ -216,10 +214,10 @@ def test_a_servo_closes_its_loop_on_the_scale_of_its_encoder():
     assert np.abs(shown - plain - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def shaped(kind, size, command, period_s=0.01):
+def shaped(kind, size, command):
     """Shape a command of one simulation."""
     effect = pendulum.at_swing(kind, pendulum.pendulum())
-    return effect.shape_command(np.array([[size]]), command[None], period_s)[0]
+    return effect.shape_command(np.array([[size]]), command[None], 0.01)[0]
 
 
 @pytest.mark.parametrize("speed_rad_s", [0.5, 30.0, 300.0])

@@ -26,9 +26,8 @@ def counterbalance_Nm(q):
 
 
 @cache
-def motor_log(is_balanced=True):
-    applied = {"applied_Nm": counterbalance_Nm} if is_balanced else {}
-    return simulated(arm(), seed=3, duration_s=6.0, **applied)
+def motor_log():
+    return simulated(arm(), seed=3, duration_s=6.0, applied_Nm=counterbalance_Nm)
 
 
 def second_log(late_s=SKEW_s, compliance=COMPLIANCE_rad_Nm, offset_rad=OFFSET_rad, scale=0.0):

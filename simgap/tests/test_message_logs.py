@@ -14,7 +14,7 @@ from helpers.robot_folder import MODEL, write_robot
 from simgap.checks.audit import audit
 from simgap.checks.records import RemarkKind
 from simgap.common.errors import RobotError
-from simgap.files.log_file import list_columns, open_log
+from simgap.files.log_file import open_log, open_whole
 from simgap.files.mcap_log import BadMessage, make_decoder
 from simgap.files.robot_file import CsvTable
 from simgap.loading import load
@@ -131,7 +131,7 @@ def test_joints_that_have_numbers_as_names_are_read_by_name(tmp_path):
     messages = [("/motors", k, {"name": ["1", "0"], "position": [10.0, 20.0]}) for k in range(3)]
     path = write_mcap(tmp_path / "log.mcap", messages)
     name = "/motors.position[1]"
-    assert [one.lowest for one in list_columns(path) if one.name == name] == [10.0]
+    assert [one.lowest for one in open_whole(path).describe() if one.name == name] == [10.0]
     log = open_log(path, [name], [], CsvTable())
     assert log.numbers(name).value.tolist() == [10.0] * 3
     assert not log.names_at(name)

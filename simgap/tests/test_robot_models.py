@@ -6,25 +6,22 @@ import mujoco
 import numpy as np
 import pytest
 
+from helpers.effect_lab import motion_of
 from helpers.real_robots import LOADED, LOGS, ROBOTS, robot_path
 from simgap.diagnosis import diagnose
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load, read_split
-from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
+from simgap.serial_arm.files import read_arm, read_mapping
 
 PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}
 
 
 @pytest.mark.parametrize("name", LOADED)
-def test_gravity_loads_the_joints_that_it_can_move(name):
+def test_gravity_loads_the_joints_that_it_can_move_and_no_number_counts_as_known(name):
     joints = Robot.from_toml(robot_path(name)).joints
     assert {one.name for one in joints if one.is_loaded_by_gravity} == LOADED[name]
-
-
-@pytest.mark.parametrize("name", LOADED)
-def test_no_number_of_a_real_robot_counts_as_known(name):
-    assert not any(one.is_known for one in Robot.from_toml(robot_path(name)).joints)
+    assert not any(one.is_known for one in joints)
 
 
 def test_the_pendulum_has_the_published_mass_at_the_published_distance():
@@ -57,11 +54,12 @@ def test_the_two_halves_of_the_so101_share_no_motion_and_have_all():
         assert fast in parts[part]
 
 
-def test_the_ur10_points_to_its_serial_arm():
+def test_the_ur10_points_to_its_serial_arm_and_to_mappings_of_its_poses():
     found = read_robot_file(robot_path("ur10"))
     assert isinstance(found, SerialFile)
     folder = robot_path("ur10").parent
-    assert all((folder / name).is_file() for name in (found.serial_arm, *found.poses.values()))
+    assert {read_mapping(folder / one).arm for one in found.poses.values()} == {"UR10"}
+    assert read_arm(folder / found.serial_arm).name == "UR10"
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -186,11 +184,7 @@ def record(robot, seed):
     shown = np.array(rows) + NOISE_rad * np.random.default_rng(seed).standard_normal(sent.shape)
     shown = COUNT_rad * np.round(shown / COUNT_rad)
     time_s = ROW_s * np.arange(len(shown))
-    joints = {
-        name: JointLog(position=Signal(time_s, shown[:, j]), command=Signal(time_s, sent[:, j]))
-        for j, name in enumerate(MOVING)
-    }
-    return Motion(f"smooth {seed}", joints, {})
+    return motion_of(robot, time_s, shown, sent, f"smooth {seed}")
 
 
 @pytest.mark.slow

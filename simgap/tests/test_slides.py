@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.effect_lab import play
+from helpers.effect_lab import motion_of, play
 from helpers.slide_arm import command_of, model_text, write_folder, write_logs
 from simgap import diagnose, verdict_lines
 from simgap.catalogue.catalogue import base_effects, catalogue
@@ -14,7 +14,6 @@ from simgap.common.errors import RobotError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import joint_scales
 from simgap.loading import load
-from simgap.logs import JointLog, Motion, Signal
 from simgap.mjcf import place_tied
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
@@ -32,17 +31,9 @@ def robot(tmp_path):
     return Robot.from_toml(write_folder(tmp_path))
 
 
-def motion_of(command):
-    """Return a motion at rest, whose commands are these, (n, 2)."""
-    rest = Signal(TIME_S, 0.0 * TIME_S)
-    sent = {name: Signal(TIME_S, command[:, k]) for k, name in enumerate(("lift", "swing"))}
-    logs = {name: JointLog(rest, command=one) for name, one in sent.items()}
-    return Motion("m", logs, {})
-
-
 def by_engine(robot, effects=(), size=()):
     """Return the positions of both joints by the engine, (2, n) [m, rad]."""
-    windows = cut_windows(robot, motion_of(COMMAND), None, 0.0)
+    windows = cut_windows(robot, motion_of(robot, TIME_S, 0.0 * COMMAND, COMMAND), None, 0.0)
     (found,) = Engine(Models(robot), effects, windows, 1).positions(np.array([size], float))
     return found.reshape(2, -1)
 
@@ -178,7 +169,9 @@ def test_a_joint_that_depends_on_another_is_placed_by_the_law_of_the_tie():
 
 
 def test_the_wrapper_moves_a_slide_as_the_engine_does(robot, tmp_path):
-    delay = CommandDelay.at(robot, "lift", joint_scales(robot, [motion_of(COMMAND)]))
+    delay = CommandDelay.at(
+        robot, "lift", joint_scales(robot, [motion_of(robot, TIME_S, 0.0 * COMMAND, COMMAND)])
+    )
     patch = make_patch(robot, [delay], [(0.0123,)])
     (tmp_path / "runtime.toml").write_text(patch.runtime)
     model = mujoco.MjModel.from_xml_string(patch.model_xml)

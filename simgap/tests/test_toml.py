@@ -96,11 +96,6 @@ def test_faults_name_the_path_of_the_key_and_what_would_be_right():
         toml.parse_record(Rover, {"name": 3}, Path("rover.toml"))
 
 
-def test_lists_count_from_1():
-    assert toml.key_path(("command", 0, "position_m", 2)) == "command[1].position_m[3]"
-    assert toml.key_path(()) == ""
-
-
 @pytest.mark.parametrize(
     ("name", "quantity", "logged", "expected"),
     [

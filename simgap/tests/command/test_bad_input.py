@@ -156,7 +156,6 @@ DIAGNOSE = {
     "robot.toml log.parquet --split nosuch": "the robot file names no split file",
     "robot.toml log.parquet --held-out 'motion 2,motion 3'": "name each by itself: --held-out A",
     "robot.toml log.parquet --held-out ''": "'' is no motion, condition or file",
-    "robot.toml log.parquet --held-out log": "nothing is fitted",
     "robot.toml log.parquet --split a --held-out log": "they exclude each other",
     "robot.toml log.parquet --report check.txt": "its name must end in .html",
     "robot.toml log.parquet --report nosuch/a.html": "there is no folder nosuch",

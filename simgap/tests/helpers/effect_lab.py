@@ -6,6 +6,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
+from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models, nominal_fields
 from simgap.simulation.simulation import Engine
@@ -161,6 +162,13 @@ def simulate(robot, effects, sizes, command, start_rad, temperature_degC=None):
     )
     engine = Engine(Models(robot), effects, [window], n_threads=1)
     return engine.positions(np.asarray(sizes, float)).reshape(len(sizes), n_joints, n_ticks)
+
+
+def motion_of(robot, time_s, position, command, name="m", repeat=""):
+    """Return a motion of all joints, with positions and commands (n, n_joints) at the same times (n,)."""
+    columns = zip(robot.joints, position.T, command.T, strict=True)
+    logs = {one.name: JointLog(Signal(time_s, at), command=Signal(time_s, to)) for one, at, to in columns}
+    return Motion(name, logs, {}, repeat)
 
 
 def play(model, runtime, command, start_rad, every=1):

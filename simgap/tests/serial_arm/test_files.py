@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.real_robots import repository_file
-from helpers.serial_files import MAPPING, rows, text
-from helpers.serial_synthetic import built_arm, drawn_arm
+from helpers.serial_synthetic import MAPPING, built_arm, drawn_arm, rows, text
 from simgap.common.errors import RobotError
 from simgap.common.toml import toml_text
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_mapping, series_from_table
@@ -33,11 +32,6 @@ def test_the_ur10_of_the_models_has_six_joints_and_the_published_reach():
     assert arm.uncertainty.length_m == 1e-3
     assert sum(abs(one.a_m) for one in arm.links) == pytest.approx(1.1843)
     assert sum(one.mass_kg for one in arm.links) == pytest.approx(28.435)
-
-
-@pytest.mark.parametrize("name", ["series_a.toml", "series_c.toml"])
-def test_the_mappings_of_the_models_are_of_the_ur10(name):
-    assert read_mapping(repository_file(f"models/robots/ur10/{name}")).arm == "UR10"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Log files of all formats: `open_log` reads columns of one, `list_columns` lists them."""
+"""Log files of all formats: `open_log` reads columns of one, `open_whole` all."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -12,7 +12,6 @@ import pyarrow.compute as pc
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.bag_log import METADATA, open_bag
-from simgap.files.columns import ColumnInfo
 from simgap.files.mcap_log import open_mcap
 from simgap.files.message_log import MessageLog
 from simgap.files.robot_file import CsvTable
@@ -43,14 +42,9 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
     return _open(path, numbers, [one for one in texts if one not in numbers], csv_table)
 
 
-def list_columns(path: Path, csv_table: CsvTable | None = None) -> tuple[ColumnInfo, ...]:
-    """List what is in a log; RobotError if the file cannot be read, or has no rows."""
-    return open_whole(path, csv_table).describe()
-
-
-def open_whole(path: Path, csv_table: CsvTable | None = None) -> LogFile:
+def open_whole(path: Path) -> LogFile:
     """Open a log with all of its columns; RobotError if the file cannot be read, or has no rows."""
-    return _open(path, None, (), csv_table or CsvTable())
+    return _open(path, None, (), CsvTable())
 
 
 def read_times(log: LogFile, column: str, form: str = "") -> Array:

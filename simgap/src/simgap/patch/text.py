@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import inf
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final, cast, get_args, get_origin, get_type_hints
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser
@@ -213,8 +212,9 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
 
 def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
     if "file" in table:
-        module: Any = _module_of_file(Path(table["file"]))
-        name = table["class"]
+        file, name = Path(table["file"]), table["class"]
+        loaded = (one for one in list(sys.modules.values()) if getattr(one, "__file__", None) == str(file))
+        module: Any = next(loaded, None) or load_module(file)
     else:
         place, _, name = table["class"].partition(":")
         if place.partition(".")[0] != PACKAGE:
@@ -224,11 +224,6 @@ def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
     if not (isinstance(kind, type) and issubclass(kind, Effect)):
         raise TypeError(f"{name} is no effect")
     return kind
-
-
-def _module_of_file(file: Path) -> ModuleType:
-    loaded = (one for one in list(sys.modules.values()) if getattr(one, "__file__", None) == str(file))
-    return next(loaded, None) or load_module(file)
 
 
 def _plain(value: Any) -> Any:

@@ -54,7 +54,8 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
             "that the tracker means, and joints the arm's names and signs"
         )
     setup = _solve_translations(series, X_BF, R_TB, R_FM)
-    position_error_m = norm(series.X_TM.p - _target_poses(setup, X_BF).p)
+    X_TM = repeat_pose(setup.X_TB, series.count) @ X_BF @ repeat_pose(setup.X_FM, series.count)
+    position_error_m = norm(series.X_TM.p - X_TM.p)
     if np.median(position_error_m) > MAX_POSITION_ERROR_M:
         raise RobotError(
             f"the target does not move as the arm's flange does: half of the poses are off by "
@@ -95,11 +96,6 @@ def _solve_translations(series: PoseSeries, X_BF: Pose, R_TB: Array, R_FM: Array
     flat = np.moveaxis(rows, 2, 0).reshape(-1, 6)
     shifts = np.linalg.lstsq(flat, difference.T.ravel(), rcond=None)[0]
     return TrackerSetup(Pose(R_TB, shifts[:3]), Pose(R_FM, shifts[3:]))
-
-
-def _target_poses(setup: TrackerSetup, X_BF: Pose) -> Pose:
-    n = X_BF.p.shape[1]
-    return repeat_pose(setup.X_TB, n) @ X_BF @ repeat_pose(setup.X_FM, n)
 
 
 def _scale_words(series: PoseSeries, X_BF: Pose) -> str:

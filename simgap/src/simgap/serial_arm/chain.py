@@ -53,12 +53,6 @@ def repeat_pose(X: Pose, n: int) -> Pose:
     return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
 
 
-def relative_pose(X_AB: AnyPose, X_AC: AnyPose) -> Pose:
-    """Compute X_BC, the pose of frame C in frame B, batch (n,)."""
-    R_BA = np.swapaxes(X_AB.R, 0, 1)
-    return Pose(R_BA, -rotate_back(X_AB.R, X_AB.p)) @ Pose(X_AC.R, X_AC.p)
-
-
 def compose(R: Array, S: Array) -> Array:
     """Multiply rotations: R S, shape (3, 3, ...)."""
     return np.asarray(np.einsum("ik...,kj...->ij...", R, S))
@@ -102,7 +96,8 @@ def screw_log(X: AnyPose) -> Array:
 
 def error_screw(X_RM: AnyPose, X_RT: AnyPose) -> Array:
     """Compute error screws, (6, n), the log of D_error (paper equation 14), in axes of the modelled poses."""
-    return screw_log(relative_pose(X_RM, X_RT))
+    X_MR = Pose(np.swapaxes(X_RM.R, 0, 1), -rotate_back(X_RM.R, X_RM.p))
+    return screw_log(X_MR @ Pose(X_RT.R, X_RT.p))
 
 
 def linearise(X_RM: AnyPose, jacobian: Array, X_RT: AnyPose, whitener: Array) -> Linearisation:

@@ -157,12 +157,6 @@ def features(arm: SerialArm, series: chain.PoseSeries, orders: int) -> Array:
     return np.concatenate([non_periodic, np.cos(phase), np.sin(phase)], axis=-1)
 
 
-def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
-    """Compute the joint errors, true less read angles [rad], shape (joints, n)."""
-    orders = (features.shape[2] - len(NON_PERIODIC)) // 2
-    return np.asarray(np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders)))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerSetup:
     """Frames of base and target in one series."""
@@ -235,7 +229,8 @@ class SerialModel:
         arm, _ = self.at(values)
         still = np.zeros(n)
         X_B, base = chain.link_transform(chain.repeat_pose(self.setup.X_TB, n), still, values[:6])
-        turn = self.series.joint_rad + joint_errors_rad(arm, self.features)
+        errors_rad = np.einsum("jnk,jk->jn", self.features, joint_coefficients(arm, self.orders))
+        turn = self.series.joint_rad + errors_rad  # true angles, by those that were read
         ends, axes = chain.forward_kinematics(X_B, arm.link_geometry, turn)
         placed = ends[-1] @ chain.repeat_pose(self.setup.X_FM, n)
         X_M, target = chain.link_transform(placed, still, values[6:12])
@@ -252,13 +247,10 @@ class SerialModel:
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
         jacobian = np.concatenate([*columns, *joint_columns], axis=2)
-        return chain.linearise(X_M, jacobian, self.series.X_TM, self._whitener())
-
-    def _whitener(self) -> Array:
-        """Compute the matrices that scale rotation and position by their noise, shape (n, 6, 6)."""
         noise = self.arm.repeatability
         inverse = np.diag(1.0 / np.repeat([noise.rotation_rad, noise.position_m], 3))
-        return np.broadcast_to(inverse, (self.series.count, 6, 6))
+        whitener = np.broadcast_to(inverse, (self.series.count, 6, 6))
+        return chain.linearise(X_M, jacobian, self.series.X_TM, whitener)
 
 
 def serial_model(

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress, no_progress
 from simgap.effects.effect import Family
@@ -110,11 +109,11 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
     named = [test for test in tests if not test.problem]
     unnamed = [test.effect for test in tests if test.problem]
     chosen = elimination.without(kinds.flag_parameters(found.fit, unnamed))
-    explained = _fresh_errors(found, chosen.values, fresh)
+    explained = pose_errors(*found.model.at(chosen.values), fresh)
     findings = []
     for test in named:
         without = elimination.without(kinds.flag_parameters(found.fit, [*unnamed, test.effect]))
-        before = _in_noise(arm, _fresh_errors(found, without.values, fresh))
+        before = _in_noise(arm, pose_errors(*found.model.at(without.values), fresh))
         findings.append(_finding(found, test, chosen, 1.0 - _in_noise(arm, explained) / before))
     links = arm.links if GEOMETRY in found.model.terms else ()
     effects: list[kinds.TrackerEffect] = [kinds.LinkGeometry(one.name) for one in links]
@@ -139,10 +138,6 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
             *_rejected_temperature(fitted.temperature),
         ),
     )
-
-
-def _fresh_errors(found: SerialCalibration, values: Array, fresh: PoseSeries) -> PoseErrors:
-    return pose_errors(*found.model.at(values), fresh)
 
 
 def _in_noise(arm: SerialArm, errors: PoseErrors) -> float:

@@ -166,12 +166,6 @@ def _driven(model: mujoco.MjModel) -> list[str]:
     return [model.joint(int(k)).name for k in dict.fromkeys(model.actuator_trnid[by_joint, 0].tolist())]
 
 
-def _name_of(model: mujoco.MjModel) -> str:
-    """Return the name of a model; empty if it has that which MuJoCo gives."""
-    name = model.names[: model.names.index(b"\0")].decode()
-    return "" if name == "MuJoCo Model" else name
-
-
 def _common_columns(logs: Sequence[LogFile]) -> list[ColumnInfo]:
     """Return the columns of the first log that all others have too."""
     columns = logs[0].describe()
@@ -193,7 +187,8 @@ def _write_head(draft: Draft, model_path: Path, path: Path, model: mujoco.MjMode
     if abs(rate_Hz - times.rate_Hz) > JITTER * times.rate_Hz:
         rate_Hz = float(f"{times.rate_Hz:.3g}")
     n_steps = math.ceil(1.0 / rate_Hz / min(float(model.opt.timestep), LONGEST_STEP_s) - 1e-6)
-    name = _name_of(model) or model_path.stem
+    own = model.names[: model.names.index(b"\0")].decode()
+    name = model_path.stem if own in ("", "MuJoCo Model") else own  # which MuJoCo gives
     draft.content = {
         "name": name,
         "model": Path(os.path.relpath(model_path, path.parent)).as_posix(),

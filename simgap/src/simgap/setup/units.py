@@ -177,13 +177,6 @@ def fits_speed(ratio: float, unit: str) -> bool:
     return is_near(ratio * UNITS[unit].factor, 1.0)
 
 
-def si_unit(key: str, is_slide: bool) -> UnitGuess:
-    """Return the unit that is taken for a signal where nothing says another: the first of its quantity."""
-    quantity = SIGNALS[key][-1 if is_slide else 0]
-    unit = next(name for name, one in UNITS.items() if one.quantity is quantity)
-    return UnitGuess(unit, "nothing in the log says another unit")
-
-
 KEYS: Final = (
     *("command", "position", "secondary", "velocity", "torque", "current", "voltage"),
     *("temperature", "enabled"),
@@ -237,7 +230,9 @@ def _unit_of(one: Match, signal: str, position: UnitGuess, measured: Match, is_s
         if of_position and of_position != "count":
             return UnitGuess(of_position, "as the position")
         return position
-    return si_unit(signal, is_slide)
+    quantity = SIGNALS[signal][-1 if is_slide else 0]
+    first = next(name for name, one in UNITS.items() if one.quantity is quantity)
+    return UnitGuess(first, "nothing in the log says another unit")
 
 
 def settle_speeds(
