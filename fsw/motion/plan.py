@@ -195,7 +195,9 @@ def plan_joint_move(
         motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
         path = joint_path(config, start.motor_rad, motor)
         return Plan((path,), JointPositions(motor, gear), compensation.backlash_allowance(joints, gear))
-    run_up = bounds.highest_rad - bounds.lowest_rad + config.params.motion.takeup_rad
+    # an uncertain load may leave the output on either flank, so the run-up crosses the whole gap
+    widest = bound_gear(config, joints.reference.half_backlash_rad, np.zeros_like(load_Nm))
+    run_up = widest.highest_rad - widest.lowest_rad + config.params.motion.takeup_rad
     direction = moving * final_direction(config, load_Nm, joints.gravity_R_m_s2)
     direction = _reverse_at_limits(config, output_rad, run_up, direction)
     gear = np.where(direction == 0, gear, gear_after_output_turn(gear, direction, bounds))

@@ -5,6 +5,7 @@ Poses are selected by flags, (n,), or by indices in the wanted order, (k,).
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -100,21 +101,20 @@ JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 COVARIANCE_INDICES: Final = tuple((i, j) for i in range(6) for j in range(i, 6))
 TEXT_COLUMNS: Final = ("arm", "branch")
 COUNT_COLUMNS: Final = ("group", "targets_ground", "targets_rover", "targets_turret")
-NUMBER_COLUMNS: Final = (
-    *(f"motor_{joint}_rad" for joint in JOINT_NAMES),
-    *(f"backlash_{joint}_rad" for joint in JOINT_NAMES),
-    *(f"friction_{joint}_Nm" for joint in JOINT_NAMES),
-    *(f"side_{joint}" for joint in JOINT_NAMES),
-    *(f"gravity_{axis}_m_s2" for axis in "xyz"),
-    "turret_kg",
-    *(f"p_{axis}_m" for axis in "xyz"),
-    *(f"q_{part}" for part in "wxyz"),
-    *(f"cov_{i}{j}" for i, j in COVARIANCE_INDICES),
-    "misfit_m",
-    "tracker_moved_m",
+QUANTITIES: Final = (
+    tuple(f"motor_{joint}_rad" for joint in JOINT_NAMES),
+    tuple(f"backlash_{joint}_rad" for joint in JOINT_NAMES),
+    tuple(f"friction_{joint}_Nm" for joint in JOINT_NAMES),
+    tuple(f"side_{joint}" for joint in JOINT_NAMES),
+    tuple(f"gravity_{axis}_m_s2" for axis in "xyz"),
+    ("turret_kg",),
+    tuple(f"p_{axis}_m" for axis in "xyz"),
+    tuple(f"q_{part}" for part in "wxyz"),
+    tuple(f"cov_{i}{j}" for i, j in COVARIANCE_INDICES),
+    ("misfit_m",),
+    ("tracker_moved_m",),
 )
-GROUPS: Final = (5, 5, 5, 5, 3, 1, 3, 4, len(COVARIANCE_INDICES), 1, 1)
-"""Number of columns of each quantity, in their order."""
+NUMBER_COLUMNS: Final = tuple(chain(*QUANTITIES))
 MAY_BE_EMPTY: Final = ("turret_kg",)
 NORM_TOLERANCE: Final = 1e-3
 """Largest difference of the norm of a quaternion from 1."""
@@ -188,7 +188,7 @@ def _text_problems(column: Mapping[str, NDArray[np.str_]]) -> Iterator[str]:
 
 def _campaign(column: dict[str, Array]) -> Campaign:
     numbers = np.array([column[name] for name in NUMBER_COLUMNS], float)
-    parts = np.split(numbers, np.cumsum(GROUPS)[:-1])
+    parts = np.split(numbers, np.cumsum([len(one) for one in QUANTITIES])[:-1])
     motor, backlash, friction, side, gravity, turret_kg, p, quat, upper, misfit_m, moved_m = parts
     length = np.linalg.norm(quat, axis=0)
     if np.any(np.abs(length - 1) > NORM_TOLERANCE):

@@ -1,5 +1,6 @@
 """Report of a calibration: what it shows on the console and on its page, with a plot like paper Figure 7."""
 
+from dataclasses import asdict
 from functools import partial
 from math import degrees
 from typing import Any, Final
@@ -78,7 +79,10 @@ def _verification_document(found: Verification) -> dict[str, Any]:
     return {
         "zero_moved_rad": found.zero_rad,
         "zero_expected_rad": found.expected_rad,
-        "places": {place.name: place for place in found.places},
+        "places": {
+            one.name: {key: value for key, value in asdict(one).items() if key != "name"}
+            for one in found.places
+        },
     }
 
 

@@ -225,5 +225,5 @@ def _log_bytes(path: Path) -> bytes:
     """Return the unpacked texts and bytes of all records."""
     with path.open("rb") as file:
         found = [value for record in StreamReader(file).records for value in vars(record).values()]
-    texts = [value if isinstance(value, bytes) else str(value).encode() for value in found if value]
-    return b"\0".join([path.name.encode(), *texts])
+    texts = [str(value).encode() for value in found if isinstance(value, str | dict)]
+    return b"\0".join([path.name.encode(), *texts, *(one for one in found if isinstance(one, bytes))])

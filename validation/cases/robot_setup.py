@@ -72,7 +72,7 @@ MODELS: Final = {**{name: ARMS[name] for name in sorted(ARMS)}, **SERVOS}
 
 @cache
 def load_robot(name: str) -> Robot:
-    """Load one of the robots."""
+    """Load one of the robots, whose files are gone then: `write_robot` writes those of a case."""
     with TemporaryDirectory() as folder:
         return Robot.from_toml(write_robot(Path(folder), name))
 

@@ -273,7 +273,8 @@ def diagnose_blind(
 ) -> CaseDiagnosis:
     """Diagnose the logs of an arm in a folder, with a catalogue that lacks one effect if named.
 
-    NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged as it says.
+    NotForDiagnosis if a log cannot be compared or most motions are missing, PlantDiverged if a simulated
+    arm broke.
     """
     drawing = arm_named(arm).model
     fitted, held_out = (load_checked_recordings(logs, drawing.params, drawing) for logs in split_logs(folder))

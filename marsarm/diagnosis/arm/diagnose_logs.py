@@ -108,8 +108,9 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
             if not inside:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
         elif not os.path.isfile(path):
-            why = "is not a regular file; give" if os.path.exists(path) else "there is no such"
-            raise BadRequest(f"{what} {path}: {why} log or folder")
+            is_other = os.path.exists(path)
+            why = "is not a regular file; give a log" if is_other else "there is no such log"
+            raise BadRequest(f"{what} {path}: {why} or a folder")
         found += inside
     return tuple(found)
 
