@@ -85,6 +85,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(whole, tmp_pa
     assert not (tmp_path / "steps").exists()
 
 
+@pytest.mark.slow
 def test_a_step_that_was_torn_is_carried_out_again(whole, tmp_path):
     expected, calls, _ = whole
     with pytest.raises(Killed):

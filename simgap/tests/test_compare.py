@@ -1,6 +1,7 @@
 """Comparison of two sets of logs, and a diagnosis that starts from an earlier result."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -53,11 +54,12 @@ def compare_toys(model):
     return select_sure(found, None)[0]
 
 
-@pytest.mark.parametrize("seed", slow_but(range(1, 6), 1))
-@pytest.mark.parametrize(
-    "change", [{}, {"far: sine": 0.05}, {"near: square": -0.1}], ids=["none", "new", "gone"]
-)
-def test_a_change_is_named_with_its_size_and_what_is_common_is_not(seed, change):
+CHANGES = {"none": {}, "new": {"far: sine": 0.05}, "gone": {"near: square": -0.1}}
+
+
+@pytest.mark.parametrize(("name", "seed"), slow_but(product(CHANGES, range(1, 6)), ("none", 1), ("new", 1)))
+def test_a_change_is_named_with_its_size_and_what_is_common_is_not(name, seed):
+    change = CHANGES[name]
     found = compare_toys(draw_sets(seed, {"near: square": 0.1}, change))
     columns = found.context.union.columns
     sizes = {one.key: float(found.chosen.sizes[columns([one])][0]) for one in list_differences(found)}

@@ -148,6 +148,7 @@ def candidates():
     return effects, share * present * typical
 
 
+@pytest.mark.slow
 def test_the_bits_depend_neither_on_threads_nor_on_other_candidates():
     effects, sizes = candidates()
     models = (SimulationResiduals(pendulum(), MOTIONS, n_threads=n) for n in (1, 2))

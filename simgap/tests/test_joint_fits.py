@@ -132,6 +132,7 @@ def swing(seed, on):
     return recorded(pendulum(kp=4.0, kd=TRUE_KD, damping=TRUE_DAMPING), log)
 
 
+@pytest.mark.slow
 def test_a_damping_that_acts_under_power_is_told_from_friction_by_a_log_without_power():
     robot = pendulum(kp=3.0, kd=0.0, damping=0.0)
     motions = [swing(k, (TIME_s < 1.2).astype(float)) for k in range(4)]

@@ -132,6 +132,7 @@ def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_ea
     assert "at 95 %: the motion is a check" in text
 
 
+@pytest.mark.slow
 def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion():
     proposal, _ = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(LATE_LOG, 0.02)])
     assert np.max(proposal.choice.sigmas) < 0.1
@@ -139,6 +140,7 @@ def test_a_late_command_and_a_late_log_of_one_joint_are_the_same_in_every_motion
     assert next_lines(proposal)[0].startswith("None of ")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_torques_are_compared_along_the_motion_though_no_command_is_known():
     logs = Logs(tuple(two_joint_arm.simulated(two_joint_arm.arm(), seed, noise_rad=1e-5) for seed in (1, 2)))

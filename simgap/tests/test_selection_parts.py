@@ -70,6 +70,7 @@ def test_an_improvement_that_repeats_is_sure_beside_motions_of_very_different_st
     assert abs(compare_motions(np.arange(12), before, before[::-1])) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_change_without_use_seldom_exceeds_what_noise_can_do_and_no_change_is_none():
     toy = draw_toy(1, {})
     context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))

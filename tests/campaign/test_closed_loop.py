@@ -87,6 +87,7 @@ def test_an_obstacle_in_a_turn_is_reported_with_joint_and_torque(index):
     assert met.true_N < 154.0  # docs/faults.md, at a lever of 1 m
 
 
+@pytest.mark.slow
 def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused():
     found = campaign(Context(101), 1500)
     assert found["bugs"] == []

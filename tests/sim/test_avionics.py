@@ -180,6 +180,7 @@ def test_a_winding_warms_by_what_its_current_heats() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_winding_cools_without_power(ready: Plant) -> None:
     sensors = avionics_of(ready)
     sensors.apply(drive_to(lab.READY_RAD + 0.001, brake_release=NONE))

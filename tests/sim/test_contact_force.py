@@ -126,6 +126,7 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
     assert is_at_rest(loop)
 
 
+@pytest.mark.slow
 def test_a_rock_that_is_gone_is_not_touched_any_more():
     loop, X_RT = facing_rock("apxs", facing(CONFIG, "apxs"), ahead_m=0.04)
     axis = X_RT.R[:, 0]

@@ -161,7 +161,8 @@ def pulled(share: float) -> Plant:
     return plant
 
 
-@pytest.mark.parametrize("side", slow_but([1, -1], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [1, -1])
 def test_below_the_friction_an_output_in_its_gap_does_not_creep_and_above_it_goes_to_the_flank(side):
     plant = pulled(0.9 * side)
     lab.run(plant, 1.0)
@@ -181,7 +182,8 @@ def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
     return [int(s) for k, s in enumerate(side) if k == 0 or s != side[k - 1]]
 
 
-@pytest.mark.parametrize("held", slow_but(["brakes", "motors"], "motors"))
+@pytest.mark.slow
+@pytest.mark.parametrize("held", ["brakes", "motors"])
 def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
     """Turn gravity over a horizontal line in 20 s; every joint but the azimuth changes flank, each once.
 

@@ -58,6 +58,7 @@ def test_the_run_is_worth_comparing_and_its_time_is_the_tick_over_the_cycle_rate
     assert [c.truth.time_s for c in first] == [k / 64 for k in range(len(first))]
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_noise_on_the_same_arm_and_another_arm_moves_otherwise(first):
     one, other, arm = (run[0] for run in (first, records(seed=2), records("as-built:4")))
     for field in ("resolver_rad", "current_A", "gravity_R_m_s2"):
@@ -87,6 +88,7 @@ def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monk
         loop.cycle()
 
 
+@pytest.mark.slow
 def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not() -> None:
     ends = []
     for with_truth in (False, True):

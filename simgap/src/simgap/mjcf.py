@@ -193,18 +193,19 @@ N_POSES: Final = 256
 def gravity_amplitudes(model: mujoco.MjModel) -> Array:
     """Return half the range of the gravity torque of each degree of freedom, (nv,) [N m], at random poses."""
     data = mujoco.MjData(model)
-    # a fixed sample: the robot of a file is always the same
-    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    draws = [(model.jnt_type == kind, np.random.default_rng(k)) for k, kind in enumerate(kinds)]
     low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
     high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
-    torque_Nm = np.empty((N_POSES, model.nv))
-    for k in range(N_POSES):
-        for own, random in draws:
-            data.qpos[model.jnt_qposadr[own]] = random.uniform(low[own], high[own])
+    torque_Nm, poses = np.empty((N_POSES, model.nv)), np.tile(data.qpos, (N_POSES, 1))
+    # a fixed sample: the robot of a file is always the same
+    for k, kind in enumerate((mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)):
+        own = model.jnt_type == kind
+        size = N_POSES, np.count_nonzero(own)
+        poses[:, model.jnt_qposadr[own]] = np.random.default_rng(k).uniform(low[own], high[own], size)
+    for pose, torque in zip(poses, torque_Nm, strict=True):
+        data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_rne(model, data, 0, torque_Nm[k])
+        mujoco.mj_rne(model, data, 0, torque)
     return np.asarray(np.ptp(torque_Nm, axis=0) / 2)
 
 

@@ -268,6 +268,7 @@ def test_one_of_two_actuators_is_taken_and_asked(tmp_path):
     assert "joints.elbow.actuator: which actuator has the command: p, v?" in questions
 
 
+@pytest.mark.slow
 def test_a_gripper_that_no_column_shows_is_left_out_and_a_joint_that_follows_has_no_table(tmp_path):
     finger = '<body><joint name="{}" type="slide"/><geom size="0.01" mass="0.1"/></body>'
     fingers = finger.format("left") + finger.format("right")

@@ -59,6 +59,7 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     assert rig.state.mode is Mode.PRELOAD
 
 
+@pytest.mark.slow
 def test_a_press_that_no_current_shows_is_reported_also_when_it_is_lowered_but_not_when_it_is_released():
     rig = pressed_with(300.0)
     rig.run(Preload("apxs", 150.0), **TOUCHED)

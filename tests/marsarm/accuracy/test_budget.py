@@ -58,6 +58,7 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
         assert total == pytest.approx(np.concatenate(by_tool).mean())
 
 
+@pytest.mark.slow
 def test_few_poses_show_nothing(tmp_path):
     page = tmp_path / "budget.html"
     report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000))

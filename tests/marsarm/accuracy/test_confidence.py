@@ -19,6 +19,7 @@ def test_a_quantile_lies_in_its_interval_as_often_as_it_says():
     assert inside >= 0.93 * 400
 
 
+@pytest.mark.slow
 def test_near_the_end_of_the_values_an_interval_is_no_rank_too_short():
     rng = np.random.default_rng(3)
     found = [quantile_interval(rng.random(2000), 0.9973, 2000) for _ in range(2000)]

@@ -54,6 +54,7 @@ def test_the_files_of_an_arm_are_what_its_description_says(name):
     assert make_files(name).stale == ()
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path: Path) -> None:
     (tmp_path / "arm.toml").write_bytes((ARMS / default_arm().name / "arm.toml").read_bytes())
     (tmp_path / "arm.xml").write_bytes(b"\xff\xfe")

@@ -83,6 +83,7 @@ with report_interruption():
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
     (tmp_path / "slow.py").write_text(SLOW_TO_LOAD)
     (tmp_path / "main.py").write_text(MAIN)
@@ -101,6 +102,7 @@ def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
     assert (process.returncode, errors) == (130, "interrupted by SIGINT before the end\n")
 
 
+@pytest.mark.slow
 def test_a_job_at_which_every_worker_dies_ends_the_run():
     with pytest.raises(WorkersDied, match="3 of them died one after the other"):
         list(local_runner(2)(die, [1]))
@@ -119,6 +121,7 @@ def test_results_before_an_error_are_kept():
     assert len(set(found)) >= 900 - 1000 // 4  # the other worker may still have a task, a quarter at most
 
 
+@pytest.mark.slow
 def test_an_interruption_kills_the_workers():
     with interrupted_after(2.0):
         list(local_runner(2)(rest, range(4)))

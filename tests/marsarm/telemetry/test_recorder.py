@@ -131,6 +131,7 @@ def test_a_log_goes_forward(tmp_path: Path, tick: int) -> None:
     assert read_log(tmp_path / "run.mcap").ticks("/joint").tolist() == [3, 5]
 
 
+@pytest.mark.slow
 def test_a_forked_process_leaves_a_log_alone_that_the_end_of_the_program_closes(tmp_path: Path) -> None:
     program = """
 import os, sys

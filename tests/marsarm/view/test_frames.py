@@ -121,6 +121,7 @@ def logged(tmp_path):
     return prepare
 
 
+@pytest.mark.slow
 def test_effects_of_a_log_are_those_of_the_tools_of_its_arm(logged):
     arm = arm_named("m2020")
     own = next(tool for tool in arm.params.tool_names if tool not in TOOLS)
@@ -157,6 +158,7 @@ def test_a_tool_that_the_arm_lacks_is_refused(run):
         compute_frames(run.scene, beyond, arm, arm, None)
 
 
+@pytest.mark.slow
 def test_an_arm_without_its_turret_is_drawn_without_it(logged):
     whole, bare = (logged(ARM, effects).scene for effects in ((), (StandInTurret(0.0),)))
     assert whole.carriers == bare.carriers

@@ -118,6 +118,7 @@ def run_move(*effects: Effect) -> list[object]:
     return seen
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_and_effects_that_are_not_neutral_do_show() -> None:
     nothing = run_move()
     assert len(set(nothing)) > CYCLES

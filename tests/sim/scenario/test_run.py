@@ -71,6 +71,7 @@ def test_without_power_the_arm_is_braked_and_refuses():
     assert all(measured.passed for measured in result.checks[1:]), result.evrs
 
 
+@pytest.mark.slow
 def test_a_fault_during_a_command_comes_so_long_after_it_began():
     undisturbed = run(scenario(A_LITTLE, BACK))
     begins_s = [time_s for time_s, evr in undisturbed.evrs if evr == CommandAccepted("MoveJoint")][1]
