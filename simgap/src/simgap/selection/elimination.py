@@ -32,10 +32,9 @@ def drop_needless(
     is kept.
     """
     whole = present
-    known: dict[frozenset[str], FittedModel] = {}
     while True:
         layers = list_layers(context, present.effects)
-        left_out = tuple((layer, _leave_out_once(context, present, layer, known)) for layer in layers)
+        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         needs = [
             (effect, *find_need(context, present, without, [effect]))
             for layer, without in left_out
@@ -44,8 +43,9 @@ def drop_needless(
         failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
         if weak := [effect for effect, *_ in failed if effect.key not in kept]:
             weakest, *_ = list_layers(context, weak)
-            present = _leave_out_once(context, present, weakest, known)
-        elif back := find_needed_together(context, whole, present, known):
+            known = [model for layer, model in left_out if layer == weakest]
+            present = known[0] if known else leave_out(context, present, weakest)
+        elif back := find_needed_together(context, whole, present):
             effect, present = back
             kept |= {effect.key}
         else:
@@ -53,7 +53,7 @@ def drop_needless(
 
 
 def find_needed_together(
-    context: Context, whole: FittedModel, present: FittedModel, known: dict[frozenset[str], FittedModel]
+    context: Context, whole: FittedModel, present: FittedModel
 ) -> tuple[Effect, FittedModel] | None:
     """Find the effect that explains most of those that were dropped and are needed together, if any are.
 
@@ -65,21 +65,11 @@ def find_needed_together(
         rest = [one for one in rest if one not in together]
         if len(together) > 1 and find_need(context, whole, present, together)[0]:
             tried = [
-                (one, _leave_out_once(context, whole, [other for other in gone if other is not one], known))
+                (one, leave_out(context, whole, [other for other in gone if other is not one]))
                 for one in together
             ]
             return min(tried, key=lambda pair: float(np.sum(pseudo_huber(pair[1].left_out))))
     return None
-
-
-def _leave_out_once(
-    context: Context, model: FittedModel, effects: Sequence[Effect], known: dict[frozenset[str], FittedModel]
-) -> FittedModel:
-    """Refit a model without some of its effects, and remember it by the keys of the others."""
-    keys = frozenset(one.key for one in model.effects if one not in effects)
-    if keys not in known:
-        known[keys] = leave_out(context, model, effects)
-    return known[keys]
 
 
 def list_together(context: Context, effect: Effect, others: Sequence[Effect]) -> list[Effect]:
