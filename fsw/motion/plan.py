@@ -222,13 +222,16 @@ def _find_undragged(
     It is shorter than the run-up, or where that begins the load may still hold the output on the other side.
     """
     travel = direction * (end.motor_rad - start.motor_rad)
-    share = 1.0 - run_up_rad / np.maximum(travel, run_up_rad)
-    # one pose for each joint: that in which its run-up begins
-    poses = start.output_rad[:, None] + np.outer(end.output_rad - start.output_rad, share)
-    gravity = joints.gravity_R_m_s2
-    load_Nm = np.diagonal(settle_output(config.arm, poses, gravity).torque_Nm)
-    held = direction * load_Nm > config.output_friction_Nm - load_error(config, gravity)
-    undragged: Array = (direction != 0) & (held | (travel < run_up_rad))
+    undragged: Array = (direction != 0) & (travel < run_up_rad)
+    long = np.flatnonzero((direction != 0) & (travel >= run_up_rad))
+    if long.size:
+        share = 1.0 - run_up_rad[long] / travel[long]
+        # one pose for each of these joints: that in which its run-up begins
+        poses = start.output_rad[:, None] + np.outer(end.output_rad - start.output_rad, share)
+        gravity = joints.gravity_R_m_s2
+        load_Nm = settle_output(config.arm, poses, gravity).torque_Nm[long, range(long.size)]
+        error_Nm = load_error(config, gravity)[long]
+        undragged[long] = direction[long] * load_Nm > config.output_friction_Nm[long] - error_Nm
     return undragged
 
 

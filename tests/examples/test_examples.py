@@ -155,7 +155,7 @@ def test_the_notebook_of_a_gap_and_the_blocks_of_the_pages_run_and_print_the_res
     assert len(blocks) == 2
     found = run_notebook("gap", tmp_path, DIAGNOSE_ONCE, *blocks, 'print(len(made), "diagnoses")')
     (verdict,) = re.findall(r"^```\n(Where: .*?)^```", README, re.DOTALL | re.MULTILINE)
-    assert verdict.startswith("Where: elbow.\nWhat: command delay at elbow (delay_s = 0.0298")
+    assert verdict.startswith("Where: elbow.\nWhat: command delay at elbow (delay_s = 0.0299")
     assert " ".join(found.split()).count(" ".join(verdict.split())) == 2
     stored = "".join(outputs_of("gap"))
     assert [line for line in stored.splitlines() if line not in found] == []

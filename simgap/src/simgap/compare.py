@@ -78,7 +78,8 @@ def compare(
     model = tell_apart(kind.make(motions, False))
     selection = select_differences(model, base, shown, seed, Meter(progress))
     sure, sets, rejected = select_sure(selection, None)
-    fitted = refer_to(model, base, selection.base.sizes[selection.context.union.columns(base)])
+    every = [*base, *sure.chosen.effects]
+    fitted = refer_to(model, every, sure.chosen.sizes[sure.context.union.columns(every)])
     found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
     own = {(one.place, one.name) for one in list_differences(sure)}
     progress(1.0, "done")

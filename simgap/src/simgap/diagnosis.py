@@ -97,9 +97,10 @@ def diagnose(
             selection = select_effects(
                 fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
             )
-            sizes = selection.base.sizes[selection.context.union.columns(base)]
-            fitted = refer_to(fitted, base, sizes)
-            judge = refer_to(judge, base, sizes) if held_out else fitted
+            every = [*base, *selection.chosen.effects]
+            sizes = selection.chosen.sizes[selection.context.union.columns(every)]
+            fitted = refer_to(fitted, every, sizes)
+            judge = refer_to(judge, every, sizes) if held_out else fitted
             selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
             part = _add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))

@@ -167,8 +167,7 @@ class _Family:
         self._kind, self._models = kind, models
         self._is_simulated = kind.name == SimulationResiduals.kind
         union, found = models.union, models.points[0]
-        base = [one for one in union.effects if getattr(one, "is_base", False)]
-        earlier = refer_to(kind.make(motions, False), base, found[union.columns(base)])
+        earlier = refer_to(kind.make(motions, False), union.effects, found)
         (left,) = earlier.residuals(union.effects, found[None])
         white = whiten_noise(earlier, left)
         if not isinstance(white, WhitenedResiduals):

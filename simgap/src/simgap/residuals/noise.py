@@ -12,7 +12,7 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
-from simgap.residuals.residuals import ResidualModel, WrappedResiduals, pseudo_huber
+from simgap.residuals.residuals import ResidualModel, WrappedResiduals, pseudo_huber, refer_to
 
 
 class WhitenedResiduals(WrappedResiduals):
@@ -33,6 +33,10 @@ class WhitenedResiduals(WrappedResiduals):
         decay = correlation[raw.joint_of] ** np.where(follows, gap_s / usual_s, 1.0)
         self._decay = np.where(follows, decay, 0.0)
         self._scale = 1.0 / np.sqrt(1.0 - self._decay**2)
+
+    def around(self, effects: Sequence[Effect], sizes: Array) -> "WhitenedResiduals":
+        """Return the residuals with another reference: effects with their sizes, (1, total sizes)."""
+        return WhitenedResiduals(refer_to(self.raw, effects, sizes[0]), self.correlation)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return whitened residuals of candidates, (n_candidates, n), in the unit of the model."""

@@ -23,6 +23,9 @@ MOST_DAMPING: Final = 1e3
 """A step of a thousandth of the model's own finds nothing."""
 FAILURES: Final = 2
 """Steps that fail before new differences are taken: a second one costs less than differences."""
+LEAST_DECREASE: Final = 0.1
+"""Least decrease of the loss, over what derivatives say, of a step that counts: a step that misses it may end
+where a size has no derivative, such as a shape of 0 (Nocedal and Wright 2006, 4.1)."""
 RIDGE: Final = 1e-2
 """Weight, beside the secants, of the derivatives as they were: less than that of any direction passed."""
 
@@ -159,7 +162,7 @@ class Descent:
         """Go to the end of a step if it decreases the loss; set the damping by what was expected."""
         loss, was_exact = self._loss_of(moved, trial), self._is_exact
         decrease = self.loss - loss
-        if decrease > 0.0:
+        if decrease > LEAST_DECREASE * expected:
             is_small = decrease <= CONVERGED * self.loss
             if not is_small:  # after a small step the roughness of the residuals would count as a slope
                 self._passed.append((self.sizes[self.free], self.residuals))

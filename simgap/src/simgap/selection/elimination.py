@@ -9,6 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
+from simgap.residuals.residuals import pseudo_huber
 from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
 from simgap.selection.context import Context, FittedModel
@@ -24,7 +25,8 @@ def drop_needless(
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
     What is dropped is also tested together, against the model at the start: losses that are too small one by
-    one add up. An effect with which they are too large stays, as those whose keys are `kept` from before do.
+    one add up. If they are too large together, the effect that explains most comes back, and stays, as those
+    whose keys are `kept` from before do.
 
     Return also what was left out together, with the model without it, each effect once, and the keys of what
     is kept.
@@ -39,21 +41,35 @@ def drop_needless(
             for effect in layer
         ]
         failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
-        while weak := [effect for effect, *_ in failed if effect.key not in kept]:
+        if weak := [effect for effect, *_ in failed if effect.key not in kept]:
             weakest, *_ = list_layers(context, weak)
             known = [model for layer, model in left_out if layer == weakest]
-            without = known[0] if known else leave_out(context, present, weakest)
-            gone = [one for one in whole.effects if one not in without.effects]
-            for effect in weakest:
-                is_needed, _ = find_need(context, whole, without, list_together(context, effect, gone))
-                kept |= {effect.key} if is_needed else set()
-            needless = [one for one in weakest if one.key not in kept]
-            if needless:
-                is_all = len(needless) == len(weakest)
-                present = without if is_all else leave_out(context, present, needless)
-                break
+            present = known[0] if known else leave_out(context, present, weakest)
+        elif back := find_needed_together(context, whole, present):
+            effect, present = back
+            kept |= {effect.key}
         else:
             return present, left_out, kept
+
+
+def find_needed_together(
+    context: Context, whole: FittedModel, present: FittedModel
+) -> tuple[Effect, FittedModel] | None:
+    """Find the effect that explains most of those that were dropped and are needed together, if any are.
+
+    Return it with the present model and itself.
+    """
+    gone = rest = [one for one in whole.effects if one not in present.effects]
+    while rest:
+        together = list_together(context, rest[0], rest)
+        rest = [one for one in rest if one not in together]
+        if len(together) > 1 and find_need(context, whole, present, together)[0]:
+            tried = [
+                (one, leave_out(context, whole, [other for other in gone if other is not one]))
+                for one in together
+            ]
+            return min(tried, key=lambda pair: float(np.sum(pseudo_huber(pair[1].left_out))))
+    return None
 
 
 def list_together(context: Context, effect: Effect, others: Sequence[Effect]) -> list[Effect]:

@@ -121,28 +121,39 @@ def add_effects(
     effects: Sequence[Effect],
     found: Sequence[JointFit],
 ) -> tuple[Context, FittedModel]:
-    """Add effects to the present model, and refit it in the scales of its new residuals.
+    """Add effects to the present model, and refit it with itself as reference, in the scales of what is left.
 
-    A scale from before an effect was found is so wide that the loss is a sum of squares, and a joint with it
-    counts little beside others. So the fit is repeated while a scale is TOO_WIDE. Blocks are cut anew.
+    A reference from before an effect was found has starts and errors of the time step of another motion. A
+    scale from then is so wide that the loss is a sum of squares, and a joint with it counts little beside
+    others. So the fit is repeated while a scale is TOO_WIDE. Blocks are cut anew.
     """
-    sizes, model = merge_sizes(context, present.sizes, found), context.model
-    (together,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
-    if isinstance(model, Blocks):  # what was explained is no memory of the noise
-        model = cut_into_blocks(model.whole, together)
-        context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    scales = scale_residuals(model, together)
-    fits, more = (*present.fits, *found), (*present.effects, *effects)
+    sizes, fits = merge_sizes(context, present.sizes, found), (*present.fits, *found)
+    more = (*present.effects, *effects)
     while True:
-        context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
+        context, residuals = _refer_to_present(context, more, sizes)
+        model, scales = context.model, scale_residuals(context.model, residuals)
+        context = replace(context, scales=scales, noise_loss=noise_losses(model, residuals, scales))
         fits = resume_step(fit_joints, context, more, sizes, fits)
-        sizes, together = fits[0].sizes, gather_residuals(fits, model.joint_of.size)
-        scales = scale_residuals(model, together)
-        if model.noise_std or np.all(context.scales < TOO_WIDE * scales):
+        sizes, residuals = fits[0].sizes, gather_residuals(fits, model.joint_of.size)
+        if model.noise_std or np.all(scales < TOO_WIDE * scale_residuals(model, residuals)):
             break
     context = replace(context, base_left_out=cross_validate(context, base.fits))
     left_out = resume_step(cross_validate, context, fits)
     return context, FittedModel(more, fits[0].sizes, fits, left_out)
+
+
+def _refer_to_present(context: Context, effects: Sequence[Effect], sizes: Array) -> tuple[Context, Array]:
+    """Return the context with effects as reference, and their residuals, (n,); blocks follow from these."""
+    every = (*context.base, *effects)
+    own = sizes[context.union.columns(every)]
+    model = context.model
+    whole = refer_to(model.whole if isinstance(model, Blocks) else model, every, own)
+    context = replace(context, model=whole)
+    (residuals,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
+    if isinstance(model, Blocks):  # what was explained is no memory of the noise
+        blocks = cut_into_blocks(whole, residuals)
+        context = replace(context, model=blocks, folds=draw_folds(blocks, context.seed))
+    return context, residuals
 
 
 def merge_findings(context: Context, present: FittedModel) -> tuple[FittedModel, tuple[Score, ...]] | None:
