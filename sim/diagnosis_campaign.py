@@ -60,7 +60,7 @@ TILTED_POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((-27, -110, 21, 69, 6), (-21, -117, 26, 76, -1)),
 )
 """Pairs of near poses [deg] on the same branches, for the rolled rover."""
-PRESS_N: Final = 60.0
+PRESS_N: Final = 200.0
 STANDOFF_M: Final = 0.02
 """Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
@@ -206,7 +206,7 @@ def placement_session(
     world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
     end = vector3(touch + OVERTRAVEL_M * approach_R)
     commands: tuple[Command, ...] = (GuardedMove(tool, end, vector3(approach_R)), Preload(tool, PRESS_N))
-    return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, False)
+    return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, tracked=True)
 
 
 def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:

@@ -73,9 +73,13 @@ def load_checked_recordings(
 
 def find_missing_motion(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Return what is missing if neither actuators nor links and frames can be diagnosed; else nothing."""
-    if any(_motions(recordings).values()) or any(one.tracker_poses.tick.size for one in recordings):
+    if any(_motions(recordings).values()) or any(map(_shows_links, recordings)):
         return ()
     return tuple(_audit_campaign(recordings))
+
+
+def _shows_links(recording: Recording) -> bool:
+    return bool(recording.tracker_poses.tick.size) and recording.world.surface is None
 
 
 def audit_recordings(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -175,7 +179,7 @@ def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
                 f"{joint.name.lower()} moves {count} times; without {MIN_SEGMENTS} motions of it, "
                 f"one each way, its actuator cannot be diagnosed"
             )
-    if not any(one.tracker_poses.tick.size for one in recordings):
+    if not any(map(_shows_links, recordings)):
         yield "no recording has tracker poses (NAME.tracker.csv): links and frames cannot be diagnosed"
     if not any(find_rests(one) for one in recordings):
         yield "the arm never rests for half a second: rests cannot be compared"

@@ -337,7 +337,7 @@ def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
     ]
     pairs = zip(every.motions, joints, strict=True)
     motions = tuple(one for one, count in pairs if (count == max(joints)) is is_first)
-    still = (every.rests, every.touches) if is_first else ((), ())
+    still = (every.rests, every.touches, every.presses) if is_first else ((), (), ())
     feature_set = FeatureSet(motions, *still)
     own = set(feature_set.list_features())
     rows = np.flatnonzero([one in own for one in every.list_features()])

@@ -17,13 +17,12 @@ from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
+from marsarm.diagnosis.arm.contact import PressFeature, TouchFeature, list_presses, list_touches
 from marsarm.diagnosis.arm.features import (
     ASSUMED_SIGMA,
     CHANNELS,
-    CONDITIONS,
     RESOLVER,
     ROTATION,
-    TOUCH,
     TRANSLATION,
     Feature,
     MotionFeatures,
@@ -31,7 +30,7 @@ from marsarm.diagnosis.arm.features import (
     evaluate_features,
     list_motion_features,
 )
-from marsarm.diagnosis.arm.logs import Recording, find_touch
+from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import (
     RestPoses,
     TurningPoints,
@@ -44,7 +43,7 @@ from marsarm.diagnosis.arm.rest_poses import (
 )
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
-from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
+from sim.effects.environment import FARTHEST_SURFACE_M, ContactStiffness, SurfacePosition
 from sim.effects.gears import OutputFriction
 from sim.frames import p_R_from_N
 from sim.loop import SimulationOptions
@@ -78,22 +77,13 @@ class RestFeatures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TouchFeature:
-    """Height of a tool over the surface, as the session describes it, at the moment of a touch."""
-
-    turning_points: TurningPoints
-    """Up to the touch, which stands for a rest."""
-    tool: str
-    feature: Feature
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class FeatureSet:
-    """Features of a campaign's recordings: the motions first, then the rests, then the touches."""
+    """Features of a campaign's recordings: the motions first, then rests, touches and presses."""
 
     motions: tuple[MotionFeatures, ...]
     rests: tuple[RestFeatures, ...]
     touches: tuple[TouchFeature, ...] = ()
+    presses: tuple[PressFeature, ...] = ()
 
     @property
     def n_moving(self) -> int:
@@ -106,51 +96,39 @@ class FeatureSet:
         return (self.motions[0].recording if self.motions else self.rests[0].turning_points.recording).arm
 
     def list_features(self) -> tuple[Feature, ...]:
-        """List the features of the motions, then of the rests and the touches."""
+        """List the features of the motions, of the rests, the touches and the presses."""
         return (
             *(feature for one in self.motions for feature in one.features),
             *(feature for one in self.rests for feature in one.features),
             *(one.feature for one in self.touches),
+            *(one.feature for one in self.presses),
         )
 
 
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
-    """List the features: rests of all recordings, and motions of those without tracker poses."""
+    """List the features: rests in free air, and motions without tracker poses or with a surface."""
     config = configure(recordings[0].arm.params)
     every = (find_turning_points(one) for one in recordings if one.world.surface is None)
     turning_points = [one for one in every if one.rests]
+    moving = [one for one in recordings if one.world.surface or not one.tracker_poses.tick.size]
     step_Nm = (FRICTION_MARGIN * config.output_friction_Nm).tolist()
     nominal, less, more = (
         solve_rests(turning_points, [OutputFriction(joint, by * step_Nm[joint]) for joint in Joint])
         for by in (0.0, -1.0, 1.0)
     )
     found = FeatureSet(
-        tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
+        tuple(list_motion_features(one, config) for one in moving),
         tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
-        tuple(_list_touches(recordings)),
+        tuple(list_touches(recordings)),
     )
     # a switch that closes farther above the surface than any surface may be did not touch it
     is_near = simulate_touches(found, ()) <= FARTHEST_SURFACE_M
-    near = (one for one, is_one in zip(found.touches, is_near, strict=True) if is_one)
-    return replace(found, touches=tuple(near))
-
-
-def _list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
-    """Yield the touches of surfaces that sessions describe."""
-    still = (0.0,) * (len(CONDITIONS) - 1)
-    for one in recordings:
-        touch = find_touch(one)
-        if touch is None or one.world.surface is None:
-            continue
-        switches = one.sensors["switch_closed"]
-        closed = np.flatnonzero(switches[touch] & ~switches[0])
-        tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
-        feature = Feature(one, TOUCH, "surface", "touch", (one.temperature_C, *still), "touch")
-        yield TouchFeature(find_turning_points(one, touch), tool, feature)
+    near = tuple(one for one, is_one in zip(found.touches, is_near, strict=True) if is_one)
+    return replace(found, touches=near, presses=tuple(list_presses(near)))
 
 
 def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Array:
-    """Compute the height of each tool over its surface at its touch by statics [m], shape (t,)."""
+    """Compute the heights of tools over the surface at touches, then the ways of presses [m], shape (t,)."""
     shift_m = sum(effect.offset_m for effect in effects if isinstance(effect, SurfacePosition))
     X_FT = configure(params_with_effects(tuple(effects), feature_set.arm.params)).arm.X_FT
     found = []
@@ -161,7 +139,8 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
         p_RoTo_R_m = (rest.X_RF[0] @ X_FT[one.tool]).p
         height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
         found.append(float(height_m) - shift_m)
-    return np.array(found)
+    factor = np.prod([effect.factor for effect in effects if isinstance(effect, ContactStiffness)])
+    return np.array([*found, *(one.nominal_m / factor for one in feature_set.presses)])
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
@@ -170,7 +149,8 @@ def measure_features(feature_set: FeatureSet) -> Array:
     for one in feature_set.rests:
         X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
         values.append(_rest_values(one, read_resolvers(one.turning_points), X_RF))
-    return np.concatenate([*values, np.zeros(len(feature_set.touches))])
+    ways_m = [one.measured_m for one in feature_set.presses]
+    return np.concatenate([*values, np.zeros(len(feature_set.touches)), ways_m])
 
 
 def every_motion(_: MotionFeatures) -> bool:

@@ -4,6 +4,7 @@ Tracker poses are a CSV table by tick, beside a log. Segments of motion and rest
 alone, so that imported logs work too.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -127,6 +128,8 @@ class Recording:
     them."""
     sensors: Mapping[str, NDArray[Any]]
     tracker_poses: TrackerPoses
+    press_N: float
+    """Greatest force with which a tool was commanded to press; 0 for none."""
     notes: tuple[str, ...] = ()
     """Notes on lost messages of the log."""
 
@@ -193,8 +196,14 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         drives=tuple(_split_drive(drive)),
         sensors=sensors,
         tracker_poses=tracked,
+        press_N=_read_press(log.header),
         notes=inputs.notes,
     )
+
+
+def _read_press(header: Mapping[str, str]) -> float:
+    commands = json.loads(header.get("commands", "[]"))
+    return max((one["fields"]["force_N"] for one in commands if one["type"] == "Preload"), default=0.0)
 
 
 def _read_session(text: str, path: Path) -> _SessionHeader:

@@ -38,7 +38,6 @@ from marsarm.diagnosis.arm.features import (
     CURRENT,
     IMU,
     ROTATION,
-    TOUCH,
     TRANSLATION,
     MotionFeatures,
     evaluate_features,
@@ -56,7 +55,7 @@ from marsarm.diagnosis.problem import Hypothesis, Sensitivities
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params
 from sim.effects.effect import Effect
-from sim.effects.environment import SurfacePosition
+from sim.effects.environment import ContactStiffness, SurfacePosition
 from sim.effects.geometry import LinkLength
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
@@ -82,13 +81,13 @@ def touch(campaign: FeatureSet) -> MotionFeatures:
 @pytest.fixture(scope="module")
 def poses(recordings: list[Recording]) -> FeatureSet:
     """Return the features of the recordings with tracker poses."""
-    return build_feature_set([one for one in recordings if one.tracker_poses.tick.size])
+    return build_feature_set([one for one in recordings if one.world.surface is None])
 
 
 @pytest.fixture(scope="module")
 def motions(recordings: list[Recording]) -> FeatureSet:
     """Return the features of the recordings without tracker poses."""
-    return build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+    return build_feature_set([one for one in recordings if one.world.surface])
 
 
 def simulator_of(features: FeatureSet) -> ArmSimulator:
@@ -117,7 +116,7 @@ def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(campaign: F
 
 
 def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recording]) -> None:
-    once = next(one for one in recordings if not one.tracker_poses.tick.size)
+    once = next(one for one in recordings if one.world.surface)
     campaign = build_feature_set([once, replace(once, name="again")])
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
@@ -134,7 +133,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet)
     before, after = (build_case_simulator(one, arm.layout, 0) for one in (arm, replace(arm, patch=patch)))
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([
-        feature.channel == TOUCH or (feature.regime in ("rest", "pose") and feature.channel != IMU)
+        feature.regime in ("rest", "pose", "touch", "press") and feature.channel != IMU
         for feature in campaign.list_features()
     ])  # fmt: skip
     np.testing.assert_array_equal(everything.nominal, after.nominal)
@@ -196,13 +195,25 @@ def test_nothing_is_compared_near_a_touch(touch: MotionFeatures) -> None:
 
 
 def test_an_arm_with_another_surface_or_link_touches_at_another_height(campaign: FeatureSet) -> None:
-    nominal = simulate_touches(campaign, ())
+    nominal = simulate_touches(campaign, ())[:1]
     assert nominal == pytest.approx([0.0], abs=1e-4)
-    nearer = simulate_touches(campaign, (SurfacePosition(3e-3),))
+    nearer = simulate_touches(campaign, (SurfacePosition(3e-3),))[:1]
     assert nearer - nominal == pytest.approx([-3e-3], abs=1e-9)
     (one,), longer = campaign.touches, simulate_touches(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),))
     assert one.tool == "apxs"
     assert 1e-4 < abs(longer[0] - nominal[0]) < 1.1e-3
+
+
+def test_softer_pads_let_a_pressed_tool_farther_in_and_a_joint_does_not(campaign: FeatureSet) -> None:
+    (press,) = campaign.presses
+    at = len(campaign.touches)
+    nominal, soft, joint = (
+        simulate_touches(campaign, some)[at]
+        for some in ((), (ContactStiffness(0.5),), (GearStiffness(Joint.ELBOW, 0.5),))
+    )
+    assert soft == pytest.approx(2.0 * nominal)
+    assert joint == nominal
+    assert abs(press.measured_m - nominal) < 0.45 * nominal  # pads are stiffer at the steps of the plant
 
 
 def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(
