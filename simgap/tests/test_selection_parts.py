@@ -158,6 +158,17 @@ def test_of_effects_that_are_needed_together_alone_the_one_that_explains_most_st
     assert again.effects == left.effects
 
 
+def test_an_effect_that_is_needed_beside_the_one_that_came_back_comes_back_too(monkeypatch):
+    found = select_effects(draw_toy(1, {"near: sine": 0.1, "near: step": 0.1}), BASE, CATALOGUE, seed=1)
+
+    def find_need(_, present, without, effects):
+        return len(present.effects) == 2 and [one.key for one in effects] != ["near: sine"], 0.0
+
+    monkeypatch.setattr(elimination, "find_need", find_need)
+    left, _, kept = elimination.drop_needless(found.context, found.chosen)
+    assert {one.key for one in left.effects} == kept == {"near: sine", "near: step"}
+
+
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):
     twin = Toy("near", "twin", lambda x: x**2 + 0.001 * x**3)
     found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, twin), seed=1)

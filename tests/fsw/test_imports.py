@@ -42,6 +42,7 @@ def allowed(module):
 def nodes():
     """All nodes of the syntax trees of flight software, each with its file."""
     files = [(str(path.relative_to(ROOT)), path.read_text()) for path in sorted(ROOT.rglob("*.py"))]
+    assert files
     return [(file, node) for file, text in files for node in ast.walk(ast.parse(text))]
 
 

@@ -10,7 +10,7 @@ from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
-from simgap.diagnosis import check_names, choose_shown
+from simgap.diagnosis import check_names, choose_shown, refer_to_chosen
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
@@ -78,8 +78,7 @@ def compare(
     model = tell_apart(kind.make(motions, False))
     selection = select_differences(model, base, shown, seed, Meter(progress))
     sure, sets, rejected = select_sure(selection, None)
-    every = [*base, *sure.chosen.effects]
-    fitted = refer_to(model, every, sure.chosen.sizes[sure.context.union.columns(every)])
+    fitted = refer_to_chosen(model, base, sure)
     found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
     own = {(one.place, one.name) for one in list_differences(sure)}
     progress(1.0, "done")

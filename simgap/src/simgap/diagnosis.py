@@ -25,6 +25,7 @@ from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Base, Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
 from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
+from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
 
 FOREIGN_SHARE: Final = 0.25
@@ -97,11 +98,10 @@ def diagnose(
             selection = select_effects(
                 fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
             )
-            every = [*base, *selection.chosen.effects]
-            sizes = selection.chosen.sizes[selection.context.union.columns(every)]
-            fitted = refer_to(fitted, every, sizes)
-            judge = refer_to(judge, every, sizes) if held_out else fitted
+            judge = refer_to_chosen(judge, base, selection) if held_out else judge
             selection, sets, withdrawn = select_sure(selection, judge if held_out else None)
+            fitted = refer_to_chosen(fitted, base, selection)
+            judge = refer_to_chosen(judge, base, selection) if held_out else fitted
             part = _add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
@@ -165,6 +165,12 @@ def choose_shown(
     reasons = [(effect, why_refused(robot, effect)) for effect in shown]
     rejected = [Rejected(effect.place, effect.name, reason) for effect, reason in reasons if reason]
     return [effect for effect, reason in reasons if not reason], rejected
+
+
+def refer_to_chosen(model: ResidualModel, base: Sequence[Effect], selection: Selection) -> ResidualModel:
+    """Return residuals whose reference is what was chosen."""
+    every = [*base, *selection.chosen.effects]
+    return refer_to(model, every, selection.chosen.sizes[selection.context.union.columns(every)])
 
 
 def _know(model: ResidualModel, known: Mapping[Effect, Array]) -> ResidualModel:

@@ -24,8 +24,8 @@ MOST_DAMPING: Final = 1e3
 FAILURES: Final = 2
 """Steps that fail before new differences are taken: a second one costs less than differences."""
 LEAST_DECREASE: Final = 0.1
-"""Least decrease of the loss, over what derivatives say, of a step that counts: a step that misses it may end
-where a size has no derivative, such as a shape of 0 (Nocedal and Wright 2006, 4.1)."""
+"""Least decrease of the loss, over what derivatives say, of a step that counts (Nocedal and Wright 2006).
+Another may end where a size has no derivative, such as a shape of 0."""
 RIDGE: Final = 1e-2
 """Weight, beside the secants, of the derivatives as they were: less than that of any direction passed."""
 
@@ -159,7 +159,7 @@ class Descent:
         return slopes
 
     def _go(self, trial: Array, moved: Array, expected: float) -> None:
-        """Go to the end of a step if it decreases the loss; set the damping by what was expected."""
+        """Go to the end of a step if the loss decreases enough; set the damping by what was expected."""
         loss, was_exact = self._loss_of(moved, trial), self._is_exact
         decrease = self.loss - loss
         if decrease > LEAST_DECREASE * expected:

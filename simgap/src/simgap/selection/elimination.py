@@ -55,7 +55,7 @@ def drop_needless(
 def find_needed_together(
     context: Context, whole: FittedModel, present: FittedModel
 ) -> tuple[Effect, FittedModel] | None:
-    """Find the effect that explains most of those that were dropped and are needed together, if any are.
+    """Find the effect that explains most of dropped ones that are needed together; None if there is none.
 
     Return it with the present model and itself.
     """
@@ -63,7 +63,7 @@ def find_needed_together(
     while rest:
         together = list_together(context, rest[0], rest)
         rest = [one for one in rest if one not in together]
-        if len(together) > 1 and find_need(context, whole, present, together)[0]:
+        if find_need(context, whole, present, together)[0]:
             tried = [
                 (one, leave_out(context, whole, [other for other in gone if other is not one]))
                 for one in together
