@@ -130,7 +130,7 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set():
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
 
 
-def test_a_fit_is_repeated_in_the_scales_of_what_it_leaves() -> None:
+def test_a_fit_is_repeated_in_the_scales_of_what_it_leaves():
     model = draw_toy(1, {"near: square": 1.0})
     context, base = fit_base(start_context(model, BASE, CATALOGUE, 1, Meter()))
     square = next(one for one in CATALOGUE if one.key == "near: square")

@@ -148,7 +148,7 @@ FEWEST_N = 5.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("tool", "arm_name"), [("apxs", "nominal"), ("drill", "calibrated:1")])
-def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: str, arm_name: str) -> None:
+def test_a_touch_rests_half_a_second_after_the_last_set_point(tool, arm_name):
     """The force is within 20 % of the mean of the last second, and within 5 % from 2 s or the brakes on."""
     arm = arm_named(arm_name)
     world = World(surface=Surface(POINT_N_M, NORMAL_N))

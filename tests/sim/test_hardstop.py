@@ -207,7 +207,7 @@ def test_the_torques_are_the_same_on_earth_without_a_turret_and_others_in_the_po
         assert np.abs(other - mars).max() > 50
 
 
-def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars() -> None:
+def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars():
     arm = arm_named("calibrated:7")
     bare = without_turret(arm, on_earth=True).params
     elbow = bare.joints.elbow
@@ -222,6 +222,6 @@ def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars() -
     assert shift_rad[Joint.ELEVATION] > 5e-6
 
 
-def test_torques_that_no_pose_has_are_refused() -> None:
+def test_torques_that_no_pose_has_are_refused():
     with pytest.raises(NoPlan, match="best torques differ"):
         equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))

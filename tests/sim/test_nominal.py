@@ -233,7 +233,7 @@ def settle_down(plant: Plant, case: Case) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
-def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
+def test_the_arm_hangs_where_flight_statics_say(turret_kg):
     arm, plant = arm_with(turret_kg), plant_with(turret_kg)
     for case in make_cases(turret_kg):
         settle_down(plant, case)

@@ -89,7 +89,7 @@ def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monk
 
 
 @pytest.mark.slow
-def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not() -> None:
+def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not():
     ends = []
     for with_truth in (False, True):
         loop = start("nominal", with_truth=with_truth, roll_rad=0.0)

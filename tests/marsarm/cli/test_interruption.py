@@ -56,9 +56,7 @@ def no_late_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_verb_says_so_in_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, status: int
-) -> None:
+def test_an_interrupted_verb_says_so_in_one_sentence(tmp_path, monkeypatch, number, status):
     monkeypatch.setattr(IkModel, "solve", lambda *_: signal.raise_signal(number))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -71,7 +69,7 @@ def test_an_interrupted_verb_says_so_in_one_sentence(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
+def test_a_signal_in_a_deferred_section_is_raised_at_its_end():
     done = []
     with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:  # noqa: PT012
         with defer_interrupts:
@@ -81,7 +79,7 @@ def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
     assert done == ["inner", "outer"]
 
 
-def test_a_second_signal_does_not_disturb_the_end() -> None:
+def test_a_second_signal_does_not_disturb_the_end():
     with signals_raise():
         with pytest.raises(Interrupted):
             signal.raise_signal(signal.SIGINT)
@@ -90,8 +88,8 @@ def test_a_second_signal_does_not_disturb_the_end() -> None:
 
 
 def test_a_signal_while_an_extension_is_imported_is_an_interruption(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     def import_extension() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
@@ -104,12 +102,12 @@ def test_a_signal_while_an_extension_is_imported_is_an_interruption(
     assert capsys.readouterr().err == "interrupted by SIGINT before the end\n"
 
 
-def test_another_error_is_no_interruption() -> None:
+def test_another_error_is_no_interruption():
     with signals_raise(), pytest.raises(ImportError), report_interruption():
         raise ImportError("no such module")
 
 
-def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path) -> None:
+def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path):
     def write() -> None:
         writer = atomic_write(tmp_path / "result.json", "out")
         writer.__enter__()
@@ -130,7 +128,7 @@ def interrupted_log(path: Path) -> Path:
     return path
 
 
-def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -> None:
+def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
     log = interrupted_log(tmp_path / "run.mcap")
     read = read_log(log)
     assert (read.end, read.interrupted_by, read.truncated, len(read["/joint"])) == (
@@ -148,7 +146,7 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -
     assert read_log(tmp_path / "good.mcap").interrupted_by == "SIGINT"
 
 
-def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_path: Path) -> None:
+def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap", {})
     recorder.write(cycle_at(0))
     del recorder
@@ -158,7 +156,7 @@ def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_
     assert read_log(tmp_path / "whole.mcap").end == "closed"
 
 
-def test_a_log_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
+def test_a_log_belongs_to_one_run_at_a_time(tmp_path):
     path = tmp_path / "run.mcap"
     with Recorder(path, {}) as recorder:
         recorder.write(cycle_at(0))
@@ -188,9 +186,7 @@ SLOW_ENDS = [("swallow", "; it did not end by itself"), ("end slowly", "")]
 
 
 @pytest.mark.parametrize(("what", "rest"), slow_but(SLOW_ENDS, SLOW_ENDS[0]))
-def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
-    tmp_path: Path, what: str, rest: str
-) -> None:
+def test_an_interruption_that_takes_long_is_ended_with_one_sentence(tmp_path, what, rest):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         done = subprocess.run(
@@ -205,7 +201,7 @@ def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
 
 
 @pytest.mark.slow
-def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path: Path) -> None:
+def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path):
     words = ["place", "--log", "run.mcap", "--no-picture"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the run inherits

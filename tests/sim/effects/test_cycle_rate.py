@@ -68,7 +68,7 @@ def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_s
     assert np.all(rms_difference(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said() -> None:
+def test_every_effect_of_each_cycle_is_looked_at_here_or_its_reason_is_said():
     """Delay and voltage are defined per cycle, and grease keeps its temperature.
 
     The joint that would turn another one stands still here.
@@ -96,7 +96,7 @@ def compile_plant(*effects: Effect) -> bytes:
     return content.tobytes()
 
 
-def test_model_and_flight_parameters_are_the_same() -> None:
+def test_model_and_flight_parameters_are_the_same():
     assert compile_plant(*NEUTRAL) == compile_plant()
     assert params_with_effects(NEUTRAL, NOMINAL.params) == NOMINAL.params
     hardware = nominal_hardware()
@@ -119,7 +119,7 @@ def run_move(*effects: Effect) -> list[object]:
 
 
 @pytest.mark.slow
-def test_a_run_is_the_same_and_effects_that_are_not_neutral_do_show() -> None:
+def test_a_run_is_the_same_and_effects_that_are_not_neutral_do_show():
     nothing = run_move()
     assert len(set(nothing)) > CYCLES
     assert run_move(*NEUTRAL) == nothing
@@ -146,14 +146,14 @@ def depth_m(plant: Plant) -> float:
 
 
 @pytest.mark.parametrize("offset_m", [-1e-4, 1e-4, 3e-4])
-def test_a_surface_that_is_nearer_is_met_that_much_earlier(offset_m: float) -> None:
+def test_a_surface_that_is_nearer_is_met_that_much_earlier(offset_m):
     assert put_in_rock().data.ncon == 2
     assert depth_m(put_in_rock()) == pytest.approx(DEEP_M, abs=1e-9)
     assert depth_m(put_in_rock(SurfacePosition(offset_m))) == pytest.approx(DEEP_M + offset_m, abs=1e-9)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
-def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> None:
+def test_what_is_stiffer_gives_way_less_under_the_same_force(factor):
     """Press the braked arm into the rock by its own springs, at rest."""
     stiffness = []
     for effects in ((), (ContactStiffness(factor),)):
@@ -164,7 +164,7 @@ def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> N
     assert stiffness[1] / stiffness[0] == pytest.approx(factor, rel=0.02)
 
 
-def test_where_there_is_no_rock_there_is_nothing_to_shift() -> None:
+def test_where_there_is_no_rock_there_is_nothing_to_shift():
     bench.build_arm(SurfacePosition(1e-3))
 
 
@@ -172,7 +172,7 @@ FINER = 6
 
 
 @pytest.mark.parametrize("scheme", slow_but(["implicit", "explicit"], "implicit"))
-def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme: str) -> None:
+def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme):
     drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(scheme, FINER),)))
     for plant in (drawn, other):
         plant.place(lab.READY_RAD, 8.0)
