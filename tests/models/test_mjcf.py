@@ -33,11 +33,6 @@ def set_pose(model: mujoco.MjModel, pose_deg: tuple[float, ...]) -> mujoco.MjDat
     return data
 
 
-def is_arm(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a body moves, as only those of the arm do."""
-    return bool(model.body_weldid[model.geom_bodyid[geom]] != 0)
-
-
 @pytest.mark.parametrize(("scene", "gravity_m_s2"), SCENES.items())
 def test_a_scene_changes_only_the_gravity_of_the_arm(scene, gravity_m_s2):
     arm, model = load("arm.xml"), load(scene)
@@ -86,7 +81,8 @@ def test_the_arm_can_touch_rover_and_ground_but_not_itself(scene):
     model = load(scene)
     for geom in range(model.ngeom):
         masks = (int(model.geom_contype[geom]), int(model.geom_conaffinity[geom]))
-        assert masks in ({(0, 0), (1, 2)} if is_arm(model, geom) else {(0, 0), (2, 1)})
+        is_arm = model.body_weldid[model.geom_bodyid[geom]] != 0  # only bodies of the arm move
+        assert masks in ({(0, 0), (1, 2)} if is_arm else {(0, 0), (2, 1)})
     assert {1, 2} <= set(model.geom_contype.tolist())
 
 

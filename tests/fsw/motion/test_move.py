@@ -266,12 +266,6 @@ def line_errors(X):
     return np.linalg.norm(offset, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
 
 
-def without_play(name):
-    """Return a configuration without backlash and friction, so that only the geometry remains."""
-    config = replace(config_of(name), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
-    return in_the_open(config)
-
-
 CROSSING = [
     *(
         (tool, kind, start)
@@ -322,7 +316,8 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
 
 
 def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
-    config = without_play("nominal")
+    bare = replace(config_of("nominal"), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
+    config = in_the_open(bare)  # so that only the geometry remains
     rig = Rig(config)
     X = rig.tool_pose("apxs")
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]

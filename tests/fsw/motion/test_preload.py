@@ -106,18 +106,14 @@ def test_a_force_is_changed_and_released_the_way_it_came():
 
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     rig = guarded_in_contact()
-    rig.state = replace_friction(rig, 170.0)
+    joints = rig.state.joints
+    reference = replace(joints.reference, friction_Nm=np.full(5, 170.0))
+    rig.state = replace(rig.state, joints=replace(joints, reference=reference))
     rig.cycle(Preload("apxs", 100.0), **TOUCHED)
     rig.cycle(**TOUCHED)
     limit = rig.outputs.drive.current_limit_A
     assert np.all(limit <= rig.config.current_limit_A)
     assert limit[:3].max() < 0.5 * rig.config.current_limit_A[0]
-
-
-def replace_friction(rig: Rig, friction_Nm: float):
-    joints = rig.state.joints
-    reference = replace(joints.reference, friction_Nm=np.full(5, friction_Nm))
-    return replace(rig.state, joints=replace(joints, reference=reference))
 
 
 def test_nothing_is_pressed_without_a_closed_switch_nor_with_another_tool_nor_with_too_much_force():

@@ -7,10 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -210,7 +209,8 @@ def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_mo
     finally:
         signal.signal(signal.SIGINT, before)
     try:
-        wait_until(lambda: (tmp_path / "run.mcap").exists())
+        while not (tmp_path / "run.mcap").exists():
+            time.sleep(0.05)
         second = marsarm(tmp_path, *words)
     finally:
         first.send_signal(signal.SIGINT)
@@ -222,18 +222,9 @@ def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_mo
     assert read_log(tmp_path / "run.mcap").end == "interrupted"
 
 
-def wait_until(holds: Callable[[], Any]) -> None:
-    """Wait until something holds."""
-    while not holds():
-        time.sleep(0.05)
-
-
-MAIN = "from marsarm.__main__ import start; start()"
-
-
 def to(target, *words):
     return subprocess.run(
-        ["bash", "-c", f'set -o pipefail; "$@" {target}', "-", sys.executable, "-c", MAIN, *words],
+        ["bash", "-c", f'set -o pipefail; "$@" {target}', "-", *RUN, *words],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from marsarm.cli.app import app
-from marsarm.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
+from marsarm.dictionary.entries import Dictionary, build_dictionary
 from marsarm.telemetry.schema import arm_names, array_shape, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named, nominal_params
@@ -52,16 +52,13 @@ def test_a_command_is_found_by_either_name(pattern):
     assert part["evrs"] == part["packets"] == part["parameters"] == []
 
 
-def has_current(kind: object) -> bool:
-    return is_dataclass(kind) and any(field.name.endswith("current_A") for field in fields(kind))
-
-
 def test_a_pattern_narrows_to_the_fields_that_match():
     part = json.loads(out("*current_A", "--json"))
     assert [(p["name"], [f["name"] for f in p["fields"]]) for p in part["packets"]] == [
         ("/sensors", ["current_A"])
     ]
-    fits = {kind.__name__ for kind in (*vars(evrs).values(), *vars(faults).values()) if has_current(kind)}
+    records = filter(is_dataclass, (*vars(evrs).values(), *vars(faults).values()))
+    fits = {one.__name__ for one in records if any(f.name.endswith("current_A") for f in fields(one))}
     assert {e["name"] for e in part["evrs"]} == fits
     assert "OverCurrent" in fits
 
@@ -105,15 +102,10 @@ def whole() -> Dictionary:
     return build_dictionary()
 
 
-def fields_of(whole: Dictionary) -> list[tuple[str, FieldDefinition]]:
-    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
-    named = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
-    return named + [(one.name, one) for one in whole.parameters]
-
-
 def test_every_number_has_a_unit_and_nothing_else_has(whole):
-    for name, one in fields_of(whole):
-        assert (one.unit is not None) == one.type.startswith(("float", "int")), name
+    entries = (*whole.commands, *whole.evrs, *whole.packets)
+    for one in (*(one for entry in entries for one in entry.fields), *whole.parameters):
+        assert (one.unit is not None) == one.type.startswith(("float", "int")), one.name
 
 
 def test_every_entry_and_every_field_has_a_text(whole):

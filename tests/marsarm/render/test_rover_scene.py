@@ -125,9 +125,9 @@ def test_the_triangles_of_a_solid_enclose_its_volume_and_face_outward(model, nam
     a, b, c = found.vertices_m.astype(float)[found.faces].transpose(1, 0, 2)
     volume = np.sum(a * np.cross(b, c)) / 6
     assert volume == pytest.approx(VOLUMES[name], rel=0.07)
-    edges = np.sort(
-        _same_place(found)[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1
-    )
+    # vertices at sharp edges are there twice
+    place = np.unique(found.vertices_m.round(6) + 0.0, axis=0, return_inverse=True)[1].ravel()
+    edges = np.sort(place[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all(), "each edge of a closed surface belongs to two triangles"
 
@@ -137,8 +137,3 @@ def test_a_plane_has_its_size_and_faces_up(model):
     assert np.ptp(found.vertices_m, axis=0).tolist() == [4.0, 6.0, 0.0]
     a, b, c = found.vertices_m[found.faces].transpose(1, 0, 2)
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
-
-
-def _same_place(found):
-    """Return a number for the place of each vertex; vertices at sharp edges are there twice."""
-    return np.unique(found.vertices_m.round(6) + 0.0, axis=0, return_inverse=True)[1].ravel()
