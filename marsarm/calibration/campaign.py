@@ -144,17 +144,11 @@ def measure_pose(
     ground, rover, turret = (fit_frame(targets, shot, name) for targets, shot, name in named)
     X_RT, covariance = turret_in_rover(rover, turret, X_NR)
     frames = (ground, rover, turret)
-    sigma = [shot.sigma_m[shot.visible] for shot in readings]
-    return PoseMeasurement(
-        X_RT, covariance, (ground.count, rover.count, turret.count), _misfit(frames, sigma), ground.X_WB
-    )
-
-
-def _misfit(frames: Sequence[FrameFit], sigma_m: Sequence[Array]) -> float:
-    """Compute the root mean square misfit of coordinates, corrected for six fitted numbers for each frame."""
+    sigma_m = [shot.sigma_m[shot.visible] for shot in readings]
     squares = sum(float(np.sum((f.misfit * s) ** 2)) for f, s in zip(frames, sigma_m, strict=True))
-    free = sum(3 * f.count - 6 for f in frames)
-    return float(np.sqrt(squares / max(free, 1)))
+    counts = (ground.count, rover.count, turret.count)
+    misfit = float(np.sqrt(squares / max(3 * sum(counts) - 18, 1)))  # six numbers are fitted for each frame
+    return PoseMeasurement(X_RT, covariance, counts, misfit, ground.X_WB)
 
 
 def stack_rows(arm_name: str, rows: Sequence[CampaignRow]) -> Campaign:

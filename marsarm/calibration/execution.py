@@ -10,7 +10,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
 from marsarm.calibration.arm_parameters import PARAMETER_COUNT
-from marsarm.calibration.calibrate import Calibration, calibrate, calibrated_params, save_parameter_file
+from marsarm.calibration.calibrate import Calibration, calibrate, calibrated_params, parameter_text
 from marsarm.calibration.campaign import (
     MIN_TARGETS,
     PAPER_GROUPS,
@@ -37,6 +37,7 @@ from sim.params import BadParams, check_params
 from sim.tracker import Tracker
 from simgap import Fit, HoldOutValidation, Identifiability, error_screw
 from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
@@ -312,7 +313,8 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
         params = calibrated_params(found, tools)
         check_params(params, "the calibrated arm")
         if request.out is not None:
-            save_parameter_file(found, params, request.out)
+            with atomic_write(request.out, "out") as file:
+                file.write(parameter_text(found, params).encode())
         verification = None
         if arm is not None and request.verify:
             verification = verify_calibration(

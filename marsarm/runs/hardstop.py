@@ -157,18 +157,13 @@ def _samples_by_joint(run: InitialisationResult) -> dict[Joint, list[HomingSampl
     """Select the last homing attempt of each joint, without most of the approach."""
     selected: dict[Joint, list[HomingSample]] = {}
     for joint in HARDSTOP_ORDER:
-        samples = _last_attempt(run, joint)
-        if samples:
+        samples = [s for s in run.samples if s.joint is joint]
+        pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
+        if samples := samples[pauses[-1] if pauses else 0 :]:
             at_stop = [s.time_s for s in samples if s.stage > HomingStage.COARSE]
             first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
             selected[joint] = [s for s in samples if s.time_s >= first_s]
     return selected
-
-
-def _last_attempt(run: InitialisationResult, joint: Joint) -> list[HomingSample]:
-    samples = [s for s in run.samples if s.joint is joint]
-    pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
-    return samples[pauses[-1] :] if pauses else samples
 
 
 def _draw_joint(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
