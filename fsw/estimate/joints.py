@@ -19,7 +19,7 @@ from fsw.estimate.gear import (
     gear_after_motor_turn,
     locate_in_backlash,
 )
-from fsw.estimate.reference import HardstopFit, Reference, provisional_reference, record_calibration
+from fsw.estimate.reference import HardstopFit, Reference, record_calibration
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle_output
 from fsw.kinematics.transforms import Array
@@ -131,8 +131,10 @@ def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> Join
 
 def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
     """Initialise the motor angles from the first readings."""
-    reference = provisional_reference(config, last.reference, sensors)
-    motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
+    # the resolvers give the encoder zeros of joints that were never calibrated
+    known, turned = last.reference, sensors.encoder_count * config.rad_per_count
+    zero = np.where(known.known, known.zero_rad, sensors.resolver_rad - turned)
+    reference, motor = replace(known, zero_rad=zero), turned + zero
     return replace(
         last, initialised=True, reference=reference, motor_rad=motor, imu_R_m_s2=sensors.gravity_R_m_s2
     )

@@ -26,7 +26,7 @@ from fsw.config import Config
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import JointCalibrated
 from fsw.kinematics.transforms import Array
-from fsw.messages import Flags, Sensors
+from fsw.messages import Flags
 
 RISE: Final = (0.2, 0.85)
 """Share of the rise to which the line is fitted, clear of both ends."""
@@ -233,12 +233,6 @@ def no_reference(config: Config) -> Reference:
     zeros = np.zeros_like(config.half_backlash_rad)
     never = np.zeros(zeros.size, bool)
     return Reference(never, never, zeros, config.half_backlash_rad, zeros, np.full(zeros.size, np.inf))
-
-
-def provisional_reference(config: Config, reference: Reference, sensors: Sensors) -> Reference:
-    """Set the encoder zeros of joints that were never calibrated from their resolvers."""
-    read = sensors.resolver_rad - sensors.encoder_count * config.rad_per_count
-    return replace(reference, zero_rad=np.where(reference.known, reference.zero_rad, read))
 
 
 def forget_joint(reference: Reference, joint: int) -> Reference:

@@ -9,13 +9,14 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import AUTO, Limits
+from fsw.kinematics.closed_form import BRANCHES
 from sim.arms import UnknownArm, arm_named, nominal_params
 from sim.effects.effect import Effect
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.effects import read_effect
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
-from sim.scenario.tables import read_check, read_command, read_fault, read_taught_point
+from sim.scenario.tables import read_check, read_command, read_fault
 from sim.setting import MAX_TILT_RAD, WARM_C, Scene, Surface, World
 from simgap.common.errors import RobotError
 from simgap.common.toml import parse_toml, read_text
@@ -115,7 +116,8 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
     head = _read_head(data, findings)
     world = _read_world(data, findings)
     taught = [
-        read_taught_point(table, place, findings) for place, table in list_tables(data, "teach", findings)
+        read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
+        for place, table in list_tables(data, "teach", findings)
     ]
     _check_taught(taught, findings)
     points = {point.name: point.tool for point in taught if point is not None}

@@ -104,11 +104,6 @@ def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapsh
     )
 
 
-def is_touching(snapshot: Snapshot, tool: str) -> bool:
-    """Return whether a contact switch of a tool is closed."""
-    return bool(snapshot.closed[tool].any())
-
-
 STOP_ONLY_FAULTS: Final = {
     fault.__name__ for fault, response in RESPONSE_TO.items() if response is Response.STOP_AND_BRAKE
 }
@@ -198,7 +193,9 @@ def _evaluate(
 ) -> tuple[CheckResult, ...]:
     match check:
         case Done():
-            return (_bool_result("every command carried out", _all_done(ending)),)
+            ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in ending.evrs)
+            is_done = ending.outcome is Outcome.DONE and not ended_early
+            return (_bool_result("every command carried out", is_done),)
         case Placed():
             return _check_placed(check, scenario, trace)
         case SameSpot():
@@ -320,11 +317,6 @@ def _has_evr(evr_name: str, ending: Ending) -> bool:
     return any(evr.name == evr_name for _, evr in ending.evrs)
 
 
-def _all_done(ending: Ending) -> bool:
-    ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in ending.evrs)
-    return ending.outcome is Outcome.DONE and not ended_early
-
-
 def _force_result(
     trace: Trace, away: Array, after: int, tool: str, force_N: float, share: float
 ) -> CheckResult:
@@ -334,9 +326,8 @@ def _force_result(
 
 
 def _contact_result(trace: Trace, after: int, tool: str) -> CheckResult:
-    return _bool_result(
-        f"{tool} in contact", _value_after(trace, after, lambda m: float(is_touching(m, tool))) == 1.0
-    )
+    closed = _value_after(trace, after, lambda m: float(m.closed[tool].any()))
+    return _bool_result(f"{tool} in contact", closed == 1.0)
 
 
 def _bool_result(name: str, is_so: bool) -> CheckResult:
