@@ -244,8 +244,11 @@ def view(context: Context, log: Path | None = None) -> Document:
         browser.open(page.as_uri())
         browser.evaluate(MEASURE % (1, SECONDS))  # the first frames compile shaders and upload shapes
         measured = {speed: browser.evaluate(MEASURE % (speed, SECONDS)) for speed in SPEEDS}
-        if context.out is not None:
-            take_pictures(browser, page, context.out)
+        shots = {} if context.out is None else {context.out / name: shot for name, shot in SHOTS.items()}
+        for path, (width, height, dark, time_s, factor) in shots.items():
+            moment = f"#t={time_s}&x={factor}&camera=all"
+            browser.open(page.as_uri() + moment, width, height, dark, ready=RESTS)
+            browser.save_screenshot(path)
     frames = {speed: frames_s for speed, (frames_s, _) in measured.items()}
     passed = min(frames.values()) >= BOUND_FRAMES_S and size <= BOUND_BYTES
     return {
@@ -257,11 +260,3 @@ def view(context: Context, log: Path | None = None) -> Document:
         "problems_of_the_page": browser.problems,
         "in_bounds": passed and not browser.problems,
     }
-
-
-def take_pictures(browser: Browser, page: Path, folder: Path) -> None:
-    """Take the pictures of the docs."""
-    for name, (width, height, dark, time_s, factor) in SHOTS.items():
-        moment = f"#t={time_s}&x={factor}&camera=all"
-        browser.open(page.as_uri() + moment, width, height, dark, ready=RESTS)
-        browser.save_screenshot(folder / name)

@@ -162,20 +162,14 @@ def _check_tracker(campaign: Campaign) -> Iterator[str]:
             f"p_*_m: {_list_poses(stale)} equal to the pose before, although joints moved: the "
             "tracker lost its lock; measure again"
         )
-    again = np.setdiff1d(_find_copies(campaign), stale)
+    X = campaign.measured.X_RT
+    _, first = np.unique(np.concatenate([X.p, X.R.reshape(9, -1)]), axis=1, return_index=True)
+    again = np.setdiff1d(np.arange(campaign.count), [*first, *stale])
     if again.size:
         yield (
             f"p_*_m, q_*: {_list_poses(again)} equal to an earlier pose to the last digit: "
             "leave out copied rows"
         )
-
-
-def _find_copies(campaign: Campaign) -> Integers:
-    """Find poses whose measurement equals that of an earlier pose to the last digit."""
-    X = campaign.measured.X_RT
-    numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
-    _, first = np.unique(numbers, axis=1, return_index=True)
-    return np.setdiff1d(np.arange(campaign.count), first)
 
 
 def _find_stale(campaign: Campaign) -> Flags:

@@ -73,16 +73,6 @@ def peak_force_N(loop, command) -> tuple[float, list]:
 TOUCHING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 
 
-def run_without_switches(tool, switches) -> tuple[float, list]:
-    """Run a guarded move to a rock with switches that never close; return peak force and events."""
-    effects = tuple(
-        SensorFault(NOW_S, "switch_closed", "biased", switch_index(switch), -1.0) for switch in switches
-    )
-    loop, X_RT = facing_rock(tool, facing(CONFIG, tool), effects, ahead_m=0.04)
-    axis = X_RT.R[:, 0]
-    return peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))
-
-
 DEAD = [
     *((tool, TOOL_SWITCHES[tool][:1], 50.0) for tool in TOUCHING),
     *((tool, TOOL_SWITCHES[tool], 100.0) for tool in TOUCHING),
@@ -91,7 +81,10 @@ DEAD = [
 
 @pytest.mark.parametrize(("tool", "dead", "most_N"), slow_but(DEAD, ("apxs", TOOL_SWITCHES["apxs"], 100.0)))
 def test_a_guarded_tool_meets_a_rock_with_little_force_whichever_of_its_switches_are_dead(tool, dead, most_N):
-    peak, evrs = run_without_switches(tool, dead)
+    effects = [SensorFault(NOW_S, "switch_closed", "biased", switch_index(switch), -1.0) for switch in dead]
+    loop, X_RT = facing_rock(tool, facing(CONFIG, tool), tuple(effects), ahead_m=0.04)
+    axis = X_RT.R[:, 0]
+    peak, evrs = peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))
     felt = ContactMade | PreloadOutside if len(dead) < len(TOOL_SWITCHES[tool]) else PreloadOutside
     assert any(isinstance(evr, felt) for evr in evrs)
     assert 0.0 < peak < most_N

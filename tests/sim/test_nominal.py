@@ -219,24 +219,17 @@ def pressed_flank(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Arr
     return side, (push[:, 0] == side) & (np.diag(push[:, 1:]) == side)
 
 
-def settle_down(plant: Plant, case: Case) -> None:
-    """Let the plant come to rest on its brakes, its gears near their flanks from the start.
-
-    From the middle of its backlash a light turret needs a minute.
-    """
-    plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
-    lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.backlash_rad)
-    mujoco.mj_forward(plant.model, plant.data)
-    assert np.abs(plant.data.qvel).max() < STILL_RAD_S
-    assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
 def test_the_arm_hangs_where_flight_statics_say(turret_kg):
     arm, plant = arm_with(turret_kg), plant_with(turret_kg)
     for case in make_cases(turret_kg):
-        settle_down(plant, case)
+        # near its flanks from the start: from the middle of its backlash a light turret needs a minute
+        plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
+        lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.backlash_rad)
+        mujoco.mj_forward(plant.model, plant.data)
+        assert np.abs(plant.data.qvel).max() < STILL_RAD_S
+        assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
         expected, truth = (
             settle(arm, case.motor_rad, case.backlash_rad, case.world.gravity_N_m_s2),
             plant.truth(),

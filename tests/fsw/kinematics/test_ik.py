@@ -277,18 +277,12 @@ def test_of_no_targets_there_are_no_roots(name, gravity, shape):
     assert result.output_rad.shape == result.torque_Nm.shape == (5, 8, *shape)
 
 
-def two_turns(joint):
-    """Return an angle that the limits allow in two turns, and both turns."""
-    low, high = ARM.soft_min_rad[joint], ARM.soft_max_rad[joint]
-    assert high - low > 2 * np.pi or joint is not Joint.WRIST
-    angle = 0.5 * (low + 2 * np.pi + high)
-    return angle, angle - 2 * np.pi
-
-
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
-    high, low = two_turns(Joint.WRIST)
-    for wrist in (high, low):
+    low, high = ARM.soft_min_rad[Joint.WRIST], ARM.soft_max_rad[Joint.WRIST]
+    assert high - low > 2 * np.pi
+    middle = 0.5 * (low + high)
+    for wrist in (middle + np.pi, middle - np.pi):
         q = np.array([0.1, -1.0, 1.2, wrist, 1.0])
         p, a = targets_of(q, "apxs", gravity=GRAVITIES[gravity])
         result = ik.inverse_kinematics(ARM, "apxs", p, a, GRAVITIES[gravity], near_rad=q)

@@ -107,20 +107,16 @@ CASES = pytest.mark.parametrize(
 )
 
 
-def straight_poses(name, gravity):
-    """Solve targets of poses with a nearly straight elbow, clear of the folds of shoulder and wrist."""
-    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
-    q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
-    q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
-    shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
-    return solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
-
-
 @CASES
 def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_arm_does_not_reach(
     name, gravity
 ):
-    solved = straight_poses(name, gravity)
+    """The poses are clear of the folds of shoulder and wrist."""
+    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
+    q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
+    q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
+    shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
+    solved = solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
     found = root_distances(solved.result, solved.q).min(axis=0) < SAME_RAD
     single = solved.sigma > CLEAR_SIGMA
     assert single.sum() > 0.9 * N_STRAIGHT

@@ -58,19 +58,13 @@ def advance(move, joints=None):
     return advance_move(CONFIG, move, following(move) if joints is None else joints, NO_LOAD, SENSORS)
 
 
-def run_through(move):
-    """Run a move to its end; return the move in each cycle, and the last result."""
-    moves = []
+def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_the_path_without_a_jump():
+    moves, move = [], move_by(0.02)
     while move is not None:
         moves.append(move)
         result = advance(move)
         move = result.move
         assert len(moves) < 2000
-    return moves, result
-
-
-def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_the_path_without_a_jump():
-    moves, result = run_through(move_by(0.02))
     phases = [move.phase for move in moves]
     assert phases == sorted(phases)
     assert set(phases) == set(Phase)

@@ -213,20 +213,15 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
     of_model = move.plan.preload_change.torque_per_N * state.preload.model_N
-    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
+    arm, frames = config.arm, forward(config.arm, state.joints.output_rad)
+    X_RT = tool_pose(arm, frames, state.preload.tool)
+    across_per_N = joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]  # along the tool's y and z axes
+    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + across_per_N @ np.array(across)
     # the estimated load contains the estimated reaction already
     extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
     torque = resisting - state.load.torque_Nm - extra + offset_Nm
     return torque / config.torque_constant_Nm_A + 1e-9 * state.tick
-
-
-def levers_across(rig) -> np.ndarray:
-    """Compute the loads (5, 2) by unit forces along the tool's y and z axes."""
-    arm, state = rig.config.arm, rig.state
-    frames = forward(arm, state.joints.output_rad)
-    X_RT = tool_pose(arm, frames, state.preload.tool)
-    return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
 
 
 @pytest.mark.parametrize("stiffness", slow_but([0.8, 0.9, 1.15], 0.8))
