@@ -184,7 +184,7 @@ def coordinated_sessions(params: Params) -> list[DiagnosisSession]:
 
 
 def placement_sessions(params: Params) -> list[DiagnosisSession]:
-    """List placements of the first and the last tool with switches, each on a rock in front of the tool."""
+    """List placements of the first and the last tool with switches, each pressed on a rock in front of it."""
     config, sessions = configure(params), []
     touching = [tool for tool, switches in params.tool_switches.items() if switches]
     for tool in dict.fromkeys((touching[0], touching[-1])):
@@ -193,20 +193,13 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
-        sessions.append(placement_session(f"place-{tool}", tool, start, X_RT.p, X_RT.R[:, 0]))
+        approach, name = X_RT.R[:, 0], f"place-{tool}"
+        touch = X_RT.p + STANDOFF_M * approach
+        world = World("mars", surface=Surface(vector3(touch - p_R_from_N(np.zeros(3))), vector3(-approach)))
+        end = vector3(touch + OVERTRAVEL_M * approach)
+        commands = GuardedMove(tool, end, vector3(approach)), Preload(tool, PRESS_N)
+        sessions.append(DiagnosisSession(name, name, world, WARM_C, joints5(start), commands, tracked=True))
     return sessions
-
-
-def placement_session(
-    name: str, tool: str, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
-) -> DiagnosisSession:
-    """Make a session that places a tool on a rock in front of it and presses."""
-    touch = p_RoTo_R_m + STANDOFF_M * approach_R
-    p_N = touch - p_R_from_N(np.zeros(3))
-    world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
-    end = vector3(touch + OVERTRAVEL_M * approach_R)
-    commands: tuple[Command, ...] = (GuardedMove(tool, end, vector3(approach_R)), Preload(tool, PRESS_N))
-    return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, tracked=True)
 
 
 def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:

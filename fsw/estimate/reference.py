@@ -239,23 +239,3 @@ def forget_joint(reference: Reference, joint: int) -> Reference:
     """Mark a joint as uncalibrated; its values stay as provisional ones."""
     others = np.arange(reference.zero_rad.size) != joint
     return replace(reference, calibrated=reference.calibrated & others)
-
-
-def record_calibration(
-    reference: Reference,
-    joint: int,
-    zero_rad: float,
-    half_backlash_rad: float,
-    resolver_bias_rad: float,
-    friction_Nm: float,
-) -> Reference:
-    """Record the calibration of a joint."""
-    this = np.arange(reference.zero_rad.size) == joint
-    return Reference(
-        calibrated=reference.calibrated | this,
-        known=reference.known | this,
-        zero_rad=np.where(this, zero_rad, reference.zero_rad),
-        half_backlash_rad=np.where(this, half_backlash_rad, reference.half_backlash_rad),
-        resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
-        friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
-    )

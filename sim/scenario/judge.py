@@ -154,24 +154,18 @@ def _measure_cycle(
     check: Check, scenario: Scenario, trace: Trace, snapshot: Snapshot
 ) -> Iterator[tuple[str, float]]:
     if isinstance(check, Preloaded) and snapshot.command >= check.after:
-        yield from _measure_press(check, _surface_normal(scenario), trace, snapshot)
+        normal, closed = _surface_normal(scenario), np.flatnonzero(snapshot.closed[check.tool]).tolist()
+        force_R_N, pads_R_m = snapshot.force_R_N[check.tool], snapshot.pads_R_m[check.tool]
+        normal_N = float(force_R_N @ normal)
+        yield "most force", normal_N
+        for switch in closed:
+            trace.touched_R_m.setdefault((check, switch), pads_R_m[switch])
+        if normal_N >= check.pressed_N:
+            yield "lateral over normal force", _lateral(force_R_N, normal) / normal_N
+            for switch in closed:  # a tool may roll, so each pad slips by itself
+                yield "slip", _lateral(pads_R_m[switch] - trace.touched_R_m[check, switch], normal)
     if isinstance(check, GravityHeld) and snapshot.command == check.during and snapshot.vibrates:
         yield "gravity off", _gravity_off_rad(check, scenario.world.gravity_N_m_s2, snapshot)
-
-
-def _measure_press(
-    check: Preloaded, normal: Array, trace: Trace, snapshot: Snapshot
-) -> Iterator[tuple[str, float]]:
-    """Measure force, and ratio and slip while pressed; a tool may roll, so each pad slips by itself."""
-    force_R_N, pads_R_m = snapshot.force_R_N[check.tool], snapshot.pads_R_m[check.tool]
-    normal_N, closed = float(force_R_N @ normal), np.flatnonzero(snapshot.closed[check.tool]).tolist()
-    yield "most force", normal_N
-    for switch in closed:
-        trace.touched_R_m.setdefault((check, switch), pads_R_m[switch])
-    if normal_N >= check.pressed_N:
-        yield "lateral over normal force", _lateral(force_R_N, normal) / normal_N
-        for switch in closed:
-            yield "slip", _lateral(pads_R_m[switch] - trace.touched_R_m[check, switch], normal)
 
 
 def evaluate_checks(

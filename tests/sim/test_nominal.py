@@ -27,6 +27,7 @@ from sim.plant import Plant
 from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
+from tests.sim.effects.bench import set_angles
 from tests.tools import TOOLS, tool_index
 
 PARAMS = nominal_params()
@@ -55,13 +56,6 @@ def random_poses(seed: int, count: int) -> lab.Array:
     return rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (count, 5)).T
 
 
-def set_pose(plant: Plant, output_rad: lab.Array) -> None:
-    """Set every spring and gear to zero, and the outputs to these angles."""
-    mujoco.mj_resetData(plant.model, plant.data)
-    plant.data.qpos[plant.at.motor] = output_rad
-    mujoco.mj_kinematics(plant.model, plant.data)
-
-
 def in_rmech(plant: Plant, body: str) -> tuple[lab.Array, lab.Array]:
     """Return position and axes of a body in the rover frame."""
     rmech, of = plant.data.body("rmech"), plant.data.body(body)
@@ -75,7 +69,7 @@ def test_every_tool_and_frame_of_the_rigid_arm_is_where_flight_kinematics_say(no
     frames = forward(CONFIG.arm, outputs)
     tools = {tool: tool_pose(CONFIG.arm, frames, tool) for tool in TOOLS}
     for k in range(outputs.shape[1]):
-        set_pose(nominal, outputs[:, k])
+        set_angles(nominal, outputs[:, k])
         truth = nominal.truth()
         for tool in TOOLS:
             X_RT = tools[tool][k]
@@ -94,7 +88,7 @@ def test_every_tool_and_frame_of_the_rigid_arm_is_where_flight_kinematics_say(no
 @pytest.mark.parametrize("link", range(6))
 def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(nominal, link):
     """Compare in the rover frame at the zero pose, where flight kinematics give each link frame."""
-    set_pose(nominal, np.zeros(5))
+    set_angles(nominal, np.zeros(5))
     X_RL = forward(CONFIG.arm, np.zeros(5)).X_RL[link]
     rmech = nominal.data.body("rmech")
     lumps = (LINKS[link].near, LINKS[link].far)
