@@ -28,14 +28,6 @@ STAYS_M = 2e-5
 """Tolerance: encoder counts and bounds of the backlash move the tool by some micrometres."""
 
 
-def tool_under_force(rig: Rig):
-    """Compute the tool pose of the modelled arm under the reaction of the surface."""
-    state, arm = rig.state, rig.config.arm
-    push = None if state.preload is None else state.preload.reaction
-    here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
-    return tool_pose(arm, here.frames, "apxs")
-
-
 @made_once
 def pressed_with(force_N: float) -> Rig:
     rig = guarded_in_contact()
@@ -51,7 +43,9 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
         rig.cycle(**TOUCHED)
         forces.append(rig.state.preload.force_N)
     assert np.all(np.diff(forces) > -1e-9)
-    touched, ends = rig.state.preload, tool_under_force(rig)
+    state, arm = rig.state, rig.config.arm
+    here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, state.preload.reaction)
+    touched, ends = state.preload, tool_pose(arm, here.frames, "apxs")
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
     assert touched.force_N == pytest.approx(300.0, abs=MIN_CORRECTION_N)

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -118,17 +117,12 @@ def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def interrupted_log(path: Path) -> Path:
-    """Record a log whose run is interrupted."""
-    with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:  # noqa: PT012
+def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
+    log = tmp_path / "run.mcap"
+    with pytest.raises(Interrupted), Recorder(log, {"seed": "1"}) as recorder:  # noqa: PT012
         for tick in range(8):
             recorder.write(cycle_at(tick))
         raise Interrupted(signal.SIGINT)
-    return path
-
-
-def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
-    log = interrupted_log(tmp_path / "run.mcap")
     read = read_log(log)
     assert (read.end, read.interrupted_by, read.truncated, len(read["/joint"])) == (
         "interrupted", "SIGINT", False, 8,
