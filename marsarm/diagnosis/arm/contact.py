@@ -12,18 +12,19 @@ from typing import Final
 import numpy as np
 
 from fsw.config import configure
+from fsw.kinematics.transforms import rotate
 from marsarm.diagnosis.arm.features import CONDITIONS, TOUCH, TRANSLATION, Feature
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import TurningPoints, find_turning_points
 from sim.arm_model.load import ArmModel
+from sim.mujoco_settings import read_pad_springs
 from sim.setting import World
 from sim.world import build
 
 TOUCHING_N: Final = 9.0
 """Force of a tool that rests after its touch."""
-PAD_DOUBT: Final = 0.12
-"""Share of the way that is in doubt: at seven steps per step of the model it is 9 to 16 % shorter than in the
-limit of short steps, for which it is computed."""
+WAY_DOUBT: Final = 0.06
+"""Share of the way that is in doubt: 5 % by the force, the rest by how the pads share the touch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +39,7 @@ class TouchFeature:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressFeature:
-    """Way of a tool into the surface between the rest after its touch and that in its press."""
+    """Way of the pads into the surface between the rest after their touch and that in the press."""
 
     measured_m: float
     nominal_m: float
@@ -69,14 +70,19 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
             continue
         normal_R, ends = np.array(surface.normal_N), [seen.X_RF[k] for k in after[[0, -1]]]
         X_FT = configure(one.params).arm.X_FT[touch.tool]
-        begin_m, end_m = (normal_R @ (X_RF @ X_FT).p for X_RF in ends)
-        nominal_m = (one.press_N - TOUCHING_N) * pad_compliance_m_N(one.arm, touch.tool)
+        pads = [switch.p_m for switch in one.arm.description.switches.values() if switch.tool == touch.tool]
+        begin_m, end_m = (
+            normal_R @ (rotate((X_RF @ X_FT).R, np.transpose(pads)) + (X_RF @ X_FT).p[:, None])
+            for X_RF in ends
+        )
+        # the lowest pad alone bears a touch if the tool leans
+        nominal_m = (one.press_N - TOUCHING_N * len(pads)) * pad_compliance_m_N(one.arm, touch.tool)
         noise_m = [
             X_RF.R.T @ normal_R * seen.sigma[3:, k] for X_RF, k in zip(ends, after[[0, -1]], strict=True)
         ]
-        sigma = float(np.linalg.norm([*np.ravel(noise_m), PAD_DOUBT * nominal_m]))
+        sigma = float(np.linalg.norm([*np.ravel(noise_m), WAY_DOUBT * nominal_m]))
         feature = Feature(one, TRANSLATION, "surface", "press", _still(one), "press", sigma=sigma)
-        yield PressFeature(float(begin_m - end_m), nominal_m, feature)
+        yield PressFeature(float(begin_m.min() - end_m.mean()), nominal_m, feature)
 
 
 def _still(recording: Recording) -> tuple[float, ...]:
@@ -85,13 +91,8 @@ def _still(recording: Recording) -> tuple[float, ...]:
 
 @lru_cache(maxsize=8)
 def pad_compliance_m_N(arm: ArmModel, tool: str) -> float:
-    """Compute the compliance [m/N] of the pads of a tool side by side, in the limit of short steps.
-
-    MuJoCo's direct format gives a stiffness per unit of the inverse mass of the body.
-    """
-    model, stiffness_N_m = build(World(), arm).compile(), 0.0
-    for switch in arm.params.tool_switches[tool]:
-        geom = model.geom(f"{arm.params.switches[switch].name}_pad")
-        share, inverse_kg = 1.0 - model.geom_solimp[geom.id, 0], model.body_invweight0[geom.bodyid[0], 0]
-        stiffness_N_m -= float(model.geom_solref[geom.id, 0] / (share * inverse_kg))
-    return 1.0 / stiffness_N_m
+    """Compute the compliance [m/N] of the pads of a tool side by side."""
+    model = build(World(), arm).compile()
+    springs, switches = read_pad_springs(model), arm.params.switches
+    pads = [model.geom(f"{switches[k].name}_pad").id for k in arm.params.tool_switches[tool]]
+    return 1.0 / float(sum(springs[pad][0] for pad in pads))
