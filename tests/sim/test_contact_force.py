@@ -35,6 +35,7 @@ from sim.placement import (
 )
 from sim.sequence import Outcome, run_sequence
 from sim.setting import Surface, World
+from sim.world import build
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats, levers_m
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, load, plant, run, run_to_rest, settle_fast, tilted_world
@@ -90,6 +91,8 @@ def test_a_guarded_tool_meets_a_rock_with_little_force_whichever_of_its_switches
     assert 0.0 < peak < most_N
 
 
+PAD_N_m = 100e3
+"""Stiffness of a pad of the APXS in models/mjcf/PROVENANCE.md."""
 STRETCHED_RAD = np.radians([0.0, -45.0, 60.0, 60.0, 0.0])
 
 
@@ -117,6 +120,22 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
     assert any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     assert 0.0 < peak < 250.0
     assert is_at_rest(loop)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_pressed_pads_go_in_by_force_over_stiffness_at_any_time_step_and_are_still(steps):
+    setup = facing_rock("apxs", facing(CONFIG, "apxs"), ahead_m=-4e-3)[0].setup
+    plant = ClosedLoop(replace(setup, time_step_s=build(World()).option.timestep / steps)).plant
+    data, force, forces_N = plant.data, np.zeros(6), []
+    for _ in range(CYCLE_HZ):
+        plant.step()
+        forces_N.append(plant._contact_force())
+    for k, way_m in enumerate(-data.contact.dist):
+        mujoco.mj_contactForce(plant.model, data, k, force)
+        assert force[0] == pytest.approx(PAD_N_m * way_m, rel=0.02)
+    assert len(data.contact.dist) == 2
+    assert min(forces_N) > 50.0
+    assert np.ptp(forces_N) < 1e-3 * max(forces_N)
 
 
 @pytest.mark.slow

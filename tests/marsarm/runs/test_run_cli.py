@@ -173,6 +173,7 @@ def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
     assert max(lines, key=lambda line: line.count_diff).count_diff < LAST - FIRST
 
 
+@pytest.mark.slow
 def test_one_joint_is_found_and_drawn_and_people_see_a_table_and_what_was_said(tmp_path):
     words = ("--arm", "as-built:5", "--temperature", "-55", "--picture", "turret.png")
     done = marsarm(tmp_path, "hardstop", "--joint", "turret", *words)

@@ -14,7 +14,7 @@ from sim.arms import BuiltArm, arm_named
 from sim.effects import gears
 from sim.effects.catalogue import catalogue, hypotheses
 from sim.effects.effect import EachCycle, Effect, nominal_hardware, params_with_effects
-from sim.effects.environment import Ambient, ContactStiffness, Numerics, SurfacePosition
+from sim.effects.environment import Ambient, ContactStiffness, Numerics, Slip, SurfacePosition
 from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.frames import P_NR_M
@@ -159,6 +159,11 @@ def test_what_is_stiffer_gives_way_less_under_the_same_force(factor):
         assert plant.truth().contact_force_N > 5.0
         stiffness.append(plant.truth().contact_force_N / (len(plant.data.contact) * depth_m(plant)))
     assert stiffness[1] / stiffness[0] == pytest.approx(factor, rel=0.02)
+
+
+def test_a_slippery_rock_lacks_a_share_of_the_friction_under_the_pads():
+    drawn, slippery = (put_in_rock(*some).data.contact.friction for some in ((), (Slip(0.4),)))
+    np.testing.assert_allclose(slippery[:, :2], 0.6 * drawn[:, :2])
 
 
 def test_where_there_is_no_rock_there_is_nothing_to_shift():
