@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
-from helpers.pendulum import motion, pendulum, recorded, waves
+from helpers.pendulum import motion, pendulum, recorded, waves, with_signals
 from helpers.robot_folder import write_csv, write_robot
 from helpers.verdicts import diagnosis
 from simgap.arrays import Array
@@ -22,7 +22,7 @@ from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.next_motion import family
-from simgap.next_motion.family import list_plans, make_motion
+from simgap.next_motion.family import list_contacts, list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
 from simgap.next_motion.rivals import choose_rivals
 from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
@@ -110,6 +110,34 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
         assert command[0] == command[-1]
         if plan.speed_rad_s < np.inf:
             assert np.max(np.abs(np.diff(command))) <= 1.01 * plan.speed_rad_s * 0.01
+
+
+def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
+    off = [with_signals(one, enabled=(TIME_s < 1.0) * 1.0) for one in LOGS.fit]
+    assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, LOGS.fit, ["swing"], True))
+    assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, off, ["swing"], False))
+    plan = next(one for one in list_plans(ROBOT, off, ["swing"], True) if one.off_s < np.inf)
+    assert ", without power from 5 s" in plan.describe(ROBOT)
+    enabled = make_motion(ROBOT, plan, off[0]).joints["swing"].enabled
+    assert enabled is not None
+    assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.usefixtures("few")
+def test_a_motion_in_which_a_rival_is_faster_than_the_logs_is_never_proposed():
+    slow = 0.3 * np.clip(0.5 * (TIME_s - 0.5), 0.0, 1.0)
+    steps = 0.3 * (TIME_s > 0.5)
+    logs = Logs(tuple(with_signals(one, position=slow, command=steps) for one in LOGS.fit))
+    made, _ = propose_motion(ROBOT, logs, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
+    assert any("in jumps" in one for one in made.motions)
+    assert all("in jumps" not in made.motions[k] for k in made.choice.motions)
+
+
+def test_a_pose_beyond_the_range_of_a_joint_counts_as_a_contact():
+    robot = pendulum()
+    robot.model.jnt_limited[0], robot.model.jnt_range[0] = True, (-1.0, 1.0)
+    assert not list_contacts(robot, np.array([[-0.9], [0.9]]))
+    assert list_contacts(robot, np.array([[0.0], [1.1]])) == {(-1, 0)}
 
 
 @pytest.fixture

@@ -197,8 +197,9 @@ def make_next(truth: Truth, planned: Motion) -> Motion:
     assert isinstance(plant, ServoPlant)
     ((name, log),) = planned.joints.items()
     assert log.command is not None
+    assert log.enabled is not None
     times_s, seed = log.position.time_s, truth.seed * 100 + NEXT_NUMBER
-    gain, heat_degC = np.full(times_s.size, planned.gain[name]), robot_draw.temperature_degC(NEXT_NUMBER)
+    gain, heat_degC = planned.gain[name] * log.enabled.value, robot_draw.temperature_degC(NEXT_NUMBER)
     shown = plant.simulate(log.command.value[None], PERIOD_S, seed, heat_degC, gain)
     (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, NEXT_NUMBER]))
     joint = JointLog(

@@ -97,6 +97,8 @@ def command_table(robot: Robot, motion: Motion) -> str:
         signal = log.position if key == "position" or log.command is None else log.command
         factor, offset = conversion(one, UNITS[one.unit].quantity, table)
         columns[one.column] = _texts((signal.value - offset) / factor)
+        if table.enabled and log.enabled:
+            columns[table.enabled.column] = _texts(log.enabled.value)
         if table.gain_column:
             columns[table.gain_column] = _texts(np.full(first.size, motion.gain[name]))
     for name, condition in file.conditions.items():

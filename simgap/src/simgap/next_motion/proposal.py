@@ -10,7 +10,14 @@ from simgap.arrays import Array, Flags
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Size
 from simgap.logs import Logs, Motion, Usable
-from simgap.next_motion.family import Plan, START_s, list_plans, make_motion
+from simgap.next_motion.family import (
+    Plan,
+    START_s,
+    list_contacts,
+    list_plans,
+    list_touching,
+    make_motion,
+)
 from simgap.next_motion.rivals import choose_rivals, is_sure
 from simgap.next_motion.separation import Choice, Slopes, choose_motion, scale_slopes
 from simgap.residuals.conditioned import join_conditions
@@ -25,6 +32,9 @@ AT_ONCE: Final = 32
 """Motions that are simulated together, between two reports of the progress."""
 SCREENED: Final = 0.7
 """Share of the time after the simulation of all motions, for the progress: 6.7 s of 9.1 s for a servo arm."""
+
+POSE_SAMPLES: Final = 5
+"""Samples between two poses in which contacts are looked for: a tenth of a second."""
 
 Report = Callable[[float, str], None]
 """Takes the share that is done and a text."""
@@ -173,6 +183,9 @@ class _Family:
         if not isinstance(white, WhitenedResiduals):
             white = WhitenedResiduals(earlier, neighbour_correlation(earlier, left))
         self._correlation, self._scales = white.correlation, scale_residuals(white, white.whiten(left))
+        speeds, joint_of = _speeds(earlier, earlier.explain("position")), earlier.joint_of
+        self._fastest = np.array([speeds[joint_of == j].max(initial=0.0) for j in range(len(earlier.joints))])
+        self._touching = list_touching(robot, motions)
         rows = self._select(earlier)
         every = np.concatenate([models.points, models.neighbours])
         values = self._whiten(white, earlier.residuals(union.effects, every))[:, rows]
@@ -201,8 +214,16 @@ class _Family:
         model = join_conditions(
             self._robot, motions, lambda one, own, _: SimulationResiduals(one, own, is_measured=False)
         )
-        residuals = model.residuals(self._models.union.effects, points)
-        return model, np.where(np.abs(residuals) < PENALTY_rad, residuals, np.nan)
+        residuals, n = model.residuals(self._models.union.effects, points), len(self._models.points)
+        is_known = np.abs(residuals) < PENALTY_rad
+        moved = model.explain("position") - residuals[:n]
+        # faster than in the logs, as at a resonance, grows what every rival lacks
+        is_known[:n] &= _speeds(model, moved) <= self._fastest[model.joint_of]
+        for k in range(len(some)):
+            here = model.motion_of == k
+            poses = moved[0, here].reshape(len(model.joints), -1).T[::POSE_SAMPLES]
+            is_known[:, here] &= list_contacts(self._robot, poses) <= self._touching
+        return model, np.where(is_known, residuals, np.nan)
 
     def _compare(self, some: Sequence[int], points: Array) -> list[Array]:
         """Return whitened residuals of each motion after its start, (n_points, n)."""
@@ -242,6 +263,12 @@ class _Family:
             for j, name in enumerate(model.joints)
             if (own := rows & (model.joint_of == j)).any()
         )
+
+
+def _speeds(model: ResidualModel, positions: Array) -> Array:
+    """Return speeds from positions at the rows of a model, (.., n); 0 at the first of a joint in a motion."""
+    step_s = np.diff(model.time_s, prepend=np.inf)
+    return np.asarray(np.where(step_s > 0.0, np.abs(np.diff(positions, prepend=0.0) / step_s), 0.0))
 
 
 def neighbour_correlation(model: ResidualModel, residuals: Array) -> Array:
