@@ -11,6 +11,7 @@ from scipy.stats import norm
 from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
 from helpers.pendulum import motion, pendulum, recorded, waves, with_signals
+from helpers.robot_folder import ROBOT as ROBOT_FILE
 from helpers.robot_folder import write_csv, write_robot
 from helpers.verdicts import diagnosis
 from simgap.arrays import Array
@@ -202,10 +203,11 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
 
 
 def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path))
-    time_s = np.array([0.0, 0.01])
+    power = 'enabled = { column = "on", unit = "flag" }\n\n[joints.elbow]'
+    robot = Robot.from_toml(write_robot(tmp_path, text=ROBOT_FILE.replace("[joints.elbow]", power)))
+    time_s, on = np.array([0.0, 0.01]), Signal(np.array([0.0, 0.01]), np.array([1.0, 0.0]))
     position = JointLog(position=Signal(time_s, np.array([0.5, 0.6])))
-    joints = {"shoulder": replace(position, command=position.position), "elbow": position}
+    joints = {"shoulder": replace(position, command=position.position, enabled=on), "elbow": position}
     planned = Motion("next", joints, {"shoulder": 3.0, "elbow": 1.0}, conditions={"gain": 3.0})
     first, second = csv.DictReader(command_table(robot, planned).splitlines())
     assert first["motion"] == "next"
@@ -213,6 +215,7 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
     assert float(second["c1"]) == pytest.approx(np.degrees(0.6))
     assert float(first["q2"]) == pytest.approx(0.5 * 50.0 * 4096.0 / (2.0 * np.pi))
     assert float(first["gain"]) == 3.0
+    assert [first["on"], second["on"]] == ["1", "0"]
 
 
 def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):

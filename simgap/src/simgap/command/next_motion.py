@@ -16,7 +16,6 @@ from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable
 from simgap.files.motion_rows import conversion
-from simgap.files.robot_file import SignalColumn
 from simgap.loading import load
 from simgap.logs import Motion
 from simgap.next_motion.family import NAME
@@ -92,9 +91,9 @@ def command_table(robot: Robot, motion: Motion) -> str:
     columns[file.time.column or "time"] = _texts(first / UNITS[file.time.unit].factor)
     for name, table in file.joints.items():
         log = motion.joints[name]
-        key = "position" if table.command is None or log.command is None else "command"
-        one: SignalColumn = getattr(table, key)
-        signal = log.position if key == "position" or log.command is None else log.command
+        one, signal = table.position, log.position
+        if table.command and log.command:
+            one, signal = table.command, log.command
         factor, offset = conversion(one, UNITS[one.unit].quantity, table)
         columns[one.column] = _texts((signal.value - offset) / factor)
         if table.enabled and log.enabled:

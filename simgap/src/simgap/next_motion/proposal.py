@@ -32,10 +32,6 @@ AT_ONCE: Final = 32
 """Motions that are simulated together, between two reports of the progress."""
 SCREENED: Final = 0.7
 """Share of the time after the simulation of all motions, for the progress: 6.7 s of 9.1 s for a servo arm."""
-
-POSE_SAMPLES: Final = 5
-"""Samples between two poses in which contacts are looked for: a tenth of a second."""
-
 Report = Callable[[float, str], None]
 """Takes the share that is done and a text."""
 
@@ -221,7 +217,7 @@ class _Family:
         is_known[:n] &= _speeds(model, moved) <= self._fastest[model.joint_of]
         for k in range(len(some)):
             here = model.motion_of == k
-            poses = moved[0, here].reshape(len(model.joints), -1).T[::POSE_SAMPLES]
+            poses = moved[0, here].reshape(len(model.joints), -1).T[::5]
             is_known[:, here] &= list_contacts(self._robot, poses) <= self._touching
         return model, np.where(is_known, residuals, np.nan)
 
