@@ -63,8 +63,9 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
     if not made.proposal.choice.tells_apart:
         return [*lines]
     split = made.robot.file.split if made.robot.file else ""
-    named = f' Name it "{NAME}" in a part of {split} that is fitted.' if split else ""
-    after = f"Then diagnose the earlier logs and that of this motion together.{named}"
+    names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
+    named = f" Name its runs {names} in a part of {split} that is fitted." if split else ""
+    after = f"Then diagnose the earlier logs and those of this motion together.{named}"
     return [*lines, *next_tables(made.proposal), after]
 
 
