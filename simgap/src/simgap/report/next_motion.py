@@ -23,7 +23,7 @@ FORMAT: Final = "next motion 1"
 """Name and version of the document."""
 SHOWN: Final = 5
 """Motions in the table."""
-COLOURS: Final = ("#d55e00", "#1f7ad6", "#009e73", "#cc79a7", "#a08000")
+COLOURS: Final = ("#d55e00", "#1f7ad6", "#009e73", "#cc79a7", "#a08000", "#56b4e9", "#e69f00", "#808080")
 """Colours of rivals (Okabe and Ito), which people with any vision can tell apart."""
 BAND: Final = 2.0
 """Half the width of a band, in standard deviations of the noise."""
