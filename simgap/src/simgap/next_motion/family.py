@@ -214,7 +214,8 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
             values["command"] = path if joint.mode is ControlMode.POSITION else speed
         if log.temperature is not None:
             values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
-        there = {key: Signal(time_s, own) for key, own in values.items() if getattr(log, key) is not None}
+        known = {key for key in values if getattr(log, key)} | ({"enabled"} if plan.off_s < np.inf else set())
+        there = {key: Signal(time_s, own) for key, own in values.items() if key in known}
         joints[joint.name] = JointLog(**there)
     return Motion(name, joints, plan.gain, conditions=plan.conditions)
 
