@@ -200,7 +200,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
         x, _, z = X_RT.R.T
-        aside = np.sign(config.arm.X_FT[tool].R[:, 2] @ config.arm.X_FT[tool].p) * z
+        aside = np.copysign(1.0, config.arm.X_FT[tool].R[:, 2] @ config.arm.X_FT[tool].p) * z
         for name, tilt_rad in (("place", 0.0), ("slide", SLIDE_RAD))[: 1 + (tool == touching[-1])]:
             normal_R = -(np.cos(tilt_rad) * x + np.sin(tilt_rad) * aside)
             sessions.append(placement_session(f"{name}-{tool}", tool, start, X_RT.p, x, normal_R))

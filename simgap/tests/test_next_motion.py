@@ -23,7 +23,7 @@ from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.next_motion import family
-from simgap.next_motion.family import list_contacts, list_plans, make_motion
+from simgap.next_motion.family import Plan, list_contacts, list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
 from simgap.next_motion.rivals import choose_rivals
 from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
@@ -119,9 +119,10 @@ def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
     assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, off, ["swing"], False))
     plan = next(one for one in list_plans(ROBOT, off, ["swing"], True) if one.off_s < np.inf)
     assert ", without power from 5 s" in plan.describe(ROBOT)
-    enabled = make_motion(ROBOT, plan, off[0]).joints["swing"].enabled
-    assert enabled is not None
-    assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
+    for logged in (off[0], LOGS.fit[0]):  # the first log may lack the column
+        enabled = make_motion(ROBOT, plan, logged).joints["swing"].enabled
+        assert enabled is not None
+        assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
 
 
 @pytest.mark.usefixtures("few")
@@ -216,6 +217,20 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
     assert float(first["q2"]) == pytest.approx(0.5 * 50.0 * 4096.0 / (2.0 * np.pi))
     assert float(first["gain"]) == 3.0
     assert [first["on"], second["on"]] == ["1", "0"]
+
+
+def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_motion_are_repeats(tmp_path):
+    power = 'enabled = { column = "on", unit = "flag" }\n'
+    text = ROBOT_FILE.replace("[joints.elbow]", f"{power}\n[joints.elbow]\n{power}")
+    text = text.replace('columns = ["motion"]', 'columns = ["motion"]\nrepeat_column = "repeat"')
+    robot, zeros = Robot.from_toml(write_robot(tmp_path, text=text)), Signal(TIME_s, 0.0 * TIME_s)
+    log = JointLog(position=zeros, command=zeros, enabled=zeros)
+    logged = Motion("m", {"shoulder": log, "elbow": log}, {"shoulder": 3.0}, conditions={"gain": 3.0})
+    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, 5.0)
+    planned = make_motion(robot, plan, logged)
+    assert all([*one.enabled.value[[0, -1]]] == [1.0, 0.0] for one in planned.joints.values())
+    first, *_, last = csv.DictReader(command_table(robot, planned).splitlines())
+    assert (first["on"], last["on"], first["repeat"]) == ("1", "0", "next")
 
 
 def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):

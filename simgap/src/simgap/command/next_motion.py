@@ -88,7 +88,8 @@ def command_table(robot: Robot, motion: Motion) -> str:
     """
     assert robot.file is not None
     file, first = robot.file, next(iter(motion.joints.values())).position.time_s
-    columns: dict[str, list[str]] = {name: [NAME] * first.size for name in file.motion.columns}
+    names = filter(None, (*file.motion.columns, file.motion.repeat_column))  # its runs repeat one another
+    columns: dict[str, list[str]] = {name: [NAME] * first.size for name in names}
     columns[file.time.column or "time"] = _texts(first / UNITS[file.time.unit].factor)
     for name, table in file.joints.items():
         log = motion.joints[name]

@@ -57,7 +57,7 @@ class Plan:
     """Value of the gain column of each joint."""
     conditions: Mapping[str, float]
     off_s: float = np.inf
-    """Time from which the motor of the joint has no power, so that it falls; infinite if it always has."""
+    """Time from which the joint, and all with its column of power, have none; infinite if they keep it."""
 
     def describe(self, robot: Robot) -> str:
         """Return the motion in words."""
@@ -200,19 +200,22 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
     """
     first = logged.joints[robot.joints[0].name].position.time_s
     time_s = np.arange(0.0, LENGTH_s, float(np.median(np.diff(first))))
-    joints = {}
+    columns = {name: one.enabled for name, one in (robot.file.joints if robot.file else {}).items()}
+    joints, power = {}, columns.get(plan.joint)
     for joint in robot.joints:
         log, path = logged.joints[joint.name], np.full(time_s.size, plan.others_rad.get(joint.name, 0.0))
         if joint.name == plan.joint:
             path = _path(plan, time_s)
         speed, still = np.gradient(path, time_s), np.zeros(time_s.size)
         values = {"position": path, "secondary": path, "velocity": speed, "torque": still}
-        values["enabled"] = still + ((joint.name != plan.joint) | (time_s < plan.off_s))
+        is_on = joint.name != plan.joint and (power is None or columns[joint.name] != power)
+        values["enabled"] = still + (is_on | (time_s < plan.off_s))
         if joint.mode in PATH_MODES:
             values["command"] = path if joint.mode is ControlMode.POSITION else speed
         if log.temperature is not None:
             values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
-        there = {key: Signal(time_s, own) for key, own in values.items() if getattr(log, key) is not None}
+        known = {key for key in values if getattr(log, key)} | ({"enabled"} if plan.off_s < np.inf else set())
+        there = {key: Signal(time_s, own) for key, own in values.items() if key in known}
         joints[joint.name] = JointLog(**there)
     return Motion(name, joints, plan.gain, conditions=plan.conditions)
 

@@ -114,7 +114,7 @@ def propose_motion(
 
     choice = choose_motion(predictions, differentiate)
     if not choice.motions:
-        raise RobotError("the rivals can make no motion of the family; log slower motions")
+        raise RobotError("in each motion a rival is faster than the logs or touches anew; log more motions")
     best = choice.motions[0]
     keys = tuple(one.effect for one in group)
     words = tuple(plan.describe(robot) for plan in plans)
