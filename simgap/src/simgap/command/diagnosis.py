@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from simgap.arrays import Array
 from simgap.catalogue.own_effects import load_effects
 from simgap.checks.audit import audit
 from simgap.command.request import ARM_FILE, CALIBRATED_FILE, FIT_SHARE, DiagnoseRequest
@@ -22,10 +23,9 @@ from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines
 from simgap.diagnosis import diagnose, end_sentence
+from simgap.effects.effect import Effect
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.loading import load
-from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
-from simgap.patch.text import FOUND_FILE, read_found
 from simgap.report.details import detail_lines
 from simgap.report.document import to_document
 from simgap.report.page import save_diagnosis_page
@@ -34,8 +34,9 @@ from simgap.report.traces import Trace, convert_trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what only poses or a patch need is loaded where it is used
     from simgap.command.poses import PoseDiagnosis
+    from simgap.patch.patch import Patch
 
 
 GOES_ON: Final = "the same command goes on after its last complete step"
@@ -50,7 +51,7 @@ class RobotDiagnosis:
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Of held-out motions, or of the fitted ones if none is held out; empty without a report."""
-    patch: Patch | None
+    patch: "Patch | None"
     digests: dict[str, str]
     """SHA-256 of the files that were read."""
     by_poses: "PoseDiagnosis | None" = None
@@ -86,14 +87,18 @@ def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -
 def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
+        from simgap.patch.patch import MODEL_FILE
+
         model = robot.path.parent / robot.file.model
         check_distinct_files({"model": model, "patch": request.patch / MODEL_FILE})
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
-    start = {} if request.start is None else read_found(robot, request.start)
     files = {"robot": [request.robot], "log": request.logs, "effects": request.effects}
+    start: dict[Effect, Array] = {}
     if request.start is not None:
-        files["start"] = [request.start / FOUND_FILE]
+        from simgap.patch.text import FOUND_FILE, read_found
+
+        start, files["start"] = read_found(robot, request.start), [request.start / FOUND_FILE]
     digests = digest_files(files)
     progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
@@ -115,7 +120,11 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
         error.add_note(GOES_ON)
         raise
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
-    patch = None if request.patch is None else make_patch(robot, *result.of_model(), result.rivals)
+    patch = None
+    if request.patch is not None:
+        from simgap.patch.patch import make_patch
+
+        patch = make_patch(robot, *result.of_model(), result.rivals)
     traces: tuple[Trace, ...] = ()
     if request.report is not None:
         made = trace_motions(robot, logs.judged or logs.fit, result, found.usable)
@@ -157,6 +166,8 @@ def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
     if folder is not None:
         try:
             if made.patch is not None:
+                from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, write_patch
+
                 write_patch(made.patch, folder)
                 if made.patch.runtime:
                     apart = f"{folder / RUNTIME_FILE} has what {MODEL_FILE} lacks: train with both"
@@ -180,6 +191,9 @@ def _check_folder(folder: Path | None) -> None:
     """Check that a folder is there or can be made, before hours of work."""
     if folder is None:
         return
+    from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE
+    from simgap.patch.text import FOUND_FILE
+
     check_new_path(folder, "patch")
     if folder.exists() and not folder.is_dir():
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
