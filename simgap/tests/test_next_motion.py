@@ -86,7 +86,7 @@ ROBOT = pendulum(kp=3.0, period_s=0.01)
 PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
 EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
 DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
-ZONE = EFFECTS["swing: dead zone"]
+ZONE, PUSH = EFFECTS["swing: dead zone"], EFFECTS["swing: constant torque"]
 
 
 LOGS = Logs(
@@ -133,6 +133,17 @@ def test_a_motion_in_which_a_rival_is_faster_than_the_logs_is_never_proposed():
     made, _ = propose_motion(ROBOT, logs, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
     assert any("in jumps" in one for one in made.motions)
     assert all("in jumps" not in made.motions[k] for k in made.choice.motions)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_motion_in_which_any_rival_comes_to_a_limit_is_never_proposed():
+    robot = pendulum(kp=3.0, period_s=0.01)
+    robot.model.jnt_limited[0], robot.model.jnt_range[0] = True, (-2.0, 1.6)
+    made, _ = propose_motion(robot, LOGS, [rival(DELAY, 0.02, 1.0), rival(PUSH, 1.0)])
+    plans = list_plans(robot, LOGS.fit, ["swing"], True)
+    assert any(one.ends_rad[1] > 1.2 for one in plans)
+    assert all(plans[k].ends_rad[1] < 1.2 for k in made.choice.motions)
+    assert np.isfinite(made.curves[0].values).all()  # a fast start, which is not compared, is not drawn
 
 
 def test_a_pose_beyond_the_range_of_a_joint_counts_as_a_contact():
