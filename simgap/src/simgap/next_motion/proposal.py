@@ -257,8 +257,7 @@ class _Family:
     def draw(self, k: int) -> tuple[Curve, ...]:
         """Return what the rivals predict of each joint that is compared in a motion."""
         model, residuals = self._simulate([k], self._models.points)
-        rows = self._select(model) & (model.time_s >= START_s)
-        predicted = residuals.mean(axis=0) - residuals
+        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model) & (model.time_s >= START_s)
         return tuple(
             Curve(name, model.units[j], model.time_s[own], predicted[:, own], float(self._scales[j]))
             for j, name in enumerate(model.joints)
