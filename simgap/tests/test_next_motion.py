@@ -86,7 +86,7 @@ ROBOT = pendulum(kp=3.0, period_s=0.01)
 PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
 EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
 DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
-ZONE = EFFECTS["swing: dead zone"]
+ZONE, PUSH = EFFECTS["swing: dead zone"], EFFECTS["swing: constant torque"]
 
 
 LOGS = Logs(
@@ -121,7 +121,6 @@ def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
     assert ", without power from 5 s" in plan.describe(ROBOT)
     for logged in (off[0], LOGS.fit[0]):  # the first log may lack the column
         enabled = make_motion(ROBOT, plan, logged).joints["swing"].enabled
-        assert enabled is not None
         assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
 
 
@@ -133,6 +132,17 @@ def test_a_motion_in_which_a_rival_is_faster_than_the_logs_is_never_proposed():
     made, _ = propose_motion(ROBOT, logs, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
     assert any("in jumps" in one for one in made.motions)
     assert all("in jumps" not in made.motions[k] for k in made.choice.motions)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_motion_in_which_any_rival_comes_to_a_limit_is_never_proposed():
+    robot = pendulum(kp=3.0, period_s=0.01)
+    robot.model.jnt_limited[0], robot.model.jnt_range[0] = True, (-2.0, 1.6)
+    made, _ = propose_motion(robot, LOGS, [rival(DELAY, 0.02, 1.0), rival(PUSH, 1.0)])
+    plans = list_plans(robot, LOGS.fit, ["swing"], True)
+    assert any(one.ends_rad[1] > 1.2 for one in plans)
+    assert all(plans[k].ends_rad[1] < 1.2 for k in made.choice.motions)
+    assert np.isfinite(made.curves[0].values).all()  # a fast start, which is not compared, is not drawn
 
 
 def test_a_pose_beyond_the_range_of_a_joint_counts_as_a_contact():
@@ -227,9 +237,7 @@ def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_moti
     log = JointLog(position=zeros, command=zeros, enabled=zeros)
     logged = Motion("m", {"shoulder": log, "elbow": log}, {"shoulder": 3.0}, conditions={"gain": 3.0})
     plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, 5.0)
-    planned = make_motion(robot, plan, logged)
-    assert all([*one.enabled.value[[0, -1]]] == [1.0, 0.0] for one in planned.joints.values())
-    first, *_, last = csv.DictReader(command_table(robot, planned).splitlines())
+    first, *_, last = csv.DictReader(command_table(robot, make_motion(robot, plan, logged)).splitlines())
     assert (first["on"], last["on"], first["repeat"]) == ("1", "0", "next")
 
 

@@ -186,7 +186,8 @@ def list_contacts(robot: Robot, q_rad: Array) -> set[tuple[int, int]]:
     found, model = set(), robot.model
     for _, data in visit_poses(robot, [one.name for one in robot.joints], q_rad):
         mujoco.mj_collision(model, data)
-        found |= {(int(one.geom1), int(one.geom2)) for one in data.contact}
+        if data.ncon:  # to read the contacts takes longer than all the rest
+            found |= {(int(a), int(b)) for a, b in data.contact.geom}
         (low, high), q = model.jnt_range.T, data.qpos[model.jnt_qposadr]
         found |= {(-1, int(k)) for k in np.flatnonzero(model.jnt_limited * ((q < low) | (q > high)))}
     return found

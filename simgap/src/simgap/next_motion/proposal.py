@@ -221,7 +221,7 @@ class _Family:
         is_known[:n] &= _speeds(model, moved) <= self._fastest[model.joint_of]
         for k in range(len(some)):
             here = model.motion_of == k
-            poses = moved[0, here].reshape(len(model.joints), -1).T[::5]
+            poses = np.hstack([*moved[:, here].reshape(n, len(model.joints), -1)[:, :, ::5]]).T
             is_known[:, here] &= list_contacts(self._robot, poses) <= self._touching
         return model, np.where(is_known, residuals, np.nan)
 
@@ -257,7 +257,7 @@ class _Family:
     def draw(self, k: int) -> tuple[Curve, ...]:
         """Return what the rivals predict of each joint that is compared in a motion."""
         model, residuals = self._simulate([k], self._models.points)
-        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model)
+        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model) & (model.time_s >= START_s)
         return tuple(
             Curve(name, model.units[j], model.time_s[own], predicted[:, own], float(self._scales[j]))
             for j, name in enumerate(model.joints)
