@@ -98,6 +98,8 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
         cosine = -float(normal_R @ axis_R)
         # the lowest pad alone bears a touch if the tool leans
         in_m = (one.press_N * cosine - TOUCHING_N * len(pads)) * compliance_m_N
+        if in_m <= 0.0:  # pressed no more than touched
+            continue
         way_m = (normal_R @ begin_R_m).min() - (normal_R @ end_R_m).mean()
         yield PressFeature(float(way_m), in_m, 0.0, _make_feature(one, "press", normal_R, after, in_m))
         aside_R = axis_R + cosine * normal_R

@@ -72,7 +72,7 @@ def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -
         made = diagnose_poses(request, file, progress)
         return RobotDiagnosis(request, made.diagnosis, (), None, made.digests, made)
     given = {
-        f"terms {request.terms}": request.terms not in ("all", "none"),
+        f"terms {request.terms!r}": request.terms not in ("all", "none"),
         "fit-share": request.fit_share != FIT_SHARE,
         "nested": request.nested,
     }

@@ -64,8 +64,8 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
         return [*lines]
     split = made.robot.file.split if made.robot.file else ""
     names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
-    named = f" Name its runs {names} in a part of {split} that is fitted." if split else ""
-    after = f"Then diagnose the earlier logs and those of this motion together.{named}"
+    part = f" in a part of {split} that is fitted" if split else ""
+    after = f"Name its runs {names}{part}. Then diagnose the earlier logs and those of this motion together."
     return [*lines, *next_tables(made.proposal), after]
 
 
