@@ -63,7 +63,13 @@ def step(
         surface=state.surface,
         changed_config=state.changed_config,
     )
-    return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
+    evrs = decided + after.evrs
+    if before.tick == 0:
+        evrs = (Booted(config.params_sha256), *evrs)
+    if state.mode is not before.mode:
+        evrs = (*evrs, ModeChanged(before.mode, state.mode))
+    channels = joint_channels(before.tick, state, backlash_state)
+    return state, Outputs(state.drive, channels, tool_channels, evrs)
 
 
 def _filter_structure(config: Config, state: State, reading_C: float) -> tuple[float, int]:
@@ -138,19 +144,3 @@ def _move(
             before, joints = joints, apply_calibration(config, joints, load.torque_Nm, joint, found)
             evrs = (found.to_event(joint, float((joints.motor_rad - before.motor_rad)[joint])), *evrs)
     return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, backlash_rad
-
-
-def _make_outputs(
-    config: Config,
-    before: State,
-    state: State,
-    backlash_state: Array,
-    tool: ToolChannels | None,
-    evrs: tuple[Evr, ...],
-) -> Outputs:
-    """Build the outputs of this cycle."""
-    if before.tick == 0:
-        evrs = (Booted(config.params_sha256), *evrs)
-    if state.mode is not before.mode:
-        evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    return Outputs(state.drive, joint_channels(before.tick, state, backlash_state), tool, evrs)

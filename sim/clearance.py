@@ -66,7 +66,8 @@ class ClearanceModel:
         own = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
         others = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 2]
         self._outside = np.array([(a, b) for a in own for b in others])
-        self._self = np.array([(a, b) for a in own for b in own if _are_separate(model, a, b)])
+        link = {geom: _link_number(model, geom) for geom in own}  # the turret and its tools are one
+        self._self = np.array([(a, b) for a in own for b in own if link[b] - link[a] >= 2])
 
     def clearance(self, poses_rad: Array) -> Clearance:
         """Compute the least clearances over poses, (5, n), with the arm deflected by gravity."""
@@ -104,14 +105,6 @@ def _part_name(model: mujoco.MjModel, geom: int) -> str:
     is_own = model.geom_contype[geom] == 1
     name: str = model.body(model.geom_bodyid[geom]).name if is_own else model.geom(geom).name
     return name.replace("_", " ")
-
-
-def _are_separate(model: mujoco.MjModel, one: int, other: int) -> bool:
-    """Return whether two geoms of the arm are neither on one link nor on neighbours.
-
-    The turret and its tools are one link.
-    """
-    return _link_number(model, other) - _link_number(model, one) >= 2
 
 
 def _link_number(model: mujoco.MjModel, geom: int) -> int:

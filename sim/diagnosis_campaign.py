@@ -61,6 +61,8 @@ TILTED_POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
 )
 """Pairs of near poses [deg] on the same branches, for the rolled rover."""
 PRESS_N: Final = 200.0
+SLIDE_RAD: Final = float(np.radians(20.0))
+"""Tilt of a rock on which a tool stays by its friction, and slips with a quarter less."""
 STANDOFF_M: Final = 0.02
 """Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
@@ -184,7 +186,11 @@ def coordinated_sessions(params: Params) -> list[DiagnosisSession]:
 
 
 def placement_sessions(params: Params) -> list[DiagnosisSession]:
-    """List placements of the first and the last tool with switches, each on a rock in front of the tool."""
+    """List placements of the first and the last tool with switches, each on a rock in front of the tool.
+
+    A last rock is tilted away from the turret, about the y axis of the tool, which the pads are on: the tool
+    presses aside.
+    """
     config, sessions = configure(params), []
     touching = [tool for tool, switches in params.tool_switches.items() if switches]
     for tool in dict.fromkeys((touching[0], touching[-1])):
@@ -193,19 +199,24 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
-        sessions.append(placement_session(f"place-{tool}", tool, start, X_RT.p, X_RT.R[:, 0]))
+        x, _, z = X_RT.R.T
+        aside = np.copysign(1.0, config.arm.X_FT[tool].R[:, 2] @ config.arm.X_FT[tool].p) * z
+        for name, tilt_rad in (("place", 0.0), ("slide", SLIDE_RAD))[: 1 + (tool == touching[-1])]:
+            normal_R = -(np.cos(tilt_rad) * x + np.sin(tilt_rad) * aside)
+            sessions.append(placement_session(f"{name}-{tool}", tool, start, X_RT.p, x, normal_R))
     return sessions
 
 
 def placement_session(
-    name: str, tool: str, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
+    name: str, tool: str, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array, normal_R: Array
 ) -> DiagnosisSession:
     """Make a session that places a tool on a rock in front of it and presses."""
     touch = p_RoTo_R_m + STANDOFF_M * approach_R
     p_N = touch - p_R_from_N(np.zeros(3))
-    world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
+    world = World("mars", surface=Surface(vector3(p_N), vector3(normal_R)))
     end = vector3(touch + OVERTRAVEL_M * approach_R)
-    commands: tuple[Command, ...] = (GuardedMove(tool, end, vector3(approach_R)), Preload(tool, PRESS_N))
+    touch_rock = GuardedMove(tool, end, vector3(approach_R), normal_R=vector3(normal_R))
+    commands: tuple[Command, ...] = (touch_rock, Preload(tool, PRESS_N))
     return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, tracked=True)
 
 

@@ -39,11 +39,6 @@ def params_toml(base: Params, params: Params, comments: Sequence[str]) -> str:
     return toml_text(_changed_values(params_table(base), table) | {"model": table["model"]}, comments)
 
 
-def full_params_toml(params: Params, comments: Sequence[str]) -> str:
-    """Write all parameters as TOML, below comment lines."""
-    return toml_text(params_table(params), comments)
-
-
 def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for key, value in new.items():

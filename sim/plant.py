@@ -18,7 +18,9 @@ from sim.mujoco_settings import (
     REFERENCE_STEP_S,
     apply_settings,
     change_gains,
+    keep_pad_springs,
     match_reference_damping,
+    read_pad_springs,
     read_servos,
 )
 from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
@@ -140,6 +142,7 @@ class Plant:
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
+        self._pad_springs = read_pad_springs(model)
         self._servos = read_servos(model, self.at.actuators)
         self.move_disturbance = no_move_disturbance()
         self.disturbance = NO_DISTURBANCE
@@ -267,6 +270,8 @@ class Plant:
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
             mujoco.mj_step(self.model, data)
+            if data.ncon:
+                keep_pad_springs(self.model, data, self._pad_springs)
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()

@@ -5,7 +5,7 @@ software plans the move. Motors follow it, and the gears pull the outputs along.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,7 @@ from fsw.dictionary.enums import Frame
 from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.estimate.gear import LIKELY, bound_gear, bound_loads, clip_to_backlash
 from fsw.estimate.joints import uninitialised_estimate
-from fsw.estimate.reference import Reference
+from fsw.estimate.reference import no_reference
 from fsw.kinematics.chain import frame_jacobian, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
@@ -95,44 +95,22 @@ def usual_limits_rad(config: Config) -> tuple[Array, Array]:
     return arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StaticArm:
-    """True arm, and the parameters that flight software has for it."""
-
-    believed: Config
-    true: Config
-    reference: Reference
-    off_rad: Array
-    """True less estimated motor angles, shape (5,)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class QuasiStaticMove:
-    """Arm at rest after a move."""
-
-    X_RT: Pose
-    backlash_rad: Array
-    """Positions of the outputs in their backlash, shape (5,)."""
-
-
 def solve_quasi_static_move(
-    arm: StaticArm,
+    believed: Config,
+    true: Config,
     start_rad: Array,
     pose_rad: Array,
     tool: str,
     gravity_R_m_s2: Array,
     backlash: BacklashMode,
     disturbance: MoveDisturbance,
-) -> QuasiStaticMove:
-    """Compute the arm at rest after a move.
+) -> tuple[Pose, Array]:
+    """Compute the pose X_RT of the tool at rest after a move, and the outputs in their backlash, (5,).
 
+    It begins after an initialisation without errors. The disturbance displaces frames, gears and motors.
     Displaced frames are small, so that they move the tool in proportion.
-
-    Args:
-        arm: True arm and what flight software knows about it.
-        disturbance: Displacements of frames, gears and motors in this move.
     """
-    believed, true, reference = arm.believed, arm.true, arm.reference
+    reference = no_reference(believed)
     deflected = settle_output(believed.arm, pose_rad, gravity_R_m_s2)
     loads = bound_loads(believed, deflected.torque_Nm, gravity_R_m_s2)
     gear_bounds = bound_gear(believed, reference.half_backlash_rad, loads)
@@ -144,7 +122,7 @@ def solve_quasi_static_move(
         imu_R_m_s2=gravity_R_m_s2,
     )
     plan = plan_joint_move(believed, joints, start, pose_rad, deflected.torque_Nm, Compensation(backlash))
-    off_rad = arm.off_rad + disturbance.motor_rad
+    off_rad = true.hardstop_rad - believed.hardstop_rad + disturbance.motor_rad
     motor = start.motor_rad + off_rad
     torque = settle_output(true.arm, pose_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
@@ -158,6 +136,4 @@ def solve_quasi_static_move(
     J = frame_jacobian(frames, X_RT)
     shift = np.einsum("ikj,kj->i", J, screws)
     moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
-    return QuasiStaticMove(
-        Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_backlash_rad, gear)
-    )
+    return Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_backlash_rad, gear)

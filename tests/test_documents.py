@@ -24,21 +24,21 @@ PARTS: Final = ("fsw", "sim", "marsarm", "simgap", "tests", "validation", "examp
 PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}
 
 
-def test_a_dead_link_and_a_dead_anchor_are_found(tmp_path: Path) -> None:
+def test_a_dead_link_and_a_dead_anchor_are_found(tmp_path):
     links = runpy.run_path(str(ROOT / ".ci" / "links.py"))
     page = tmp_path / "page.md"
     page.write_text("# A page\n[none](none.md) [here](#a-page) [there](#other)\n```\n[code](code.md)\n```\n")
     assert links["find_dead"](page) == ["#other", "none.md"]
 
 
-def test_every_file_that_a_page_names_exists() -> None:
+def test_every_file_that_a_page_names_exists():
     named = re.compile(r"`((?:fsw|sim|marsarm|simgap|tests|models|validation|examples|docs|\.ci)/[\w./-]+)`")
     there = {page.name: named.findall(page.read_text()) for page in PAGES if page.name != "CHANGELOG.md"}
     gone = {name: [file for file in files if not (ROOT / file).exists()] for name, files in there.items()}
     assert {name: files for name, files in gone.items() if files} == {}
 
 
-def test_every_module_that_a_page_names_without_its_folder_exists() -> None:
+def test_every_module_that_a_page_names_without_its_folder_exists():
     modules = {path.name for part in PARTS for path in (ROOT / part).rglob("*.py")}
     named = {name for page in PAGES for name in re.findall(r"`(\w+\.py)`", page.read_text())}
     assert named <= modules
@@ -70,13 +70,13 @@ def find_unknown(words: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page: Path) -> None:
+def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page):
     if page.name != "CHANGELOG.md":  # it names what is gone
         unknown = {" ".join(words): find_unknown(words) for words in commands_in(page.read_text())}
         assert {command: words for command, words in unknown.items() if words} == {}
 
 
-def test_every_campaign_and_target_of_a_page_exists() -> None:
+def test_every_campaign_and_target_of_a_page_exists():
     campaign = re.compile(r"(?:NAME=|[Cc]ampaigns? `|python -m validation )([a-z][a-z0-9-]*)")
     target = re.compile(r"(?:`|^)make ([a-z-]+)", re.MULTILINE)
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -86,7 +86,7 @@ def test_every_campaign_and_target_of_a_page_exists() -> None:
         assert set(target.findall(text)) <= set(targets), page
 
 
-def test_an_unknown_verb_and_an_unknown_option_are_found() -> None:
+def test_an_unknown_verb_and_an_unknown_option_are_found():
     text = "`marsarm place --arm x --where y`\n```sh\nmarsarm log info run.mcap --json\nsimgap fly  # no\n```"
     assert [find_unknown(words) for words in commands_in(text)] == [[], ["fly"], ["--where"]]
 

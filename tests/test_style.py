@@ -10,15 +10,9 @@ MODULE = '"""Return nothing."""\n'
 FUNCTION = "def turn(angle: Array) -> Array:\n"
 
 
-def load_style():
-    """Load the script as a module."""
-    spec = spec_from_file_location("style", CI / "style.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-STYLE = load_style()
+SPEC = spec_from_file_location("style", CI / "style.py")
+STYLE = module_from_spec(SPEC)
+SPEC.loader.exec_module(STYLE)
 
 
 def problems(folder: Path, place: str, text: str) -> list[tuple[int, str]]:

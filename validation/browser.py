@@ -23,7 +23,6 @@ from marsarm.runs.request import PlaceRequest, RunFiles
 from marsarm.view.page import save_page
 from marsarm.view.watched_run import watch_log
 from simgap.common.errors import BadRequest
-from simgap.common.progress import Progress
 from validation.campaigns import Context, Document
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome-headless-shell")
@@ -236,14 +235,20 @@ def view(context: Context, log: Path | None = None) -> Document:
     if find_chromium() is None:
         raise BadRequest(f"view: {MISSING}")
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        log = log or record_placement(Path(folder) / "run.mcap", context.progress)
+        if log is None:
+            log = Path(folder) / "run.mcap"
+            request = PlaceRequest(arm="as-built:7", tilt_pitch_deg=10.0, files=RunFiles(log=log))
+            place(request, context.progress)
         page = Path(folder) / "run.html"
         size = save_page(watch_log(log), page)
         browser.open(page.as_uri())
         browser.evaluate(MEASURE % (1, SECONDS))  # the first frames compile shaders and upload shapes
         measured = {speed: browser.evaluate(MEASURE % (speed, SECONDS)) for speed in SPEEDS}
-        if context.out is not None:
-            take_pictures(browser, page, context.out)
+        shots = {} if context.out is None else {context.out / name: shot for name, shot in SHOTS.items()}
+        for path, (width, height, dark, time_s, factor) in shots.items():
+            moment = f"#t={time_s}&x={factor}&camera=all"
+            browser.open(page.as_uri() + moment, width, height, dark, ready=RESTS)
+            browser.save_screenshot(path)
     frames = {speed: frames_s for speed, (frames_s, _) in measured.items()}
     passed = min(frames.values()) >= BOUND_FRAMES_S and size <= BOUND_BYTES
     return {
@@ -255,17 +260,3 @@ def view(context: Context, log: Path | None = None) -> Document:
         "problems_of_the_page": browser.problems,
         "in_bounds": passed and not browser.problems,
     }
-
-
-def record_placement(log: Path, progress: Progress) -> Path:
-    """Record a placement of an as-built arm on a tilted rover."""
-    place(PlaceRequest(arm="as-built:7", tilt_pitch_deg=10.0, files=RunFiles(log=log)), progress)
-    return log
-
-
-def take_pictures(browser: Browser, page: Path, folder: Path) -> None:
-    """Take the pictures of the docs."""
-    for name, (width, height, dark, time_s, factor) in SHOTS.items():
-        moment = f"#t={time_s}&x={factor}&camera=all"
-        browser.open(page.as_uri() + moment, width, height, dark, ready=RESTS)
-        browser.save_screenshot(folder / name)

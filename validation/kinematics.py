@@ -138,7 +138,11 @@ def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
     lean_y, lean_x = (np.asarray(rng.uniform(-most, most)) for most in (tilt_rad, 3))
     lean = rotation_y(lean_y) @ rotation_x(lean_x)
     p_m = clock @ [rng.uniform(0.2, 0.4), rng.uniform(-offset_m, offset_m), rng.uniform(-0.15, 0.0)]
-    X_FT = Pose(clock @ lean, p_m)
+    return with_tool(arm, Pose(clock @ lean, p_m))
+
+
+def with_tool(arm: Arm, X_FT: Pose) -> Arm:
+    """Build an arm with this tool frame instead of its tools."""
     shape = build_orthogonal_arm(arm.theta_rad, Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m), X_FT)
     return replace(arm, X_FT=dict.fromkeys(arm.X_FT, X_FT), orthogonal=dict.fromkeys(arm.X_FT, shape))
 

@@ -19,7 +19,7 @@ from fsw.estimate.gear import (
     gear_after_motor_turn,
     locate_in_backlash,
 )
-from fsw.estimate.reference import HardstopFit, Reference, provisional_reference, record_calibration
+from fsw.estimate.reference import HardstopFit, Reference
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle_output
 from fsw.kinematics.transforms import Array
@@ -131,8 +131,10 @@ def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> Join
 
 def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
     """Initialise the motor angles from the first readings."""
-    reference = provisional_reference(config, last.reference, sensors)
-    motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
+    # the resolvers give the encoder zeros of joints that were never calibrated
+    known, turned = last.reference, sensors.encoder_count * config.rad_per_count
+    zero = np.where(known.known, known.zero_rad, sensors.resolver_rad - turned)
+    reference, motor = replace(known, zero_rad=zero), turned + zero
     return replace(
         last, initialised=True, reference=reference, motor_rad=motor, imu_R_m_s2=sensors.gravity_R_m_s2
     )
@@ -152,16 +154,16 @@ def apply_calibration(
     bounds = bound_gear(config, half, bound_loads(config, load_Nm, joints.gravity_R_m_s2))
     gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
     motor = joints.motor_rad + np.where(this, shift, 0.0)
-    bias = read - motor - gear[:, LIKELY]
+    last = joints.reference
     return replace(
         joints,
-        reference=record_calibration(
-            joints.reference,
-            joint,
-            zero_rad=float(joints.reference.zero_rad[joint] + shift),
-            half_backlash_rad=found.half_backlash_rad,
-            resolver_bias_rad=float(bias[joint]),
-            friction_Nm=found.running_Nm - float(load_Nm[joint]),
+        reference=Reference(
+            calibrated=last.calibrated | this,
+            known=last.known | this,
+            zero_rad=np.where(this, last.zero_rad + shift, last.zero_rad),
+            half_backlash_rad=half,
+            resolver_bias_rad=np.where(this, read - motor - gear[:, LIKELY], last.resolver_bias_rad),
+            friction_Nm=np.where(this, found.running_Nm - load_Nm, last.friction_Nm),
         ),
         motor_rad=motor,
         gear_rad=gear,

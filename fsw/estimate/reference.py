@@ -26,7 +26,7 @@ from fsw.config import Config
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import JointCalibrated
 from fsw.kinematics.transforms import Array
-from fsw.messages import Flags, Sensors
+from fsw.messages import Flags
 
 RISE: Final = (0.2, 0.85)
 """Share of the rise to which the line is fitted, clear of both ends."""
@@ -235,33 +235,7 @@ def no_reference(config: Config) -> Reference:
     return Reference(never, never, zeros, config.half_backlash_rad, zeros, np.full(zeros.size, np.inf))
 
 
-def provisional_reference(config: Config, reference: Reference, sensors: Sensors) -> Reference:
-    """Set the encoder zeros of joints that were never calibrated from their resolvers."""
-    read = sensors.resolver_rad - sensors.encoder_count * config.rad_per_count
-    return replace(reference, zero_rad=np.where(reference.known, reference.zero_rad, read))
-
-
 def forget_joint(reference: Reference, joint: int) -> Reference:
     """Mark a joint as uncalibrated; its values stay as provisional ones."""
     others = np.arange(reference.zero_rad.size) != joint
     return replace(reference, calibrated=reference.calibrated & others)
-
-
-def record_calibration(
-    reference: Reference,
-    joint: int,
-    zero_rad: float,
-    half_backlash_rad: float,
-    resolver_bias_rad: float,
-    friction_Nm: float,
-) -> Reference:
-    """Record the calibration of a joint."""
-    this = np.arange(reference.zero_rad.size) == joint
-    return Reference(
-        calibrated=reference.calibrated | this,
-        known=reference.known | this,
-        zero_rad=np.where(this, zero_rad, reference.zero_rad),
-        half_backlash_rad=np.where(this, half_backlash_rad, reference.half_backlash_rad),
-        resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
-        friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
-    )

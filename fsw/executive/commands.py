@@ -83,7 +83,6 @@ from fsw.motion.move import ALL_JOINTS, NO_JOINTS, Move, MovePlan, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
-    PreloadState,
     anchor_contact,
     holding_force_N,
     locate_by_resolvers,
@@ -331,7 +330,9 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         return refuse(context, command, problem)
     preload = state.preload or model_contact(config, state.joints, command.tool)
     if state.mode is Mode.PRELOAD and command.force_N == 0 and preload.force_N < config.params.preload.step_N:
-        return _finish_release(context, command, preload)
+        # the release was stopped near its end: the remaining force is that of a touch at most
+        evrs = Preloaded(preload.tool, preload.force_N), CommandCompleted(command_name(command))
+        return _accept(context, command, *evrs, mode=TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED])
     if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
         return refuse(context, command, f"{command.tool} is pressed with {preload.force_N:.1f} N as it is")
     located = locate_by_resolvers(state.joints, preload)
@@ -357,13 +358,6 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         preload=preload,
         planned_backlash_rad=plan.backlash_rad,
     )
-
-
-def _finish_release(context: CommandContext, command: Preload, preload: PreloadState) -> CommandContext:
-    """Complete a release that was stopped near its end: the remaining force is that of a touch at most."""
-    preloaded, completed = Preloaded(preload.tool, preload.force_N), CommandCompleted(command_name(command))
-    mode = TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED]
-    return _accept(context, command, preloaded, completed, mode=mode)
 
 
 def _begin_hold(config: Config, context: CommandContext, command: Hold) -> CommandContext:

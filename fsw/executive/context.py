@@ -218,7 +218,10 @@ def check_arguments(params: Params, command: Command) -> str | None:
         case GuardedMove(tool=tool) | PlaceTool(tool=tool) | ToolChange(tool=tool, hover_m=0.0):
             if not params.tool_switches[tool]:
                 return f"{tool} has no contact switch to end a guarded move"
-            return None if isinstance(command, ToolChange) else _check_normal(command)
+            if not isinstance(command, ToolChange) and command.normal_R is not None:
+                is_inward = np.dot(command.normal_R, command.approach_R) >= 0
+                return "the normal points along the approach, not out of the surface" if is_inward else None
+            return None
         case ToolChange(hover_m=hover_m, standoff_m=standoff_m) if hover_m >= standoff_m:
             return f"hover at {hover_m:g} m is not below the standoff, {standoff_m:g} m"
         case _:
@@ -231,12 +234,6 @@ def check_force(params: Params, command: Preload) -> str | None:
     if command.force_N <= max_force_N:
         return None
     return f"force {command.force_N:g} N is outside 0 .. {max_force_N:g} N"
-
-
-def _check_normal(command: GuardedMove | PlaceTool) -> str | None:
-    if command.normal_R is None or np.dot(command.normal_R, command.approach_R) < 0:
-        return None
-    return "the normal points along the approach, not out of the surface"
 
 
 ENCODER_ZERO_PARAMS: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")

@@ -250,7 +250,8 @@ def solve_fixed_point(
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
     """
     n = selected.size
-    tolerance = root_tolerance(gravity_R_m_s2) * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2
+    largest = DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
+    tolerance = largest * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2
     roots = FixedPointRoots(
         start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), selected.copy(), np.zeros(n, bool)
     )
@@ -259,11 +260,6 @@ def solve_fixed_point(
         targets = p.take(block, axis=-1), a.take(block, axis=-1)
         _solve_block(arm, tool, *targets, gravity_R_m_s2, tolerance[block], block, roots)
     return replace(roots, converged=roots.error < tolerance)
-
-
-def root_tolerance(gravity_R_m_s2: Array) -> float:
-    """Return bounds of a root's position error [m], axis error [rad] and change of strain."""
-    return DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
 
 
 def _solve_block(

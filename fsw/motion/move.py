@@ -161,12 +161,6 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
     return stopped
 
 
-def find_closed_switch(config: Config, tool: str, closed: Flags) -> str | None:
-    """Return the name of the first closed contact switch of a tool, or None."""
-    first = next((k for k in config.protection.tool_switches[tool] if closed[k]), None)
-    return None if first is None else config.protection.switch_names[first]
-
-
 def _advance_homing(
     config: Config, move: Move, homing: Homing, joints: JointEstimate, load_Nm: Array, sensors: Sensors
 ) -> MoveUpdate:
@@ -185,11 +179,11 @@ def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Se
     plan = move.plan
     awaited = None if plan.touched else plan.guarded_tool
     if awaited is not None:
-        switch = find_closed_switch(config, awaited, sensors.switch_closed)
-        if switch is not None:
-            return _press_on_contact(
-                config, move, awaited, joints, ContactMade(switch, distance_travelled(move))
-            )
+        switches = config.protection.tool_switches[awaited]
+        first = next((k for k in switches if sensors.switch_closed[k]), None)
+        if first is not None:
+            made = ContactMade(config.protection.switch_names[first], distance_travelled(move))
+            return _press_on_contact(config, move, awaited, joints, made)
     path, time_s = plan.paths[0], (move.ticks + 1) * CYCLE_S
     running = _next_cycle(move, path.at(time_s))
     if time_s < path.duration_s:
@@ -246,7 +240,8 @@ def _advance_preload(
     """Advance a change of preload; when a leg ends, correct the force by the motor currents."""
     fit = move.force_fit
     if fit is not None and not move.plan.stopped:
-        preload, rate_N_s = preload_change.state_after(distance_travelled(move)), _travel_rate(move)
+        preload, path = preload_change.state_after(distance_travelled(move)), move.plan.paths[0]
+        rate_N_s = path.travel_at(move.ticks * CYCLE_S)[1] if isinstance(path, LinePath) else 0.0
         fit = update_force_fit(config, fit, preload, rate_N_s, move.setpoint, joints, load, sensors)
         move = replace(move, force_fit=fit)
     done = _follow_paths(config, move, joints, sensors)
@@ -294,11 +289,6 @@ def move_preload(move: Move) -> PreloadState | None:
 def _travel(move: Move, time_s: float) -> float:
     path = move.plan.paths[0]
     return move.plan.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
-
-
-def _travel_rate(move: Move) -> float:
-    path = move.plan.paths[0]
-    return path.travel_at(move.ticks * CYCLE_S)[1] if isinstance(path, LinePath) else 0.0
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:

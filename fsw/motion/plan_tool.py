@@ -136,22 +136,15 @@ def _target(
 ) -> tuple[Array, Array]:
     """Return positions and approaches at distances (k,) beyond the target, shape (3, k) each."""
     compensation = Compensation(command.backlash, command.deflection)
-    p_m, approach = _target_in_rover(config, joints, command, compensation)
-    tool = command.tool if reference is None else reference
-    ahead = p_m[:, None] + approach[:, None] * travel_m
-    return compensation.target(config, joints, tool, ahead, np.tile(approach[:, None], travel_m.size))
-
-
-def _target_in_rover(
-    config: Config, joints: JointEstimate, command: MoveTool, compensation: Compensation
-) -> tuple[Array, Array]:
-    """Return the position and the unit approach of a target in RMECH, shape (3,) each."""
     p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
     if command.frame != ROVER:
         frames = settle_output(config.arm, joints.output_rad, compensation.gravity(joints)).frames
         X_RF = _frame_pose(config, frames, command.frame)
         p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
-    return p_m, approach / np.linalg.norm(approach)
+    approach = approach / np.linalg.norm(approach)
+    tool = command.tool if reference is None else reference
+    ahead = p_m[:, None] + approach[:, None] * travel_m
+    return compensation.target(config, joints, tool, ahead, np.tile(approach[:, None], travel_m.size))
 
 
 def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from fsw.config import Config, configure
+from fsw.config import configure
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.accuracy.propagation import (
@@ -133,27 +133,6 @@ class Budget:
         return np.asarray(np.average([tool.share_m for tool in self.tools.values()], axis=0, weights=counts))
 
 
-def compute_budgets(
-    model: ErrorModel,
-    names: tuple[str, ...],
-    config: Config,
-    gravity_R_m_s2: Array,
-    tools: tuple[str, ...],
-    count: int,
-    seed: int,
-    progress: Progress,
-) -> dict[str, Budget]:
-    """Compute the budgets of several cases at so many poses in all, shared evenly by the tools."""
-    found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
-    for k, tool in enumerate(tools):
-        progress(k, len(tools), tool)
-        poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
-        sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
-        for name in names:
-            found[name][tool] = compute_tool_budget(model, model.case[name], poses, sensitivity)
-    return {name: Budget(name, model.case[name], found[name]) for name in names}
-
-
 def compute_tool_budget(
     model: ErrorModel, case: BudgetCase, poses: Poses, sensitivity: Sensitivity
 ) -> ToolBudget:
@@ -218,7 +197,14 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
     tool = parse_tool(request.tool, (*params.tool_names, ALL))
     tools = params.tool_names if tool == ALL else (tool,)
     config = configure(params)
-    budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
+    found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
+    for k, tool in enumerate(tools):  # which share the poses evenly
+        progress(k, len(tools), tool)
+        poses = workspace_poses(config.arm, tool, gravity, -(-request.poses // len(tools)), request.seed)
+        sensitivity = compute_sensitivity(config, poses, gravity)
+        for name in names:
+            found[name][tool] = compute_tool_budget(model, model.case[name], poses, sensitivity)
+    budgets = {name: Budget(name, model.case[name], found[name]) for name in names}
     rows = [
         (row, budgets[row.case].estimate("paper", row.component))
         for row in (*TABLE_3, *TABLE_4)

@@ -268,7 +268,10 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     trials = tuple(tuple(read_measurements(record)) for record in records if "failed" not in record)
     gravity = World().gravity_N_m_s2
     found = check_coverage(model, request.case, configure(params), gravity, trials) if trials else None
-    three_sigma = _estimate_three_sigma(trials)
+    three_sigma = None
+    if len(trials) > 1 and len(trials[0]) > 1:
+        error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
+        three_sigma = {name: estimate_accuracy(error[part]) for name, part in PARTS.items()}
     return MonteCarloReport(request, model, trials, failed, found, three_sigma, params_sha256)
 
 
@@ -286,12 +289,3 @@ def _results_header(request: MonteCarloRequest, params_sha256: str) -> dict[str,
         "params": params_sha256,
         "sources": sources_sha256(),
     }
-
-
-def _estimate_three_sigma(
-    trials: tuple[tuple[MeasuredPlacement, ...], ...],
-) -> dict[str, AccuracyEstimate] | None:
-    if len(trials) < 2 or len(trials[0]) < 2:
-        return None
-    error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
-    return {name: estimate_accuracy(error[part]) for name, part in PARTS.items()}

@@ -20,7 +20,7 @@ from fsw.config import Config
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.chain import Frames, frame_jacobian, tool_pose
+from fsw.kinematics.chain import frame_jacobian, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Flags, Pose, adjoint, rotate
@@ -204,9 +204,9 @@ def compute_sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> 
     )
     growth = np.einsum("ikjn,kj->ijn", J, expansion)
     deflection = np.zeros((6, len(Frame), poses.output_rad.shape[1]))
-    deflection[:, :-1] = np.einsum(
-        "ikjn,kjn->ijn", _spring_jacobian(deflected.frames, X_RT), deflected.strain
-    )
+    X_RL = deflected.frames.X_RL
+    spring = rotate(X_RL.R, deflected.frames.X_LD.p) + X_RL.p - X_RT.p[:, None]  # of each link, from the tool
+    deflection[:, :-1] = np.einsum("ikjn,kjn->ijn", adjoint(Pose(X_RL.R, spring)), deflected.strain)
     # the joint of link j + 1 rotates about the z axis of frame j
     deflection[:, :5] += J[:, 2, :5] * (deflected.torque_Nm / arm.gear_stiffness_Nm_rad[:, None])
     turn = X_RT.R.swapaxes(0, 1)
@@ -217,12 +217,6 @@ def compute_sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> 
         _rotate_screws(turn[:, :, None], growth),
         np.sign(deflected.torque_Nm) * held,
     )
-
-
-def _spring_jacobian(frames: Frames, X_RT: Pose) -> Array:
-    """Compute the screws of the tool by the strain of each link spring, (6, 6, 6, n), in rover axes."""
-    spring = rotate(frames.X_RL.R, frames.X_LD.p) + frames.X_RL.p
-    return adjoint(Pose(frames.X_RL.R, spring - X_RT.p[:, None]))
 
 
 def _rotate_screws(R: Array, screw: Array) -> Array:

@@ -11,7 +11,7 @@ from fsw.dictionary.commands import BacklashMode, MoveTool
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5, row6, vector3
-from fsw.estimate.reference import Reference, no_reference
+from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import heat_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
@@ -42,7 +42,7 @@ from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, Serv
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 from sim.loop import Setup, hardware_rng
-from sim.pose_sequence import StaticArm, describe_no_way, free_air_loop, run_and_rest, solve_quasi_static_move
+from sim.pose_sequence import describe_no_way, free_air_loop, run_and_rest, solve_quasi_static_move
 from sim.setting import WARM_C, World
 
 START_OFFSET_RAD: Final = 0.05
@@ -164,16 +164,15 @@ def statics_model(arm: BuiltArm, believed: Config, backlash: BacklashMode) -> Tr
     The gears have the wind-up and the side of the backlash that the move leaves.
     """
     true = configure_true(arm)
-    static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     random_effects = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2
 
     def move(place: PlannedMove) -> tuple[Pose, Array]:
         disturbance = draw_move_disturbance(random_effects, move_rng(hardware_rng(place.seed)))
-        settled = solve_quasi_static_move(
-            static, place.start_rad, place.output_rad, place.tool, gravity, backlash, disturbance
+        X_RT, backlash_rad = solve_quasi_static_move(
+            believed, true, place.start_rad, place.output_rad, place.tool, gravity, backlash, disturbance
         )
-        return settled.X_RT, settled.backlash_rad / true.half_backlash_rad
+        return X_RT, backlash_rad / true.half_backlash_rad
 
     return move
 

@@ -19,11 +19,12 @@ from marsarm.render.rover_scene import draw_outlines, project_outlines
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
-from sim.params import BadParams, full_params_toml
+from sim.params import BadParams, params_table
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write, check_output
 from simgap.common.options import check_options
 from simgap.common.report import ReportTable
+from simgap.common.toml import toml_text
 
 MADE_FROM: Final = "Made from arm.toml by `marsarm arm --build`; change that file, not this one."
 
@@ -70,7 +71,7 @@ def make_files(name: str) -> ArmFiles:
         model,
         {
             folder / "arm.xml": f"<!-- {MADE_FROM} -->\n{model.mjcf}",
-            folder / "flight.toml": full_params_toml(model.params, comments),
+            folder / "flight.toml": toml_text(params_table(model.params), comments),
         },
     )
 

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -31,7 +30,6 @@ from simgap import (
     fit,
     validate_hold_out,
 )
-from simgap.common.files import atomic_write
 from simgap.serial_arm.fit import fit_without_outliers
 
 HOLD_OUT_STRIDE: Final = 5
@@ -181,12 +179,6 @@ def provenance(found: Calibration) -> tuple[str, ...]:
         ),
         "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
     )
-
-
-def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
-    """Write the parameter file; BadOutput if the file cannot be written."""
-    with atomic_write(path, "out") as file:
-        file.write(parameter_text(found, params).encode())
 
 
 def parameter_text(found: Calibration, params: Params) -> str:

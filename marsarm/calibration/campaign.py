@@ -23,7 +23,7 @@ from sim.arm_check import NoPlan, without_turret
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
-from sim.frames import P_NR_M, Workspace
+from sim.frames import P_NR_M
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
@@ -93,28 +93,13 @@ def fit_frame(targets: TrackerTargets, shots: TargetReadings, name: str) -> Fram
     return FrameFit(Pose(R, p), np.linalg.inv(information), misfit, count)
 
 
-def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose, Array]:
-    """Compute the turret pose in the rover; the rover's own motion cancels.
-
-    Args:
-        rover: Rover frame, whose targets are known in RNAV (N).
-        X_NR: Frame RMECH (R) in RNAV.
-
-    Returns:
-        X_RT, and its covariance in axes of T, rotation first, (6, 6).
-    """
-    X_NT = inverse(rover.X_WB) @ turret.X_WB
-    from_N = adjoint(inverse(X_NT))
-    covariance = turret.covariance + from_N @ rover.covariance @ from_N.T
-    return inverse(X_NR) @ X_NT, covariance
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMeasurement:
     """Measured turret pose in the rover, with the quality of the measurement."""
 
     X_RT: Pose
     covariance: Array
+    """In axes of T, rotation first, (6, 6)."""
     targets_seen: tuple[int, int, int]
     misfit_m: float
     X_WG: Pose
@@ -142,19 +127,15 @@ def measure_pose(
         (GROUND_TARGETS, ROVER_TARGETS, TURRET_TARGETS), readings, ("ground", "rover", "turret"), strict=True
     )
     ground, rover, turret = (fit_frame(targets, shot, name) for targets, shot, name in named)
-    X_RT, covariance = turret_in_rover(rover, turret, X_NR)
+    X_NT = inverse(rover.X_WB) @ turret.X_WB  # the rover's targets are known in RNAV; its own motion cancels
+    from_N = adjoint(inverse(X_NT))
+    covariance = turret.covariance + from_N @ rover.covariance @ from_N.T
     frames = (ground, rover, turret)
-    sigma = [shot.sigma_m[shot.visible] for shot in readings]
-    return PoseMeasurement(
-        X_RT, covariance, (ground.count, rover.count, turret.count), _misfit(frames, sigma), ground.X_WB
-    )
-
-
-def _misfit(frames: Sequence[FrameFit], sigma_m: Sequence[Array]) -> float:
-    """Compute the root mean square misfit of coordinates, corrected for six fitted numbers for each frame."""
+    sigma_m = [shot.sigma_m[shot.visible] for shot in readings]
     squares = sum(float(np.sum((f.misfit * s) ** 2)) for f, s in zip(frames, sigma_m, strict=True))
-    free = sum(3 * f.count - 6 for f in frames)
-    return float(np.sqrt(squares / max(free, 1)))
+    counts = (ground.count, rover.count, turret.count)
+    misfit = float(np.sqrt(squares / max(3 * sum(counts) - 18, 1)))  # six numbers are fitted for each frame
+    return PoseMeasurement(inverse(X_NR) @ X_NT, covariance, counts, misfit, ground.X_WB)
 
 
 def stack_rows(arm_name: str, rows: Sequence[CampaignRow]) -> Campaign:
@@ -215,22 +196,14 @@ def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Ge
     space = ClearanceModel(config.params, scene, arm.model)
     inside = round(SHOULDER_IN_SHARE * group.count)
     branches = [SHOULDER_IN_BRANCHES] * inside + [SHOULDER_OUT_BRANCHES] * (group.count - inside)
-    goals = [_clear_pose(config, space, rng, names, arm.model.workspace) for names in branches]
-    return order_by_time(config, np.array(config.params.poses.ready_rad), goals)
-
-
-def _clear_pose(
-    config: Config,
-    space: ClearanceModel,
-    rng: np.random.Generator,
-    names: tuple[str, ...],
-    workspace: Workspace,
-) -> Array:
-    while True:
-        pose = pose_in_workspace(config, rng, config.farthest_tool, names, workspace)
+    goals: list[Array] = []
+    while len(goals) < len(branches):
+        names = branches[len(goals)]
+        pose = pose_in_workspace(config, rng, config.farthest_tool, names, arm.model.workspace)
         clearance = space.clearance(pose[:, None])
         if min(clearance.outside_m, clearance.self_m) > MIN_CLEARANCE_M:
-            return pose
+            goals.append(pose)
+    return order_by_time(config, np.array(config.params.poses.ready_rad), goals)
 
 
 def order_by_time(config: Config, start_rad: Array, goals: list[Array]) -> list[Array]:

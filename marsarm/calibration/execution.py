@@ -8,9 +8,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
+from fsw.kinematics.transforms import Array, Integers, Pose, inverse
 from marsarm.calibration.arm_parameters import PARAMETER_COUNT
-from marsarm.calibration.calibrate import Calibration, calibrate, calibrated_params, save_parameter_file
+from marsarm.calibration.calibrate import Calibration, calibrate, calibrated_params, parameter_text
 from marsarm.calibration.campaign import (
     MIN_TARGETS,
     PAPER_GROUPS,
@@ -37,6 +37,7 @@ from sim.params import BadParams, check_params
 from sim.tracker import Tracker
 from simgap import Fit, HoldOutValidation, Identifiability, error_screw
 from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
@@ -155,33 +156,21 @@ def _check_tracker(campaign: Campaign) -> Iterator[str]:
             f"{1e3 * campaign.tracker_moved_m.max():.1f} mm "
             "from its first position: the tracker lost its lock or was moved; measure again"
         )
-    stale = np.flatnonzero(_find_stale(campaign)) + 1
+    X, turned_rad = campaign.measured.X_RT, np.diff(campaign.believed.motor_rad, axis=1)
+    is_same = np.all(np.diff(X.p, axis=1) == 0, axis=0)
+    stale = np.flatnonzero(is_same & (np.abs(turned_rad).max(axis=0) > 1e-3)) + 1
     if stale.size:
         yield (
             f"p_*_m: {_list_poses(stale)} equal to the pose before, although joints moved: the "
             "tracker lost its lock; measure again"
         )
-    again = np.setdiff1d(_find_copies(campaign), stale)
+    _, first = np.unique(np.concatenate([X.p, X.R.reshape(9, -1)]), axis=1, return_index=True)
+    again = np.setdiff1d(np.arange(campaign.count), [*first, *stale])
     if again.size:
         yield (
             f"p_*_m, q_*: {_list_poses(again)} equal to an earlier pose to the last digit: "
             "leave out copied rows"
         )
-
-
-def _find_copies(campaign: Campaign) -> Integers:
-    """Find poses whose measurement equals that of an earlier pose to the last digit."""
-    X = campaign.measured.X_RT
-    numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
-    _, first = np.unique(numbers, axis=1, return_index=True)
-    return np.setdiff1d(np.arange(campaign.count), first)
-
-
-def _find_stale(campaign: Campaign) -> Flags:
-    same = np.all(np.diff(campaign.measured.X_RT.p, axis=1) == 0, axis=0)
-    moved = np.abs(np.diff(campaign.believed.motor_rad, axis=1)).max(axis=0) > 1e-3
-    stale: Flags = same & moved
-    return stale
 
 
 def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
@@ -312,7 +301,8 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
         params = calibrated_params(found, tools)
         check_params(params, "the calibrated arm")
         if request.out is not None:
-            save_parameter_file(found, params, request.out)
+            with atomic_write(request.out, "out") as file:
+                file.write(parameter_text(found, params).encode())
         verification = None
         if arm is not None and request.verify:
             verification = verify_calibration(

@@ -4,7 +4,7 @@ The arm finds its hardstops again and moves the full turret to fresh targets on 
 In all functions, `motor_error_rad` are true less believed motor angles, (5,).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -39,7 +39,7 @@ from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredP
 from marsarm.calibration.residual_model import group_by_turret, reorder_poses, residual_model
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel
-from sim.effects.effect import Effect, params_with_effects
+from sim.effects.effect import params_with_effects
 from sim.effects.environment import Ambient
 from sim.effects.joints import HardstopAngle
 from sim.effects.structure import params_with_stand_in
@@ -240,30 +240,19 @@ def verify_calibration(
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
     places = {}
     for k, (name, world, effects) in enumerate(where):
-        found = []
-        for one in _tool_errors(known, reference, world, effects, targets, seed):
-            found.append(one)
+        loop = free_air_loop(Setup(known, world, params.poses.ready_rad, seed, reference, effects))
+        rng, found = np.random.default_rng([seed, 4]), list[Array]()
+        while len(found) < targets:
+            tool = loop.plant.tools[len(found) % len(loop.plant.tools)]
+            found.append(_visit_target(loop, tool, arm.model.workspace, rng))
             moving(k * targets + len(found), len(where) * targets, name)
         rms_m = float(np.sqrt(np.mean(np.array(found)[:, 0] ** 2)))
         places[name] = PlaceErrors(rms_m, *np.max(found, axis=0).tolist())
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, places)
 
 
-def _tool_errors(
-    arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], targets: int, seed: int
-) -> Iterator[Array]:
-    """Move the full turret from target to target in the closed loop of one environment.
-
-    Yield the errors of a tool: total, lateral [m], and axis [rad]; shape (3,).
-    """
-    loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, effects))
-    rng = np.random.default_rng([seed, 4])
-    for k in range(targets):
-        tool = loop.plant.tools[k % len(loop.plant.tools)]
-        yield _visit_target(loop, tool, arm.model.workspace, rng)
-
-
 def _visit_target(loop: ClosedLoop, tool: str, workspace: Workspace, rng: np.random.Generator) -> Array:
+    """Move a tool to a target; return its errors: total, lateral [m], and axis [rad]; shape (3,)."""
     for _ in range(MOST_TRIES):
         p_N_m, angles = random_targets(rng, 1, workspace)
         target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]

@@ -194,7 +194,9 @@ def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterato
         statistic, d = _chi_square(group, fit, rest)
         whole = group.regime is None
         total, freedom = total + statistic * whole, freedom + d * whole
-        energy, n = _energy(group, fit, rest)
+        A = fit.A[group.rows]
+        energy = float(np.sum(rest[group.rows] ** 2))
+        n = max(group.rows.size - float(np.sum((A @ fit.covariance) * A)), 1.0)  # the energy that is expected
         of_direction, of_energy = _neg_log10_p(statistic, d), _neg_log10_p(energy, n)
         remainder = _describe(model.sensitivities.layout, group, rest, of_direction >= of_energy)
         found.append((max(of_direction, of_energy), remainder))
@@ -220,13 +222,6 @@ def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float
     kept = s > MIN_DIRECTION_SHARE
     along = V[:, kept].T @ (group.Q.T @ rest[group.rows])
     return float(np.sum(along**2 / s[kept])), int(kept.sum())
-
-
-def _energy(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, float]:
-    """Return the sum of squares in a group, and its expectation."""
-    A = fit.A[group.rows]
-    expected = group.rows.size - float(np.sum((A @ fit.covariance) * A))
-    return float(np.sum(rest[group.rows] ** 2)), max(expected, 1.0)
 
 
 def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, by_direction: bool) -> Remainder:

@@ -183,7 +183,8 @@ def _type_text(kind: type, name: str) -> str:
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return class_doc(hint)
-    return alias_docs(commands.__name__).get(str(_alias(kind, name)), "")
+    aliases = {value: alias for alias, value in vars(commands).items() if get_origin(value) is Literal}
+    return alias_docs(commands.__name__).get(str(aliases.get(hint)), "")
 
 
 def _names_of(hint: Any) -> tuple[str, ...]:
@@ -192,12 +193,6 @@ def _names_of(hint: Any) -> tuple[str, ...]:
     if NameMark.TOOL in marks:
         return arm.tools
     return arm.switches if NameMark.SWITCH in marks else ()
-
-
-def _alias(kind: type, name: str) -> str | None:
-    """Return the name of the type of an argument, if `commands` defines one."""
-    values = {value: alias for alias, value in vars(commands).items() if get_origin(value) is Literal}
-    return values.get(get_type_hints(kind)[name])
 
 
 def is_numeric_type(hint: Any) -> bool:

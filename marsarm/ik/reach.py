@@ -76,6 +76,7 @@ def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, pat
 
 def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
     from matplotlib.patches import Circle, Rectangle, Wedge
+    from matplotlib.ticker import MultipleLocator
 
     space = model.workspace
     x_m, y_m, radius_m = space.centre_x_m, space.centre_y_m, space.radius_m
@@ -123,14 +124,8 @@ def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
     )
     wedge.invert_yaxis()
     for axis, widest in ((wedge.xaxis, 2.0 * right), (wedge.yaxis, down)):
-        axis.set_major_locator(_every(15.0 if widest <= 90.0 else 60.0))
+        axis.set_major_locator(MultipleLocator(15.0 if widest <= 90.0 else 60.0))
     figure.colorbar(colours, ax=[side, top, wedge], label="valid branches, mean", extend="max", pad=0.02)
-
-
-def _every(step: float) -> Any:
-    from matplotlib.ticker import MultipleLocator
-
-    return MultipleLocator(step)
 
 
 def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, scale_max: float) -> Any:

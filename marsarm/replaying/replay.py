@@ -229,21 +229,16 @@ def difference_lines(found: Differences) -> Iterator[str]:
             f"{_at(n.first_tick)} on"
         )
     for c in found.channels:
-        yield from _channel_lines(c)
+        yield (
+            f"channel   {_component_name(c.channel, c.component)}: from {_at(c.first_tick)} on, at {c.ticks} "
+            f"of {c.compared} ticks, by up to {c.greatest:.3g} at {_at(c.greatest_tick)}"
+        )
+        first, values = _component_name(c.channel, c.first_component), c.at_first
+        yield f"          {first} at {_at(c.first_tick)}: recorded {values[0]!r}, replayed {values[1]!r}"
 
 
 def _at(tick: int) -> str:
     return f"tick {tick} ({tick / CYCLE_HZ:.2f} s)"
-
-
-def _channel_lines(c: ChannelDifference) -> Iterator[str]:
-    """Yield the lines of a channel: its difference, and both values at the first tick."""
-    yield (
-        f"channel   {_component_name(c.channel, c.component)}: from {_at(c.first_tick)} on, at {c.ticks} of "
-        f"{c.compared} ticks, by up to {c.greatest:.3g} at {_at(c.greatest_tick)}"
-    )
-    first = _component_name(c.channel, c.first_component)
-    yield f"          {first} at {_at(c.first_tick)}: recorded {c.at_first[0]!r}, replayed {c.at_first[1]!r}"
 
 
 def _evr_line(one: EvrDifference) -> str:

@@ -16,12 +16,11 @@ from marsarm.common.requests import fit_effects, make_world, parse_effects, sele
 from marsarm.render.svg import save_figure
 from marsarm.runs.request import HardstopRequest
 from sim.arm_check import NoPlan, without_turret
-from sim.arms import BuiltArm, effects_of_run
-from sim.effects.effect import Effect
+from sim.arms import effects_of_run
 from sim.effects.environment import default_ambient
 from sim.initialisation import HomingSample, InitialisationResult, InitialisationRun, prepare_homing
 from sim.loop import ClosedLoop, Setup
-from sim.setting import WARM_C, World
+from sim.setting import WARM_C
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
@@ -60,27 +59,8 @@ class HardstopReport:
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HardstopJob:
-    """Checked request."""
-
-    joint: Joint | None
-    """Joint that finds its hardstop; None for all."""
-    arm: BuiltArm
-    world: World
-    effects: tuple[Effect, ...]
-
-
 def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
     """Find hardstops; BadRequest if the request is wrong; nothing moved and nothing was written."""
-    job = prepare_hardstop(request)
-    result = _run_homing(request, job, progress)
-    poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, result, poses)
-
-
-def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
-    """Check a request before anything moves or is written, BadRequest if it is wrong, and build its job."""
     check_options(request)
     temperature_C = WARM_C if request.temperature_C is None else request.temperature_C
     if not COLDEST_C <= temperature_C <= WARMEST_C:
@@ -91,49 +71,37 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     arm = select_arm(request.arm, request.params, request.mismatch)
     effects = parse_effects(request.effects, arm.params.tool_names)
     arm = fit_effects(arm, effects)
-    return HardstopJob(
-        joint=None if request.joint is None else _parse_joint(request.joint),
-        arm=arm if request.turret else _remove_turret(arm, request),
-        world=world,
-        effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
-    )
-
-
-def _parse_joint(name: str) -> Joint:
     known = {joint.name.lower(): joint for joint in Joint}
-    if name.lower() not in known:
-        raise BadRequest(f"joint: {name!r} is not known; there are {', '.join(known)}")
-    return known[name.lower()]
-
-
-def _remove_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
+    joint = None if request.joint is None else known.get(request.joint.lower())
+    if joint is None and request.joint is not None:
+        raise BadRequest(f"joint: {request.joint!r} is not known; there are {', '.join(known)}")
     try:
-        return without_turret(arm, on_earth=request.scene == "earth")
+        arm = arm if request.turret else without_turret(arm, on_earth=request.scene == "earth")
     except NoPlan as error:
         raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
+    acting = (*default_ambient(effects, temperature_C), *effects_of_run(effects))
+    if joint is None:
+        setup = Setup(arm, world, arm.params.hardstop.start_rad, request.seed, effects=acting)
+        run = InitialisationRun(ClosedLoop(setup), CalibrateAll())
+    else:
+        run = prepare_homing(arm, joint, world, request.seed, acting)
+    result = _run_homing(run, joint, progress)
+    poses = tuple(tuple(homing_start_poses(arm.params, joint)[-1]) for joint in Joint)
+    return HardstopReport(request, result, poses)
 
 
-def _run_homing(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
-    run = _prepare_run(request, job)
+def _run_homing(run: InitialisationRun, joint: Joint | None, progress: Progress) -> InitialisationResult:
     loop = run.loop
-    if job.joint is not None:
-        progress(0, 1, job.joint.name.lower())
+    if joint is not None:
+        progress(0, 1, joint.name.lower())
     for record in run:
-        if job.joint is None and record.tick % CYCLE_HZ == 0:
+        if joint is None and record.tick % CYCLE_HZ == 0:
             homing = loop.state.move.homing if loop.state.move is not None else None
             activity = "moving" if homing is None else homing.joint.name.lower()
             progress(record.tick / CYCLE_HZ, EXPECTED_S, activity)
     if loop.failure is not None:
         raise loop.failure
     return run.result()
-
-
-def _prepare_run(request: HardstopRequest, job: HardstopJob) -> InitialisationRun:
-    if job.joint is not None:
-        return prepare_homing(job.arm, job.joint, job.world, request.seed, job.effects)
-    start_rad = job.arm.params.hardstop.start_rad
-    setup = Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects)
-    return InitialisationRun(ClosedLoop(setup), CalibrateAll())
 
 
 def save_hardstop_figure(run: InitialisationResult, path: Path) -> None:
@@ -157,18 +125,13 @@ def _samples_by_joint(run: InitialisationResult) -> dict[Joint, list[HomingSampl
     """Select the last homing attempt of each joint, without most of the approach."""
     selected: dict[Joint, list[HomingSample]] = {}
     for joint in HARDSTOP_ORDER:
-        samples = _last_attempt(run, joint)
-        if samples:
+        samples = [s for s in run.samples if s.joint is joint]
+        pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
+        if samples := samples[pauses[-1] if pauses else 0 :]:
             at_stop = [s.time_s for s in samples if s.stage > HomingStage.COARSE]
             first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
             selected[joint] = [s for s in samples if s.time_s >= first_s]
     return selected
-
-
-def _last_attempt(run: InitialisationResult, joint: Joint) -> list[HomingSample]:
-    samples = [s for s in run.samples if s.joint is joint]
-    pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
-    return samples[pauses[-1] :] if pauses else samples
 
 
 def _draw_joint(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:

@@ -63,7 +63,9 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     setup = scenario_setup(scenario, arm, last.reference, request.seed)
     loop = ClosedLoop(setup, with_truth=True)
     scenario_run = ScenarioRun(loop, scenario)
-    picture_command = _picture_command(scenario)
+    # the picture is taken at the end of the last command with a check
+    checked = max(getattr(check, name, 0) for check in scenario.checks for name in ("after", "during"))
+    picture_command = checked or len(scenario.commands)
     execution = execute(
         scenario_run,
         loop,
@@ -104,9 +106,3 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     if problem is not None:
         raise BadRequest(f"{request.scenario}: {problem}")
     return scenario, arm
-
-
-def _picture_command(scenario: Scenario) -> int:
-    """Return the number of the command at whose end the picture is taken: the last one with a check."""
-    numbers = [getattr(check, name, 0) for check in scenario.checks for name in ("after", "during")]
-    return max(numbers) or len(scenario.commands)

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import IntEnum
 from types import NoneType
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
@@ -92,16 +92,12 @@ def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: A
         inner = None if base is None else getattr(base, name)
         if name in value:
             values[name] = record_from_json(hints[name], value[name], f"{place}.{name}", notes, inner)
+        elif inner is None and field.default is MISSING:
+            raise BadJson(f"{place}.{name} is missing")
         else:
-            values[name] = _default_of(field, inner, place)
+            values[name] = field.default if inner is None else inner
             notes.append(f"{place}.{name} was not known then: today's {values[name]!r:.80} is taken")
     return kind(**values)
-
-
-def _default_of(field: Field[Any], base: Any, place: str) -> Any:
-    if base is None and field.default is MISSING:
-        raise BadJson(f"{place}.{field.name} is missing")
-    return field.default if base is None else base
 
 
 def _decode_tuple(kinds: tuple[Any, ...], value: Any, place: str, notes: list[str]) -> tuple[Any, ...]:

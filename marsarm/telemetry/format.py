@@ -159,11 +159,6 @@ def trailing_bytes_text(size: int) -> str:
     return f"{size} bytes after the end of the log are left out; a file holds one log"
 
 
-def interruption_text(interrupted_by: str) -> str:
-    """Format the note about the log of an interrupted run."""
-    return f"the run was interrupted by {interrupted_by}; the log ends there"
-
-
 def loss_metadata(lost: Sequence[LostMessages]) -> Metadata:
     """Return the metadata that lists the losses in a recovered log."""
     return Metadata(RECOVERED_RECORD, with_crc({"lost": json.dumps([asdict(one) for one in lost])}))

@@ -7,7 +7,7 @@ from heapq import merge
 from itertools import repeat
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,11 @@ def import_table(table: Path, mapping: Path, log: Path, progress: Progress) -> I
     made = convert_table(table, mapping)
     progress(0.5, GUESS, "writing the log")
     with atomic_write(log, "OUT") as file:
-        write_table_log(file, made)
+        writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
+        rows = [zip(one.ticks.tolist(), repeat(one.spec.id), one.data, strict=False) for one in made.series]
+        for tick, channel, message in merge(*rows, key=itemgetter(0)):
+            writer.add(tick * TICK_NS, [(channel, message.tobytes())])
+        writer.finish([])
     return made
 
 
@@ -249,15 +253,6 @@ def _misfits(one: MappedChannel, read: Array, values: Array) -> tuple[NDArray[np
             is_broken = np.zeros(values.size, bool) if one.is_rounded else values != np.rint(values)
             return is_broken | ~(np.abs(values) <= MAX_EXACT_INT), "is no whole number that is exact"
     return np.isfinite(read) & ~np.isfinite(values), "is too large for its factor, offset and unit"
-
-
-def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
-    """Write a closed log in order of time, without commands, which are unknown; OSError if that fails."""
-    writer = begin_log(file, made.header, tuple(one.spec for one in made.series))
-    messages = [zip(one.ticks.tolist(), repeat(one.spec.id), one.data, strict=False) for one in made.series]
-    for tick, channel, message in merge(*messages, key=itemgetter(0)):
-        writer.add(tick * TICK_NS, [(channel, message.tobytes())])
-    writer.finish([])
 
 
 def import_document(log: Path, made: ImportedLog) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from marsarm.telemetry.format import (
     LogNotReadable,
     LostMessages,
     header_crc32,
-    interruption_text,
     losses_in,
     version_problem,
     without_crc,
@@ -91,7 +90,8 @@ class Log:
         """Return a sentence about a log that ends before its run; empty for a closed log."""
         if self.truncated:
             return "it was cut short: its writer did not close it"
-        return interruption_text(self.interrupted_by) if self.interrupted_by else ""
+        by = self.interrupted_by
+        return f"the run was interrupted by {by}; the log ends there" if by else ""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:

@@ -108,11 +108,8 @@ class Scene:
             )
             for name in ("R", "p")
         )
-        return _fixed(self.X_WR) @ (Pose(R, p) @ Pose(self.X_LB.R[..., None], self.X_LB.p[..., None]))
-
-
-def _fixed(X: Pose) -> Pose:
-    return Pose(X.R[:, :, None, None], X.p[:, None, None])
+        X_WR = Pose(self.X_WR.R[:, :, None, None], self.X_WR.p[:, None, None])
+        return X_WR @ (Pose(R, p) @ Pose(self.X_LB.R[..., None], self.X_LB.p[..., None]))
 
 
 def build_scene(world: World, drawing: ArmModel, has_turret: bool = True) -> Scene:

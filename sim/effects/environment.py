@@ -38,6 +38,18 @@ class ContactStiffness(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class Slip(Effect):
+    """Share of the friction under the contact pads that is missing: a pressed tool slips aside."""
+
+    share: Annotated[float, ParameterSpec(0.0, 0.95, unit="1", typical=0.4, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        for geom in spec.geoms:
+            if geom.name.endswith("_pad"):
+                geom.friction[0] *= 1.0 - self.share
+
+
+@dataclass(frozen=True, slots=True)
 class SurfacePosition(Effect):
     """Offset of the true rock face along its normal from its measured position."""
 

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, get_type_hints
@@ -58,7 +58,12 @@ def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
         raise BadEffect(
             f"effect {name}: place: {missing[0].field} is missing; there are {', '.join(missing[0].members)}"
         )
-    return effect_from_fields(kind, f"{name}:{place}" if place else name, table, tools)
+    findings = Findings(tuple(tools))
+    effect = read_record(kind, table, (), findings)
+    if effect is None:
+        at = f"{name}:{place}" if place else name
+        raise BadEffect("\n".join(f"effect {at}: {problem}" for problem in findings.problems))
+    return effect
 
 
 def effect_text(effect: Effect) -> str:
@@ -85,17 +90,6 @@ def find_effect_class(name: str) -> type[Effect]:
         return catalogue()[name]
     path, wanted = (name, "") if file is None else (file["file"], file["rest"])
     return load_effect_class(path, wanted)
-
-
-def effect_from_fields(
-    kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str]
-) -> Effect:
-    """Make the effect of a table of its fields, for an arm with these tools; BadEffect if one is wrong."""
-    findings = Findings(tuple(tools))
-    effect = read_record(kind, dict(table), (), findings)
-    if effect is None:
-        raise BadEffect("\n".join(f"effect {name}: {problem}" for problem in findings.problems))
-    return effect
 
 
 def read_effect(table: dict[str, Any], place: KeyPath, findings: Findings) -> Effect | None:

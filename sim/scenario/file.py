@@ -9,13 +9,13 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import AUTO, Limits
+from fsw.kinematics.closed_form import BRANCHES
 from sim.arms import UnknownArm, arm_named, nominal_params
-from sim.effects.effect import Effect
-from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
+from sim.scenario.data import Check, Done, Faulted, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.effects import read_effect
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
-from sim.scenario.tables import read_check, read_command, read_fault, read_taught_point
+from sim.scenario.tables import read_check, read_command, read_fault
 from sim.setting import MAX_TILT_RAD, WARM_C, Scene, Surface, World
 from simgap.common.errors import RobotError
 from simgap.common.toml import parse_toml, read_text
@@ -115,7 +115,8 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
     head = _read_head(data, findings)
     world = _read_world(data, findings)
     taught = [
-        read_taught_point(table, place, findings) for place, table in list_tables(data, "teach", findings)
+        read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
+        for place, table in list_tables(data, "teach", findings)
     ]
     _check_taught(taught, findings)
     points = {point.name: point.tool for point in taught if point is not None}
@@ -131,7 +132,13 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
         read_check(table, place, findings, tuple(points), len(command_tables), touchable)
         for place, table in list_tables(data, "check", findings)
     ]
-    _check_misfits(params, faults, effects, findings)
+    # faults and effects may be at a tool or a contact switch that the arm does not have
+    of_faults = [None if one is None else one.fault for one in faults]
+    for what, found in (("fault", of_faults), ("effect", effects)):
+        for k, effect in enumerate(found):
+            problem = None if effect is None else effect.find_misfit(params)
+            if problem is not None:
+                findings.report((what, k), problem)
     _check_ending(checks, findings)
     if head is None or world is None or None in (*taught, *commands, *faults, *effects, *checks):
         return None
@@ -196,18 +203,6 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
         if not point.name or point.name in names:
             findings.report(("teach", k, "name"), f"{point.name!r} is empty or taken; give each its own")
         names.append(point.name)
-
-
-def _check_misfits(
-    params: Params, faults: list[Injection | None], effects: list[Effect | None], findings: Findings
-) -> None:
-    """Report faults and effects at a tool or a contact switch that the arm does not have."""
-    of_faults = [None if one is None else one.fault for one in faults]
-    for what, found in (("fault", of_faults), ("effect", effects)):
-        for k, effect in enumerate(found):
-            problem = None if effect is None else effect.find_misfit(params)
-            if problem is not None:
-                findings.report((what, k), problem)
 
 
 def _check_ending(checks: list[Check | None], findings: Findings) -> None:

@@ -104,11 +104,6 @@ def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapsh
     )
 
 
-def is_touching(snapshot: Snapshot, tool: str) -> bool:
-    """Return whether a contact switch of a tool is closed."""
-    return bool(snapshot.closed[tool].any())
-
-
 STOP_ONLY_FAULTS: Final = {
     fault.__name__ for fault, response in RESPONSE_TO.items() if response is Response.STOP_AND_BRAKE
 }
@@ -159,24 +154,18 @@ def _measure_cycle(
     check: Check, scenario: Scenario, trace: Trace, snapshot: Snapshot
 ) -> Iterator[tuple[str, float]]:
     if isinstance(check, Preloaded) and snapshot.command >= check.after:
-        yield from _measure_press(check, _surface_normal(scenario), trace, snapshot)
+        normal, closed = _surface_normal(scenario), np.flatnonzero(snapshot.closed[check.tool]).tolist()
+        force_R_N, pads_R_m = snapshot.force_R_N[check.tool], snapshot.pads_R_m[check.tool]
+        normal_N = float(force_R_N @ normal)
+        yield "most force", normal_N
+        for switch in closed:
+            trace.touched_R_m.setdefault((check, switch), pads_R_m[switch])
+        if normal_N >= check.pressed_N:
+            yield "lateral over normal force", _lateral(force_R_N, normal) / normal_N
+            for switch in closed:  # a tool may roll, so each pad slips by itself
+                yield "slip", _lateral(pads_R_m[switch] - trace.touched_R_m[check, switch], normal)
     if isinstance(check, GravityHeld) and snapshot.command == check.during and snapshot.vibrates:
         yield "gravity off", _gravity_off_rad(check, scenario.world.gravity_N_m_s2, snapshot)
-
-
-def _measure_press(
-    check: Preloaded, normal: Array, trace: Trace, snapshot: Snapshot
-) -> Iterator[tuple[str, float]]:
-    """Measure force, and ratio and slip while pressed; a tool may roll, so each pad slips by itself."""
-    force_R_N, pads_R_m = snapshot.force_R_N[check.tool], snapshot.pads_R_m[check.tool]
-    normal_N, closed = float(force_R_N @ normal), np.flatnonzero(snapshot.closed[check.tool]).tolist()
-    yield "most force", normal_N
-    for switch in closed:
-        trace.touched_R_m.setdefault((check, switch), pads_R_m[switch])
-    if normal_N >= check.pressed_N:
-        yield "lateral over normal force", _lateral(force_R_N, normal) / normal_N
-        for switch in closed:
-            yield "slip", _lateral(pads_R_m[switch] - trace.touched_R_m[check, switch], normal)
 
 
 def evaluate_checks(
@@ -198,7 +187,9 @@ def _evaluate(
 ) -> tuple[CheckResult, ...]:
     match check:
         case Done():
-            return (_bool_result("every command carried out", _all_done(ending)),)
+            ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in ending.evrs)
+            is_done = ending.outcome is Outcome.DONE and not ended_early
+            return (_bool_result("every command carried out", is_done),)
         case Placed():
             return _check_placed(check, scenario, trace)
         case SameSpot():
@@ -320,11 +311,6 @@ def _has_evr(evr_name: str, ending: Ending) -> bool:
     return any(evr.name == evr_name for _, evr in ending.evrs)
 
 
-def _all_done(ending: Ending) -> bool:
-    ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in ending.evrs)
-    return ending.outcome is Outcome.DONE and not ended_early
-
-
 def _force_result(
     trace: Trace, away: Array, after: int, tool: str, force_N: float, share: float
 ) -> CheckResult:
@@ -334,9 +320,8 @@ def _force_result(
 
 
 def _contact_result(trace: Trace, after: int, tool: str) -> CheckResult:
-    return _bool_result(
-        f"{tool} in contact", _value_after(trace, after, lambda m: float(is_touching(m, tool))) == 1.0
-    )
+    closed = _value_after(trace, after, lambda m: float(m.closed[tool].any()))
+    return _bool_result(f"{tool} in contact", closed == 1.0)
 
 
 def _bool_result(name: str, is_so: bool) -> CheckResult:

@@ -225,9 +225,5 @@ def _move_tool_to(loop: ClosedLoop, point: TaughtPoint, p_R_m: Array, axis: Arra
         raise loop.failure
     if CommandCompleted("MoveTool") not in evrs:
         raise NotTaught(f"{point.name}: {evrs[-1].message}")
-    return [tool for tool in _observe_rest(loop) if tool is not None][-1]
-
-
-def _observe_rest(loop: ClosedLoop) -> Iterator[ToolChannels | None]:
-    for _ in range(round(REST_S * CYCLE_HZ)):
-        yield loop.cycle().outputs.tool
+    seen = [loop.cycle().outputs.tool for _ in range(round(REST_S * CYCLE_HZ))]
+    return [tool for tool in seen if tool is not None][-1]

@@ -15,7 +15,7 @@ from fsw.executive.context import check_arguments, known_names
 from fsw.kinematics.closed_form import BRANCHES
 from sim.effects.faults import InjectedFault, RockGone
 from sim.frames import p_R_from_N
-from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
+from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot
 from sim.scenario.records import (
     TYPE_KEY,
     Findings,
@@ -53,11 +53,6 @@ class _DuringCommand:
 
     during: int
     after_s: Annotated[float, Limits(0.0, 1e5)]
-
-
-def read_taught_point(table: dict[str, Any], place: KeyPath, findings: Findings) -> TaughtPoint | None:
-    """Read a taught place, or return None and report problems."""
-    return read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
 
 
 def read_command(

@@ -119,13 +119,10 @@ def test_the_load_is_the_measured_one_without_friction():
     rows = (model.joint_of == 0) & moves
     load_Nm = model.explain("load")[rows]
     q = model.explain("position")[rows]
-    gravity = EncoderResiduals(arm(), [_without_torques(second_log())]).explain("load")[rows]
+    joints = {name: replace(one, torque=None) for name, one in second_log().joints.items()}
+    gravity = EncoderResiduals(arm(), [replace(second_log(), joints=joints)]).explain("load")[rows]
     lifted = gravity - SPRING_Nm * np.cos(q)
     assert rms(load_Nm - lifted) < 0.1 * rms(load_Nm - gravity)
-
-
-def _without_torques(motion):
-    return replace(motion, joints={name: replace(one, torque=None) for name, one in motion.joints.items()})
 
 
 def test_candidates_and_parts_keep_their_bits():

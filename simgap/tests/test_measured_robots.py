@@ -33,16 +33,6 @@ def find(folder, split):
     return robot, result, error
 
 
-def find_without_torques(folder, split):
-    """Diagnose with a catalogue without external torques."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "simgap.diagnosis.catalogue",
-            lambda robot, logs: [e for e in catalogue(robot, logs) if e.family is not Family.EXTERNAL],
-        )
-        return find(folder, split)[1]
-
-
 def list_names(result):
     return {(one.place, one.effect) for one in result.findings}
 
@@ -76,8 +66,15 @@ def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
 
 
 @pytest.mark.parametrize(("batch", "split"), [("fitted_a", "fit_a"), ("fitted_b", "fit_b")])
-def test_without_external_torques_axis_2_remains_and_no_other_name_comes(batch, split, real_data, request):
-    result, (_, whole, _) = find_without_torques(real_data / "kr300", split), request.getfixturevalue(batch)
+def test_without_external_torques_axis_2_remains_and_no_other_name_comes(
+    batch, split, real_data, request, monkeypatch
+):
+    _, whole, _ = request.getfixturevalue(batch)
+    monkeypatch.setattr(
+        "simgap.diagnosis.catalogue",
+        lambda robot, logs: [e for e in catalogue(robot, logs) if e.family is not Family.EXTERNAL],
+    )
+    _, result, _ = find(real_data / "kr300", split)
     remains = {(one.joint, one.unit): one.depends_on for one in result.remaining}
     assert remains["a2", "N m of the motor"] in ("position", "load")  # gravity makes a load of each position
     members = {key for one in whole.findings for key in one.effects}

@@ -10,7 +10,8 @@ from scipy.stats import norm
 
 from helpers import two_joint_arm
 from helpers.command import run_simgap, snapshot
-from helpers.pendulum import motion, pendulum, recorded, waves
+from helpers.pendulum import motion, pendulum, recorded, waves, with_signals
+from helpers.robot_folder import ROBOT as ROBOT_FILE
 from helpers.robot_folder import write_csv, write_robot
 from helpers.verdicts import diagnosis
 from simgap.arrays import Array
@@ -22,7 +23,7 @@ from simgap.effects.forces import CoulombFriction
 from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.next_motion import family
-from simgap.next_motion.family import list_plans, make_motion
+from simgap.next_motion.family import Plan, list_contacts, list_plans, make_motion
 from simgap.next_motion.proposal import propose_motion
 from simgap.next_motion.rivals import choose_rivals
 from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
@@ -85,7 +86,7 @@ ROBOT = pendulum(kp=3.0, period_s=0.01)
 PLANNED = tuple(motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, seed), f"m{seed}") for seed in range(3))
 EFFECTS = {one.key: one for one in (*catalogue(ROBOT, Logs(PLANNED)), *base_effects(ROBOT, Logs(PLANNED)))}
 DELAY, LATE_LOG = EFFECTS["swing: command delay"], EFFECTS["swing: measurement delay"]
-ZONE = EFFECTS["swing: dead zone"]
+ZONE, PUSH = EFFECTS["swing: dead zone"], EFFECTS["swing: constant torque"]
 
 
 LOGS = Logs(
@@ -112,6 +113,45 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
             assert np.max(np.abs(np.diff(command))) <= 1.01 * plan.speed_rad_s * 0.01
 
 
+def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
+    off = [with_signals(one, enabled=(TIME_s < 1.0) * 1.0) for one in LOGS.fit]
+    assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, LOGS.fit, ["swing"], True))
+    assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, off, ["swing"], False))
+    plan = next(one for one in list_plans(ROBOT, off, ["swing"], True) if one.off_s < np.inf)
+    assert ", without power from 5 s" in plan.describe(ROBOT)
+    for logged in (off[0], LOGS.fit[0]):  # the first log may lack the column
+        enabled = make_motion(ROBOT, plan, logged).joints["swing"].enabled
+        assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.usefixtures("few")
+def test_a_motion_in_which_a_rival_is_faster_than_the_logs_is_never_proposed():
+    slow = 0.3 * np.clip(0.5 * (TIME_s - 0.5), 0.0, 1.0)
+    steps = 0.3 * (TIME_s > 0.5)
+    logs = Logs(tuple(with_signals(one, position=slow, command=steps) for one in LOGS.fit))
+    made, _ = propose_motion(ROBOT, logs, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02)])
+    assert any("in jumps" in one for one in made.motions)
+    assert all("in jumps" not in made.motions[k] for k in made.choice.motions)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_motion_in_which_any_rival_comes_to_a_limit_is_never_proposed():
+    robot = pendulum(kp=3.0, period_s=0.01)
+    robot.model.jnt_limited[0], robot.model.jnt_range[0] = True, (-2.0, 1.6)
+    made, _ = propose_motion(robot, LOGS, [rival(DELAY, 0.02, 1.0), rival(PUSH, 1.0)])
+    plans = list_plans(robot, LOGS.fit, ["swing"], True)
+    assert any(one.ends_rad[1] > 1.2 for one in plans)
+    assert all(plans[k].ends_rad[1] < 1.2 for k in made.choice.motions)
+    assert np.isfinite(made.curves[0].values).all()  # a fast start, which is not compared, is not drawn
+
+
+def test_a_pose_beyond_the_range_of_a_joint_counts_as_a_contact():
+    robot = pendulum()
+    robot.model.jnt_limited[0], robot.model.jnt_range[0] = True, (-1.0, 1.0)
+    assert not list_contacts(robot, np.array([[-0.9], [0.9]]))
+    assert list_contacts(robot, np.array([[0.0], [1.1]])) == {(-1, 0)}
+
+
 @pytest.fixture
 def few(monkeypatch):
     """Compare few motions, which takes less time."""
@@ -123,7 +163,7 @@ def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_ea
     proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02, 0.01)])
     assert proposal.choice.tells_apart
     assert proposal.choice.motions[0] == int(log.name)
-    assert next_lines(proposal)[0].startswith("Record: swing from ")
+    assert next_lines(proposal)[0].startswith("Record 4 times: swing from ")
     assert json.dumps(next_document(proposal), allow_nan=False)
     save_next_page(proposal, tmp_path / "next.html", None)
     text = (tmp_path / "next.html").read_text()
@@ -174,10 +214,11 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
 
 
 def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path))
-    time_s = np.array([0.0, 0.01])
+    power = 'enabled = { column = "on", unit = "flag" }\n\n[joints.elbow]'
+    robot = Robot.from_toml(write_robot(tmp_path, text=ROBOT_FILE.replace("[joints.elbow]", power)))
+    time_s, on = np.array([0.0, 0.01]), Signal(np.array([0.0, 0.01]), np.array([1.0, 0.0]))
     position = JointLog(position=Signal(time_s, np.array([0.5, 0.6])))
-    joints = {"shoulder": replace(position, command=position.position), "elbow": position}
+    joints = {"shoulder": replace(position, command=position.position, enabled=on), "elbow": position}
     planned = Motion("next", joints, {"shoulder": 3.0, "elbow": 1.0}, conditions={"gain": 3.0})
     first, second = csv.DictReader(command_table(robot, planned).splitlines())
     assert first["motion"] == "next"
@@ -185,6 +226,19 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
     assert float(second["c1"]) == pytest.approx(np.degrees(0.6))
     assert float(first["q2"]) == pytest.approx(0.5 * 50.0 * 4096.0 / (2.0 * np.pi))
     assert float(first["gain"]) == 3.0
+    assert [first["on"], second["on"]] == ["1", "0"]
+
+
+def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_motion_are_repeats(tmp_path):
+    power = 'enabled = { column = "on", unit = "flag" }\n'
+    text = ROBOT_FILE.replace("[joints.elbow]", f"{power}\n[joints.elbow]\n{power}")
+    text = text.replace('columns = ["motion"]', 'columns = ["motion"]\nrepeat_column = "repeat"')
+    robot, zeros = Robot.from_toml(write_robot(tmp_path, text=text)), Signal(TIME_s, 0.0 * TIME_s)
+    log = JointLog(position=zeros, command=zeros, enabled=zeros)
+    logged = Motion("m", {"shoulder": log, "elbow": log}, {"shoulder": 3.0}, conditions={"gain": 3.0})
+    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, 5.0)
+    first, *_, last = csv.DictReader(command_table(robot, make_motion(robot, plan, logged)).splitlines())
+    assert (first["on"], last["on"], first["repeat"]) == ("1", "0", "next")
 
 
 def test_a_folder_without_a_result_is_refused_and_nothing_is_written(tmp_path):

@@ -24,7 +24,7 @@ def words_of(tree: ast.AST) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("package", ["fsw", "sim", "marsarm"])
-def test_no_name_and_no_key_is_that_of_an_arm(package: str) -> None:
+def test_no_name_and_no_key_is_that_of_an_arm(package):
     files = [path for path in FILES if path.relative_to(ROOT).parts[0] == package]
     assert files
     named = {
@@ -36,5 +36,5 @@ def test_no_name_and_no_key_is_that_of_an_arm(package: str) -> None:
     assert named == {}
 
 
-def test_a_name_would_be_found() -> None:
+def test_a_name_would_be_found():
     assert any(ARM.search(word) for word in words_of(ast.parse("x = arms['msl']")))

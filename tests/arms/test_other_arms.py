@@ -44,14 +44,14 @@ MARS = World()
 MOST_HOMING_ERROR_RAD = 0.3e-3
 
 
-def test_its_azimuth_joint_is_where_the_rover_carries_it_and_it_weighs_what_it_weighs() -> None:
+def test_its_azimuth_joint_is_where_the_rover_carries_it_and_it_weighs_what_it_weighs():
     X = build_arm(PARAMS)
     start = forward(X, np.zeros((5, 1)), np.zeros((6, 6, 1))).X_RF[0].p[:, 0]
     np.testing.assert_allclose(start + P_NR_M, [0.0900 + 1.1756, -0.4515, 0.3116 - 1.13338], atol=1e-9)
     assert build(MARS, MODEL).compile().body("turret").mass[0] == PARAMS.links.arm6.far.mass_kg == 40.0
 
 
-def test_plant_and_flight_software_put_its_tools_in_the_same_places() -> None:
+def test_plant_and_flight_software_put_its_tools_in_the_same_places():
     rng, arm, plant = np.random.default_rng(24), build_arm(PARAMS), Plant(build(MARS, MODEL).compile())
     low, high = arm.soft_min_rad[:, None], arm.soft_max_rad[:, None]
     poses = low + (high - low) * rng.uniform(size=(5, 20))
@@ -66,7 +66,7 @@ def test_plant_and_flight_software_put_its_tools_in_the_same_places() -> None:
 
 
 @pytest.mark.parametrize("tool", PARAMS.tool_names)
-def test_inverse_kinematics_lead_back_to_their_targets(tool: str) -> None:
+def test_inverse_kinematics_lead_back_to_their_targets(tool):
     arm = build_arm(PARAMS)
     p_N, angles = random_targets(np.random.default_rng(7), 200)
     p_R, approach = p_N - P_NR_M[:, None], approach_from(angles)
@@ -81,7 +81,7 @@ def test_inverse_kinematics_lead_back_to_their_targets(tool: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_calibrated_one_finds_its_hardstops_and_places_its_instrument(monkeypatch) -> None:
+def test_a_calibrated_one_finds_its_hardstops_and_places_its_instrument(monkeypatch):
     homed = []
 
     def initialise_and_keep(arm, seed):
@@ -104,13 +104,13 @@ def test_a_calibrated_one_finds_its_hardstops_and_places_its_instrument(monkeypa
 
 
 @pytest.mark.parametrize("target_m", [(2.05, 0.1, -0.25), (2.1, 0.0, -0.2), (2.0, -0.2, -0.1)])
-def test_it_reaches_targets_from_its_stowed_pose(target_m: tuple[float, float, float]) -> None:
+def test_it_reaches_targets_from_its_stowed_pose(target_m):
     job = prepare_placement(PlaceRequest(arm=NAME, target_m=target_m, files=RunFiles()))
     assert preview_placement(job.arm, job.world, job.placement, stowed=True).problem is None
 
 
 @pytest.mark.slow
-def test_calibration_brings_the_error_at_held_out_poses_to_a_fifth() -> None:
+def test_calibration_brings_the_error_at_held_out_poses_to_a_fifth():
     arm = arm_named(f"{NAME}/as-built:1")
     campaign = simulate_campaign(arm, CampaignPlan(resize_groups(PAPER_GROUPS, 60)))
     check_data(PARAMS, campaign)
@@ -120,7 +120,7 @@ def test_calibration_brings_the_error_at_held_out_poses_to_a_fifth() -> None:
     assert rms_m(found.held_out_error) < 0.2 * before
 
 
-def test_a_stranger_to_its_tools_is_refused() -> None:
+def test_a_stranger_to_its_tools_is_refused():
     request = replace(PlaceRequest(arm=NAME, files=RunFiles()), tool="mast")
     with pytest.raises(BadRequest, match="fcs"):
         prepare_placement(request)

@@ -15,7 +15,7 @@ from fsw.dictionary.commands import Command, GuardedMove, MoveTool
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr
 from fsw.estimate.gear import LIKELY
-from fsw.estimate.reference import Reference, no_reference
+from fsw.estimate.reference import no_reference
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
@@ -120,11 +120,6 @@ def quiet_sensors(encoder_count, cycle: int = 0, **other) -> Sensors:
     return Sensors(cycle=cycle, structure_C=structure_C, **arrays)
 
 
-def all_known(config: Config) -> Reference:
-    """The joints of the rig: encoders count from joint angle zero, resolvers are right."""
-    return replace(no_reference(config), calibrated=np.ones(5, bool), known=np.ones(5, bool))
-
-
 class Rig:
     """Flight software with an arm that does what it is told; `cycle` takes sensor readings by name."""
 
@@ -140,7 +135,9 @@ class Rig:
         self.warm_C = warm_C
         start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
         self.count = np.rint(start / config.rad_per_count).astype(np.int64)
-        self.state: State = boot(config, mode, all_known(config) if calibrated else None)
+        # encoders count from joint angle zero, resolvers are right
+        known = replace(no_reference(config), calibrated=np.ones(5, bool), known=np.ones(5, bool))
+        self.state: State = boot(config, mode, known if calibrated else None)
         self.evrs: list[Evr] = []
         self.outputs: Outputs | None = None
         self.stuck = False

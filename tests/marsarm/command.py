@@ -1,8 +1,6 @@
 """Helpers that run the command line: in this process, or in one of its own as a user does."""
 
-import os
 import resource
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,18 +45,3 @@ def largest_file(size: int) -> Iterator[None]:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         sys.dont_write_bytecode = writes_none
-
-
-def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:
-    """Run the command line of this tree, not an installed one, in a process of its own.
-
-    Args:
-        folder: Working directory.
-        *words: Arguments of `marsarm`.
-        **variables: Environment variables.
-    """
-    command = [sys.executable, "-c", "from marsarm.__main__ import start; start()", *words]
-    env = os.environ | {"PYTHONPATH": str(ROOT)} | variables
-    return subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, timeout=3000, check=False
-    )

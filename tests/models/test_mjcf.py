@@ -33,13 +33,8 @@ def set_pose(model: mujoco.MjModel, pose_deg: tuple[float, ...]) -> mujoco.MjDat
     return data
 
 
-def is_arm(model: mujoco.MjModel, geom: int) -> bool:
-    """Return whether a body moves, as only those of the arm do."""
-    return bool(model.body_weldid[model.geom_bodyid[geom]] != 0)
-
-
 @pytest.mark.parametrize(("scene", "gravity_m_s2"), SCENES.items())
-def test_a_scene_changes_only_the_gravity_of_the_arm(scene: str, gravity_m_s2: float) -> None:
+def test_a_scene_changes_only_the_gravity_of_the_arm(scene, gravity_m_s2):
     arm, model = load("arm.xml"), load(scene)
     assert model.opt.gravity.tolist() == [0.0, 0.0, -gravity_m_s2]
     for name in ("timestep", "cone", "impratio", "integrator", "tolerance", "disableflags", "enableflags"):
@@ -50,7 +45,7 @@ def test_a_scene_changes_only_the_gravity_of_the_arm(scene: str, gravity_m_s2: f
 
 
 @pytest.mark.parametrize("tool", TOUCHING)
-def test_the_pads_of_a_tool_end_in_the_plane_of_its_frame_and_balance_about_its_axis(tool: str) -> None:
+def test_the_pads_of_a_tool_end_in_the_plane_of_its_frame_and_balance_about_its_axis(tool):
     model, balance = load("arm.xml"), np.zeros(2)
     for switch in TOOL_SWITCHES[tool]:
         pad, site = model.geom(f"{switch}_pad"), model.site(switch)
@@ -66,7 +61,7 @@ def test_the_pads_of_a_tool_end_in_the_plane_of_its_frame_and_balance_about_its_
 
 
 @pytest.mark.parametrize("tool", TOUCHING)
-def test_what_is_behind_the_pads_stands_back(tool: str) -> None:
+def test_what_is_behind_the_pads_stands_back(tool):
     model = load("arm.xml")
     data = set_pose(model, (0.0,) * 5)
     frame = data.site(tool)
@@ -82,21 +77,22 @@ def test_what_is_behind_the_pads_stands_back(tool: str) -> None:
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_the_arm_can_touch_rover_and_ground_but_not_itself(scene: str) -> None:
+def test_the_arm_can_touch_rover_and_ground_but_not_itself(scene):
     model = load(scene)
     for geom in range(model.ngeom):
         masks = (int(model.geom_contype[geom]), int(model.geom_conaffinity[geom]))
-        assert masks in ({(0, 0), (1, 2)} if is_arm(model, geom) else {(0, 0), (2, 1)})
+        is_arm = model.body_weldid[model.geom_bodyid[geom]] != 0  # only bodies of the arm move
+        assert masks in ({(0, 0), (1, 2)} if is_arm else {(0, 0), (2, 1)})
     assert {1, 2} <= set(model.geom_contype.tolist())
 
 
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("pose_deg", [STOWED_DEG, READY_DEG], ids=["stowed", "ready"])
-def test_nothing_touches_at_the_named_poses(scene: str, pose_deg: tuple[float, ...]) -> None:
+def test_nothing_touches_at_the_named_poses(scene, pose_deg):
     assert set_pose(load(scene), pose_deg).ncon == 0
 
 
-def test_no_rock_stands_in_the_workspace() -> None:
+def test_no_rock_stands_in_the_workspace():
     """Check the cylinder 0.8 m across about RNAV x = 2.1 m; sim/world.py puts the targets there."""
     model = load("mars_ground.xml")
     data = mujoco.MjData(model)

@@ -97,7 +97,7 @@ def test_two_hundred_arms_have_the_stated_spread(drawn, name, sigma):
     assert np.abs(values).max() < 5 * sigma
 
 
-def test_every_place_of_the_arm_is_drawn_once() -> None:
+def test_every_place_of_the_arm_is_drawn_once():
     effects = draw_tolerances(default_arm(), 0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in TOOLS]
@@ -109,13 +109,13 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 199, 999_999_999])
-def test_the_same_seed_is_the_same_arm_and_another_another(seed: int) -> None:
+def test_the_same_seed_is_the_same_arm_and_another_another(seed):
     assert draw_tolerances(default_arm(), seed) == draw_tolerances(default_arm(), seed)
     assert draw_calibration_errors(default_arm(), seed) == draw_calibration_errors(default_arm(), seed)
     assert draw_tolerances(default_arm(), seed) != draw_tolerances(default_arm(), seed + 1)
 
 
-def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
+def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing():
     nominal, built = arm_named("nominal"), arm_named("as-built:7")
     assert built.effects == draw_tolerances(default_arm(), 7)
     assert built.params.arm_name == "as-built:7"
@@ -125,7 +125,7 @@ def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
     assert nominal.params == nominal_params()
 
 
-def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> None:
+def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters():
     built, calibrated = arm_named("as-built:7"), arm_named("calibrated:7")
     assert calibrated.effects == built.effects
     assert digest(calibrated.params) != digest(built.params)
@@ -134,7 +134,7 @@ def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> N
     assert calibrated.params.tools != perfect.tools
 
 
-def test_a_calibration_learns_what_the_thermometer_reads_but_not_the_expansion() -> None:
+def test_a_calibration_learns_what_the_thermometer_reads_but_not_the_expansion():
     drawing, calibrated = nominal_params(), arm_named("calibrated:7")
     (offset_K,) = (e.offset_K for e in calibrated.effects if isinstance(e, StructureSensor))
     assert calibrated.params.heat.calibration_C == drawing.heat.calibration_C + offset_K
@@ -142,7 +142,7 @@ def test_a_calibration_learns_what_the_thermometer_reads_but_not_the_expansion()
         assert link.expansion_1_K == drawn.expansion_1_K
 
 
-def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
+def test_a_calibration_leaves_a_tenth_of_what_it_found():
     """Compare tool poses of perfect and calibrated parameters over 40 arms, at equal joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
@@ -166,7 +166,7 @@ TOO_LONG = "as-built: its seed has 10 digits; give one with 9 at most"
 @pytest.mark.parametrize(
     "name", ["", "Nominal", "as-built", "as-built:", "as-built:-1", "as-built:x", "calibrated:1.5"]
 )
-def test_an_arm_that_is_not_known_is_named_with_those_that_are(name: str) -> None:
+def test_an_arm_that_is_not_known_is_named_with_those_that_are(name):
     with pytest.raises(UnknownArm, match=NAMES) as no:
         arm_named(name)
     assert repr(name) in str(no.value)
@@ -196,7 +196,7 @@ def rank(matrix: lab.Array) -> int:
     return counted
 
 
-def test_all_42_frame_axes_move_the_tool_in_26_ways(tool_jacobian: lab.Array) -> None:
+def test_all_42_frame_axes_move_the_tool_in_26_ways(tool_jacobian):
     assert (len(AXES), len(SEEN)) == (42, 26)
     assert rank(tool_jacobian) == 26
 

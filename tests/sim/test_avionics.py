@@ -57,7 +57,7 @@ def test_encoders_read_whole_counts_nearest_to_the_motor_from_a_zero_that_says_n
     np.testing.assert_array_equal(sensors.sense().encoder_count, whole)
 
 
-def test_encoders_do_not_see_backlash_and_wind_up_and_resolvers_do(ready: Plant) -> None:
+def test_encoders_do_not_see_backlash_and_wind_up_and_resolvers_do(ready):
     before = avionics_of(ready).sense()
     ready.data.qpos[ready.at.gear] += 0.01
     after = avionics_of(ready).sense()
@@ -67,7 +67,7 @@ def test_encoders_do_not_see_backlash_and_wind_up_and_resolvers_do(ready: Plant)
     )
 
 
-def test_resolvers_read_with_16_bit_bias_and_noise(ready: Plant) -> None:
+def test_resolvers_read_with_16_bit_bias_and_noise(ready):
     bias = np.array([2e-3, -1e-3, 0.0, 3e-3, -4e-3])
     sensors = avionics_of(ready, replace(nominal_hardware(), resolver_bias_rad=bias))
     read = np.array([sensors.sense().resolver_rad for _ in range(READINGS)])
@@ -83,7 +83,7 @@ def test_resolvers_read_with_16_bit_bias_and_noise(ready: Plant) -> None:
 
 @pytest.mark.parametrize("limit_share", [1.0, 0.3])
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_current_limit_limits_the_torque(ready: Plant, limit_share: float, side: int) -> None:
+def test_the_current_limit_limits_the_torque(ready, limit_share, side):
     """Command a tenth of a radian against closed brakes, which needs the full torque of a motor."""
     sensors = avionics_of(ready)
     limit = limit_share * CONFIG.current_limit_A
@@ -95,7 +95,7 @@ def test_the_current_limit_limits_the_torque(ready: Plant, limit_share: float, s
     np.testing.assert_allclose(sensors.sense().current_A, side * limit, rtol=0, atol=0.1)
 
 
-def test_motors_follow_their_set_points(ready: Plant) -> None:
+def test_motors_follow_their_set_points(ready):
     sensors = avionics_of(ready)
     sensors.apply(drive_to(lab.READY_RAD))
     lab.run(ready, 1.0, lambda _: sensors.apply(drive_to(lab.READY_RAD)))
@@ -108,7 +108,7 @@ def test_motors_follow_their_set_points(ready: Plant) -> None:
 
 
 @pytest.mark.parametrize("dead", Joint)
-def test_power_is_switched_for_each_motor_by_itself(ready: Plant, dead: Joint) -> None:
+def test_power_is_switched_for_each_motor_by_itself(ready, dead):
     sensors = avionics_of(ready)
     power = np.arange(5) != dead
     sensors.apply(drive_to(lab.READY_RAD + 0.1, power_on=power, brake_release=NONE))
@@ -116,7 +116,7 @@ def test_power_is_switched_for_each_motor_by_itself(ready: Plant, dead: Joint) -
     np.testing.assert_array_equal(ready.truth().motor_torque_Nm != 0.0, power)
 
 
-def test_a_brake_locks_75_ms_after_the_drive_that_asks_for_it(ready: Plant) -> None:
+def test_a_brake_locks_75_ms_after_the_drive_that_asks_for_it(ready):
     """The delay is rounded to five cycles of 15.6 ms; until then the motors run on."""
     sensors = avionics_of(ready)
     rate = np.radians(0.5)
@@ -140,7 +140,7 @@ def test_a_brake_locks_75_ms_after_the_drive_that_asks_for_it(ready: Plant) -> N
     assert np.abs(travel[locked_after:].sum(axis=0)).max() < 5e-6
 
 
-def test_when_the_power_is_lost_motors_are_limp_and_brakes_fall_in_whatever_is_asked(ready: Plant) -> None:
+def test_when_the_power_is_lost_motors_are_limp_and_brakes_fall_in_whatever_is_asked(ready):
     sensors = avionics_of(ready, PowerLoss(1.0).on_hardware(nominal_hardware()))
     ask = drive_to(lab.READY_RAD + 0.1)
     for cycle in range(2 * CYCLE_HZ):
@@ -152,7 +152,7 @@ def test_when_the_power_is_lost_motors_are_limp_and_brakes_fall_in_whatever_is_a
             assert (ready.data.eq_active[ready.at.brake] == (time_s > 1.0)).all()
 
 
-def test_a_brake_asked_to_change_its_mind_does_what_it_was_asked_last(ready: Plant) -> None:
+def test_a_brake_asked_to_change_its_mind_does_what_it_was_asked_last(ready):
     sensors = avionics_of(ready)
     sensors.apply(drive_to(lab.READY_RAD, brake_release=NONE))
     lab.run(ready, 0.2, lambda _: sensors.apply(drive_to(lab.READY_RAD)))
@@ -161,7 +161,7 @@ def test_a_brake_asked_to_change_its_mind_does_what_it_was_asked_last(ready: Pla
     assert not ready.data.eq_active[ready.at.brake].any()
 
 
-def test_a_winding_warms_by_what_its_current_heats() -> None:
+def test_a_winding_warms_by_what_its_current_heats():
     """Hold the level arm on Earth by its motors: I squared R heats 450 or 200 J/K."""
     plant = lab.load(lab.plant(World("earth")), lab.STRAIGHT_RAD, duration_s=4.0)
     sensors = avionics_of(plant, replace(nominal_hardware(), current_noise_A=0.0))
@@ -181,7 +181,7 @@ def test_a_winding_warms_by_what_its_current_heats() -> None:
 
 
 @pytest.mark.slow
-def test_a_winding_cools_without_power(ready: Plant) -> None:
+def test_a_winding_cools_without_power(ready):
     sensors = avionics_of(ready)
     sensors.apply(drive_to(lab.READY_RAD + 0.001, brake_release=NONE))
     lab.run(ready, 5.0)
@@ -194,7 +194,7 @@ def test_a_winding_cools_without_power(ready: Plant) -> None:
 
 
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, switch: str) -> None:
+def test_a_switch_closes_above_its_force_and_no_other_with_it(ready, switch):
     sensors = avionics_of(ready)
     address = ready.model.sensor(switch).adr[0]
     ready.data.sensordata[:] = 0.0
@@ -205,7 +205,7 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, swit
 
 
 @pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
-def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Plant, tool: str) -> None:
+def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready, tool):
     """The wall is half a millimetre in front of the tool, and gravity pulls towards it."""
     mujoco.mj_resetData(ready.model, ready.data)
     ready.data.qpos[ready.at.motor] = lab.READY_RAD
@@ -247,7 +247,7 @@ def pad_forces_N(plant: Plant) -> lab.Array:
 
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 0), (20, 0), (0, 20), (-15, 25), (0, -30)])
 @pytest.mark.parametrize("scene", ["mars", "earth"])
-def test_the_imu_reads_gravity_in_the_tilted_rover(scene: str, roll_deg: float, pitch_deg: float) -> None:
+def test_the_imu_reads_gravity_in_the_tilted_rover(scene, roll_deg, pitch_deg):
     world = lab.tilted_world(roll_deg, pitch_deg, scene)
     plant = lab.plant(world)
     sensors = avionics_of(plant)

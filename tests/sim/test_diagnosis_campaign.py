@@ -9,7 +9,7 @@ from sim.diagnosis_campaign import POSES, campaign_sessions
 
 
 @pytest.mark.parametrize("name", ["nominal", "m2020"])
-def test_every_pose_lies_within_the_soft_limits(name: str) -> None:
+def test_every_pose_lies_within_the_soft_limits(name):
     params = arm_named(name).params
     least, most = np.transpose([(j.soft_min_rad, j.soft_max_rad) for j in params.joints.in_order()])
     for session in campaign_sessions(params):
@@ -18,7 +18,7 @@ def test_every_pose_lies_within_the_soft_limits(name: str) -> None:
             assert np.all((least <= pose) & (pose <= most)), session.name
 
 
-def test_a_pose_beyond_a_limit_is_the_same_after_a_whole_turn() -> None:
+def test_a_pose_beyond_a_limit_is_the_same_after_a_whole_turn():
     (nominal, other) = (campaign_sessions(arm_named(name).params)[0] for name in ("nominal", "m2020"))
     assert nominal.start_rad == tuple(np.radians(POSES[0][0]).tolist())
     turned = np.subtract(other.start_rad, nominal.start_rad)

@@ -306,19 +306,19 @@ def growth_errors_m(warming_K: float, compensated_share: float, *effects: Effect
 
 
 @pytest.mark.parametrize("warming_K", [-75.0, 30.0])
-def test_flight_software_compensates_the_growth_of_the_arm(warming_K: float) -> None:
+def test_flight_software_compensates_the_growth_of_the_arm(warming_K):
     left_m, off_m = growth_errors_m(warming_K, 1.0), growth_errors_m(warming_K, 0.0)
     assert left_m.size == 200
     assert left_m.max() < 0.02e-3
     assert np.median(off_m) > 0.02e-3 * abs(warming_K)
 
 
-def test_a_sensor_that_reads_a_kelvin_too_much_costs_what_the_arm_grows_in_a_kelvin() -> None:
+def test_a_sensor_that_reads_a_kelvin_too_much_costs_what_the_arm_grows_in_a_kelvin():
     offset_m = growth_errors_m(0.0, 1.0, StructureSensor(1.0))
     np.testing.assert_allclose(offset_m, growth_errors_m(1.0, 0.0), rtol=1e-3)
 
 
-def test_what_statics_know_of_an_arm_has_its_temperature_and_coefficients() -> None:
+def test_what_statics_know_of_an_arm_has_its_temperature_and_coefficients():
     warmed = configure_at(CONFIG, CONFIG.params.heat.calibration_C + 0.5 * 30.0).arm
     true = configure_true(replace(NOMINAL, effects=(*HALF, Ambient(50.0)))).arm
     pose_rad = np.array(NOMINAL.params.poses.ready_rad)

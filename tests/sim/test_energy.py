@@ -140,7 +140,7 @@ def weightless() -> Plant:
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction: int) -> None:
+def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction):
     """The motors drag the outputs at a steady rate, so that the gear torque is the friction."""
     plant, setpoint_rad, transmitted = weightless(), lab.READY_RAD.copy(), []
     lab.hold_by_motors(plant)
@@ -184,7 +184,7 @@ def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("held", ["brakes", "motors"])
-def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
+def test_the_gap_is_crossed_once_when_gravity_changes_side(held):
     """Turn gravity over a horizontal line in 20 s; every joint but the azimuth changes flank, each once.
 
     Every step is checked, so that a bounce of a single step would show.

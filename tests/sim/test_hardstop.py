@@ -8,7 +8,6 @@ import pytest
 
 from fsw.dictionary.commands import Calibrate, Stop
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.params import Params
 from fsw.executive.poses import homing_start_poses
 from fsw.messages import Sensors
 from fsw.motion.homing import HomingStage
@@ -153,14 +152,6 @@ EACH_PLACE = pytest.mark.parametrize(("arm", "world"), PLACES, ids=["mars", "m20
 EACH_ARM = pytest.mark.parametrize("name", ARMS)
 
 
-def path_to_hardstop(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
-    """Return the path of a joint from a pose to its hardstop, (5, n)."""
-    stop_rad = params.joints.in_order()[joint].hardstop_rad
-    poses = np.repeat(pose_rad[:, None], 12, axis=1)
-    poses[joint] = np.linspace(stop_rad, pose_rad[joint], 12)
-    return poses
-
-
 @EACH_PLACE
 def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and_itself(arm, world):
     way_rad = sweep_poses(calibration_poses(arm.params))
@@ -177,7 +168,9 @@ def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, arm, world):
     rng = np.random.default_rng([15, joint])
     for pose in homing_start_poses(arm.params, joint):
         for _ in range(20):
-            found = space.clearance(path_to_hardstop(arm.params, joint, pose + rng.uniform(-most, most, 5)))
+            way = np.repeat((pose + rng.uniform(-most, most, 5))[:, None], 12, axis=1)
+            way[joint] = np.linspace(arm.params.joints.in_order()[joint].hardstop_rad, way[joint, 0], 12)
+            found = space.clearance(way)
             assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 
@@ -207,7 +200,7 @@ def test_the_torques_are_the_same_on_earth_without_a_turret_and_others_in_the_po
         assert np.abs(other - mars).max() > 50
 
 
-def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars() -> None:
+def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars():
     arm = arm_named("calibrated:7")
     bare = without_turret(arm, on_earth=True).params
     elbow = bare.joints.elbow
@@ -222,6 +215,6 @@ def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars() -
     assert shift_rad[Joint.ELEVATION] > 5e-6
 
 
-def test_torques_that_no_pose_has_are_refused() -> None:
+def test_torques_that_no_pose_has_are_refused():
     with pytest.raises(NoPlan, match="best torques differ"):
         equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))

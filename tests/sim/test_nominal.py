@@ -27,6 +27,7 @@ from sim.plant import Plant
 from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
+from tests.sim.effects.bench import set_angles
 from tests.tools import TOOLS, tool_index
 
 PARAMS = nominal_params()
@@ -55,27 +56,13 @@ def random_poses(seed: int, count: int) -> lab.Array:
     return rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (count, 5)).T
 
 
-def set_pose(plant: Plant, output_rad: lab.Array) -> None:
-    """Set every spring and gear to zero, and the outputs to these angles."""
-    mujoco.mj_resetData(plant.model, plant.data)
-    plant.data.qpos[plant.at.motor] = output_rad
-    mujoco.mj_kinematics(plant.model, plant.data)
-
-
-def in_rmech(plant: Plant, body: str) -> tuple[lab.Array, lab.Array]:
-    """Return position and axes of a body in the rover frame."""
-    rmech, of = plant.data.body("rmech"), plant.data.body(body)
-    R_RW = rmech.xmat.reshape(3, 3).T
-    return R_RW @ (of.xpos - rmech.xpos), R_RW @ of.xmat.reshape(3, 3)
-
-
 def test_every_tool_and_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal):
     """Body arm1 is frame Arm1, turret is Arm6; link1 to link5 are Arm1 to Arm5 turned by their joints."""
     outputs = random_poses(7, 100)
     frames = forward(CONFIG.arm, outputs)
     tools = {tool: tool_pose(CONFIG.arm, frames, tool) for tool in TOOLS}
     for k in range(outputs.shape[1]):
-        set_pose(nominal, outputs[:, k])
+        set_angles(nominal, outputs[:, k])
         truth = nominal.truth()
         for tool in TOOLS:
             X_RT = tools[tool][k]
@@ -86,15 +73,16 @@ def test_every_tool_and_frame_of_the_rigid_arm_is_where_flight_kinematics_say(no
             X_RF = frames.X_RF[int(joint), k]
             expected[f"link{joint + 1}"] = Pose(X_RF.R @ rotation_z(outputs[joint, k]), X_RF.p)
         for body, X in expected.items():
-            p_R_m, R = in_rmech(nominal, body)
-            np.testing.assert_allclose(p_R_m, X.p, rtol=0, atol=1e-10)
-            np.testing.assert_allclose(R, X.R, rtol=0, atol=1e-10)
+            rmech, of = nominal.data.body("rmech"), nominal.data.body(body)
+            R_RW = rmech.xmat.reshape(3, 3).T
+            np.testing.assert_allclose(R_RW @ (of.xpos - rmech.xpos), X.p, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(R_RW @ of.xmat.reshape(3, 3), X.R, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("link", range(6))
 def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(nominal, link):
     """Compare in the rover frame at the zero pose, where flight kinematics give each link frame."""
-    set_pose(nominal, np.zeros(5))
+    set_angles(nominal, np.zeros(5))
     X_RL = forward(CONFIG.arm, np.zeros(5)).X_RL[link]
     rmech = nominal.data.body("rmech")
     lumps = (LINKS[link].near, LINKS[link].far)
@@ -219,24 +207,17 @@ def pressed_flank(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Arr
     return side, (push[:, 0] == side) & (np.diag(push[:, 1:]) == side)
 
 
-def settle_down(plant: Plant, case: Case) -> None:
-    """Let the plant come to rest on its brakes, its gears near their flanks from the start.
-
-    From the middle of its backlash a light turret needs a minute.
-    """
-    plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
-    lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.backlash_rad)
-    mujoco.mj_forward(plant.model, plant.data)
-    assert np.abs(plant.data.qvel).max() < STILL_RAD_S
-    assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
-def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
+def test_the_arm_hangs_where_flight_statics_say(turret_kg):
     arm, plant = arm_with(turret_kg), plant_with(turret_kg)
     for case in make_cases(turret_kg):
-        settle_down(plant, case)
+        # near its flanks from the start: from the middle of its backlash a light turret needs a minute
+        plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
+        lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.backlash_rad)
+        mujoco.mj_forward(plant.model, plant.data)
+        assert np.abs(plant.data.qvel).max() < STILL_RAD_S
+        assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
         expected, truth = (
             settle(arm, case.motor_rad, case.backlash_rad, case.world.gravity_N_m_s2),
             plant.truth(),

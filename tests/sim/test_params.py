@@ -23,7 +23,7 @@ def write_file(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path):
     path = write_file(tmp_path, 'arm_name = "mine"\n[joints.elbow]\nbacklash_rad = 0.005\n')
     loaded, nominal = params_over_nominal(path), nominal_params()
     assert loaded.joints.elbow.backlash_rad == 0.005
@@ -193,7 +193,7 @@ def test_only_the_compliance_of_a_spring_or_of_a_rigid_link_is_taken(tmp_path, c
 @pytest.mark.parametrize(
     ("tool", "where"), [("drill", "switches.drill_1"), ("portion", "teach.inlet_1.tool")]
 )
-def test_a_missing_tool_is_named_where_it_is_used(tool: str, where: str) -> None:
+def test_a_missing_tool_is_named_where_it_is_used(tool, where):
     table = nominal_table()
     del table["tools"][tool]
     known = ", ".join(table["tools"])
@@ -207,7 +207,7 @@ def test_a_missing_tool_is_named_where_it_is_used(tool: str, where: str) -> None
     "missing",
     ["tools", "tools.drill.geometry", "tools.apxs.transform", "links.arm1", "joints.turret", "poses"],
 )
-def test_what_is_missing_is_named(missing: str) -> None:
+def test_what_is_missing_is_named(missing):
     """A file over the nominal one may leave anything out; the nominal one may not."""
     table = nominal_table()
     *groups, name = missing.split(".")
@@ -222,7 +222,7 @@ def nominal_table() -> dict[str, Any]:
     return table
 
 
-def test_the_digest_is_of_the_values_and_not_of_their_order_or_notation(tmp_path: Path) -> None:
+def test_the_digest_is_of_the_values_and_not_of_their_order_or_notation(tmp_path):
     one, other = (
         params_over_nominal(write_file(tmp_path, text))
         for text in (
@@ -233,7 +233,7 @@ def test_the_digest_is_of_the_values_and_not_of_their_order_or_notation(tmp_path
     assert digest(one) == digest(other)
 
 
-def test_the_digest_changes_with_the_last_bit_of_any_number() -> None:
+def test_the_digest_changes_with_the_last_bit_of_any_number():
     params = nominal_params()
     elbow = params.joints.elbow
     nudged = replace(elbow, backlash_rad=float(np.nextafter(elbow.backlash_rad, 1.0)))

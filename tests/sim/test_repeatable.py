@@ -89,7 +89,7 @@ def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monk
 
 
 @pytest.mark.slow
-def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not() -> None:
+def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not():
     ends = []
     for with_truth in (False, True):
         loop = start("nominal", with_truth=with_truth, roll_rad=0.0)
@@ -145,6 +145,7 @@ def test_the_same_plant_under_the_same_drive_reads_the_same_bit_for_bit(run):
             np.testing.assert_array_equal(getattr(now, field.name), getattr(record.sensors, field.name))
 
 
+@pytest.mark.slow
 def test_without_noise_it_reads_the_mean_of_what_it_reads_with_noise(run):
     off_A = difference("current_A", [r.sensors for r in run[1]], drive_open_loop(run, SimulationOptions()))
     assert np.abs(off_A.mean(axis=0)).max() < 4 * NOISE_A / np.sqrt(len(off_A))

@@ -32,7 +32,7 @@ def modes(time_step_s: float | None) -> lab.Array:
 
 
 @pytest.mark.slow
-def test_the_first_three_modes_have_their_frequency_and_damping() -> None:
+def test_the_first_three_modes_have_their_frequency_and_damping():
     own, reference = modes(None), modes(REFERENCE_STEP_S)
     np.testing.assert_allclose(own[:, 0], reference[:, 0], rtol=0.02)
     np.testing.assert_allclose(own[:, 1], reference[:, 1], rtol=0.1)
@@ -76,7 +76,7 @@ def rms(values: lab.Array) -> float:
 
 @pytest.mark.slow
 @JOINTS
-def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) -> None:
+def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint):
     """Tolerances are half an encoder count, and the noise of the current sensor."""
     own, reference = (to_and_fro(joint, np.radians(1.0), step_s) for step_s in (None, REFERENCE_STEP_S))
     assert rms(own.motor_rad - reference.motor_rad) < 1.7e-6
@@ -101,7 +101,7 @@ def cold_currents_A(limit_A: lab.Array | None = None) -> lab.Array:
     return np.array(currents_A)
 
 
-def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
+def test_a_cold_motor_does_not_stop_in_every_cycle():
     """At -50 degC a motor that stopped would draw a current that jumps by a quarter from cycle to cycle."""
     steady_A = cold_currents_A()[lab.CYCLE_HZ + 10 :]
     assert np.all(np.abs(np.diff(steady_A, axis=0)).max(axis=0) < 0.01 * np.abs(steady_A).max(axis=0))
@@ -111,14 +111,14 @@ def test_a_cold_motor_does_not_stop_in_every_cycle() -> None:
     strict=True,
     reason="MuJoCo limits the torque of the start of a step; the servo loses 58 of 259 N m by its end",
 )
-def test_a_motor_that_draws_less_than_its_limit_is_not_limited() -> None:
+def test_a_motor_that_draws_less_than_its_limit_is_not_limited():
     free_A = cold_currents_A()
     np.testing.assert_array_equal(cold_currents_A(1.05 * np.abs(free_A).max(axis=0)), free_A)
 
 
 @pytest.mark.slow
 @JOINTS
-def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: Joint) -> None:
+def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint):
     """Compare the swing of the output about its mean motion, at a tenth of a degree per second."""
     swings = []
     for step_s in (None, REFERENCE_STEP_S):
@@ -129,7 +129,7 @@ def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: J
 
 
 @pytest.mark.slow
-def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
+def test_a_gap_is_crossed_as_often_and_in_the_same_time():
     """The wrist swings the turret at 1 deg/s through the pose of zero load."""
     crossings, cycles, rates = [], [], np.radians(-1.0) * (np.arange(5) == Joint.WRIST)
     for step_s in (None, REFERENCE_STEP_S):
@@ -150,7 +150,7 @@ def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
     assert cycles[0] == pytest.approx(cycles[1], rel=0.05)
 
 
-def test_the_profiler_of_mujoco_is_off() -> None:
+def test_the_profiler_of_mujoco_is_off():
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     seconds = []
     for switch in (lambda: mujoco.set_mjcb_time(None), apply_settings):

@@ -24,7 +24,7 @@ from pydantic import TypeAdapter
 from marsarm.common.pool import Runner
 from marsarm.common.rates import check_rate
 from simgap.checks.audit import audit
-from simgap.command.diagnosis import compare_logs
+from simgap.command.compare import compare_logs
 from simgap.command.request import CompareRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress

@@ -16,7 +16,7 @@ from simgap.robot import Robot
 from validation.cases import robot_setup
 from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, entries_of, list_hypotheses
 from validation.cases.robot_truth import TRUE_STEP_S, Nuisances, Plant, Scene, TrueEffect
-from validation.cases.servo_truth import ServoPlant, add_spike, draw_factors
+from validation.cases.servo_truth import FACTORS, SPIKE_RAD, SPIKE_SHARE, ServoPlant
 
 Kind = Literal["none", "single", "pair", "triple", "outside"]
 COUNTS: Final[dict[Kind, int]] = {"none": 0, "single": 1, "pair": 2, "triple": 3, "outside": 1}
@@ -125,7 +125,7 @@ def make_motions(seed: int, model: str) -> CaseMotions:
     fitted = tuple(k for k, name in enumerate(plan.names) if name not in robot_setup.HELD_OUT)
     known = np.array([joint.is_known for joint in robot.joints])
     if robot_setup.MODELS[model].is_servo:
-        factors = draw_factors(rng)
+        factors = {name: rng.uniform(*ends, size=1) for name, ends in FACTORS.items()}
     else:
         factors = {
             name: np.where(known, 1.0, np.exp(spread * rng.standard_normal(known.size)))
@@ -305,7 +305,8 @@ def record_logs(truth: Truth, run: int = 0) -> Logs:
         gains, gain = plan.gains, 1.0
         if gains is not None:
             gain = float(gains[k].max())
-            add_spike(measured, rng)
+            if rng.uniform() < SPIKE_SHARE:
+                measured[:, rng.integers(1, measured.shape[1] - 1)] = SPIKE_RAD
         heat = Signal(times, np.interp(times, times[[0, -1]], temperature_degC(k)))
         joints = {
             joint.name: JointLog(

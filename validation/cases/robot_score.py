@@ -54,12 +54,6 @@ class Pairing:
     finding: Document | None
 
 
-def plain_name(text: str) -> str:
-    """Return the name of an effect without its place and without the order or neighbour after it."""
-    name = text.rpartition(": ")[2]
-    return name.split(" of order ")[0].split(" of many orders")[0].split(" to ")[0]
-
-
 def plain_place(text: str) -> str:
     """Return the place; the base has two names."""
     return "base" if text in BASE_NAMES else text
@@ -67,8 +61,9 @@ def plain_place(text: str) -> str:
 
 def named(key: str, place: str) -> tuple[str, str]:
     """Return the name and the place of a key "place: name"; the place of the finding where it has none."""
-    before = key.rpartition(": ")[0]
-    return plain_name(key), plain_place(before or place)
+    before, _, name = key.rpartition(": ")
+    name = name.split(" of order ")[0].split(" of many orders")[0].split(" to ")[0]
+    return name, plain_place(before or place)
 
 
 def members(finding: Document) -> set[tuple[str, str]]:

@@ -91,7 +91,7 @@ NEXT_SHARES: Final[dict[Kind, float]] = {"single": 0.5, "pair": 0.5}
 BAR: Final = 18 / 24
 """Least share of the cases that one motion settles."""
 NEXT_NUMBER: Final = 12
-"""Number of the new motion after those of a case, for its seed and its temperature."""
+"""Number of the first run of the new motion after those of a case, for its seed and its temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +127,8 @@ class NextCases(ServoCases):
             "sigmas": proposal.choice.sigmas[0].tolist(),
             "tells apart": proposal.choice.tells_apart,
         }
-        more = make_next(truth.truth, motion)
-        after, _ = _diagnose(robot, replace(logs, motions=(*logs.motions, more)))
+        more = [make_next(truth.truth, motion, run) for run in range(proposal.runs)]
+        after, _ = _diagnose(robot, replace(logs, motions=(*logs.motions, *more)))
         return {**before, "next": told, "after": to_document(after)}
 
     def score(self, folder: Path, solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
@@ -189,25 +189,26 @@ def _key(finding: Mapping[str, Any]) -> str:
     return f"{finding['place']}: {finding['effect']}"
 
 
-def make_next(truth: Truth, planned: Motion) -> Motion:
-    """Let the true servo make a motion, and return its log."""
+def make_next(truth: Truth, planned: Motion, run: int) -> Motion:
+    """Let the true servo make a motion once more, and return its log."""
     campaign = robot_draw.make_campaign(truth.seed, truth.model)
     effects = [robot_draw.make_effect(one, campaign.plan.scene) for one in truth.effects]
     plant = robot_draw.make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
     assert isinstance(plant, ServoPlant)
     ((name, log),) = planned.joints.items()
     assert log.command is not None
-    times_s, seed = log.position.time_s, truth.seed * 100 + NEXT_NUMBER
-    gain, heat_degC = np.full(times_s.size, planned.gain[name]), robot_draw.temperature_degC(NEXT_NUMBER)
-    shown = plant.simulate(log.command.value[None], PERIOD_S, seed, heat_degC, gain)
-    (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, NEXT_NUMBER]))
+    assert log.enabled is not None
+    number, times_s = NEXT_NUMBER + run, log.position.time_s
+    gain, heat_degC = planned.gain[name] * log.enabled.value, robot_draw.temperature_degC(number)
+    shown = plant.simulate(log.command.value[None], PERIOD_S, truth.seed * 100 + number, heat_degC, gain)
+    (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, number]))
     joint = JointLog(
         position=Signal(times_s, measured),
         command=log.command,
         temperature=Signal(times_s, np.linspace(*heat_degC, times_s.size)),
         enabled=log.enabled,
     )
-    return Motion("next", {name: joint}, planned.gain, conditions=planned.conditions)
+    return Motion(f"next-{run + 1}", {name: joint}, planned.gain, "next", conditions=planned.conditions)
 
 
 def next_campaign(context: Context, cases: int = 40, step: str = "all", partial: bool = False) -> Document:

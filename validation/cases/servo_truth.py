@@ -35,22 +35,11 @@ SPIKE_SHARE: Final = 0.12
 """Share of motions with such a sample: 7 of 60 logs of a real servo."""
 
 
-def draw_factors(rng: np.random.Generator) -> dict[str, Array]:
-    """Draw the numbers of a servo over those of the model, (1,) each."""
-    return {name: rng.uniform(*ends, size=1) for name, ends in FACTORS.items()}
-
-
 def motion_gains(n_motions: int, times_s: Array) -> Array:
     """Return the gain at each sample, (n_motions, n); 0 where the servo has no power."""
     gains = np.array([GAINS[GAIN_OF_MOTION[k]] for k in range(n_motions)])
     off_s = np.array([OFF_FROM_S.get(k, math.inf) for k in range(n_motions)])
     return np.where(times_s < off_s[:, None], gains[:, None], 0.0)
-
-
-def add_spike(shown_rad: Array, rng: np.random.Generator) -> None:
-    """Put a spike into some motions, (1, n) [rad]."""
-    if rng.uniform() < SPIKE_SHARE:
-        shown_rad[:, rng.integers(1, shown_rad.shape[1] - 1)] = SPIKE_RAD
 
 
 class ServoPlant:

@@ -24,7 +24,14 @@ from sim.arm_model.load import ArmModel
 from sim.effects import catalogue, environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect, joint_of, link_of
-from sim.effects.environment import Ambient, ContactStiffness, Numerics, StructureTemperature, SurfacePosition
+from sim.effects.environment import (
+    Ambient,
+    ContactStiffness,
+    Numerics,
+    Slip,
+    StructureTemperature,
+    SurfacePosition,
+)
 from sim.effects.gears import OutputFriction
 from sim.effects.geometry import (
     Expansion,
@@ -110,12 +117,16 @@ FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
         structure.RoverCompliance,
     ),
     Family.INERTIA: (structure.LinkMass, structure.TurretMass, structure.TurretCentre),
-    Family.CONTACT: (environment.ContactStiffness, environment.SurfacePosition, joints.HardstopStiffness),
+    Family.CONTACT: (
+        *(environment.ContactStiffness, environment.SurfacePosition, environment.Slip),
+        joints.HardstopStiffness,
+    ),
     Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
 }
 
 LOCATIONS: Final = {
     "contact-stiffness": "surface",
+    "slip": "surface",
     "surface-position": "surface",
     "bus-sag": "power bus",
     "gravity-direction": "imu",
@@ -129,7 +140,7 @@ REST_ONLY_EFFECTS: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, FrameError, ToolOffset, ToolTurn),
     *(Expansion, LinkWarming, Warming),
     *(LinkStiffness, LinkBending, LinkCreep, LinkTorsion, RoverCompliance),
-    *(ContactStiffness, SurfacePosition),
+    *(ContactStiffness, SurfacePosition, Slip),
 )
 """Effects that influence rests or nothing; their change of motions is below the noise."""
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params, digest
-from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
 from sim.arm_model.load import ArmModel
 from simgap.checks.records import runs
@@ -120,7 +119,9 @@ def _time_base(recording: Recording) -> Iterator[str]:
 def _stale(recording: Recording) -> Iterator[str]:
     for name in CONTINUOUS:
         for k, column in enumerate(recording.sensors[name].T):
-            longest, at = _longest_same(column)
+            same = runs(np.append(np.diff(column) == 0, False))
+            at, end = max(same, key=lambda one: one[1] - one[0], default=(0, 0))
+            longest = end - at + 1
             if longest >= STALE_TICKS and not (name == "current_A" and not column[at]):
                 yield (
                     f"{name}[{k}] reads {column[at]:g} for {longest / CYCLE_HZ:.1f} s from "
@@ -195,10 +196,3 @@ def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
     count = Counter(dict.fromkeys(Joint, 0))
     count.update(segment.joint for one in recordings for segment in find_segments(one))
     return count
-
-
-def _longest_same(column: Array) -> tuple[int, int]:
-    """Return the length and the start of the longest run of equal readings."""
-    same = runs(np.append(np.diff(column) == 0, False))
-    first, end = max(same, key=lambda one: one[1] - one[0], default=(0, 0))
-    return end - first + 1, first

@@ -1,29 +1,42 @@
-"""Touches and presses of a campaign: where a tool touches, and how far it then goes into the surface.
+"""Touches and presses of a campaign: where a tool touches, how far it then goes into the surface or aside.
 
 At rest a tool stays where its pads hold it, whatever the joints do. So the way between the rest after a touch
-and the rest in a press is force over stiffness of the pads. A tracker measures it.
+and the rest in a press is force over stiffness of the pads. On a tilted surface friction holds one of the
+pads, about which the tool may turn, unless the tool slips. A tracker measures the ways.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsw.config import configure
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import ToolForce, settle_output
+from fsw.kinematics.transforms import Array, rotate, rotate_back
 from marsarm.diagnosis.arm.features import CONDITIONS, TOUCH, TRANSLATION, Feature
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import TurningPoints, find_turning_points
 from sim.arm_model.load import ArmModel
+from sim.effects.effect import Effect
+from sim.effects.environment import ContactStiffness, Slip
+from sim.mujoco_settings import read_pad_springs
 from sim.setting import World
 from sim.world import build
 
 TOUCHING_N: Final = 9.0
 """Force of a tool that rests after its touch."""
-PAD_DOUBT: Final = 0.12
-"""Share of the way that is in doubt: at seven steps per step of the model it is 9 to 16 % shorter than in the
-limit of short steps, for which it is computed."""
+WAY_DOUBT: Final = 0.06
+"""Share of the way that is in doubt: 5 % by the force, the rest by how the pads share the touch."""
+LEAST_SINE: Final = 0.1
+"""Sine of the angle between axis and normal from which on a press shows slip."""
+HOLDING_SHARE: Final = 0.8
+"""Share of the friction that holds a sliding tool: it also resists the turn about the tool axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,12 +51,21 @@ class TouchFeature:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressFeature:
-    """Way of a tool into the surface between the rest after its touch and that in its press."""
+    """Way of the pads from the rest after their touch to that in the press: into the surface, or aside."""
 
     measured_m: float
-    nominal_m: float
-    """For pads as stiff as in the drawing."""
+    pushed_m: float
+    """Way by the force, for pads as stiff as in the drawing, or aside without friction."""
+    held_m: float
+    """Part of a way aside that the friction of the drawing holds back; 0 for a way into the surface."""
     feature: Feature
+
+    def predict(self, effects: Sequence[Effect]) -> float:
+        """Compute the way [m] under effects."""
+        if self.held_m:
+            missing = sum(effect.share for effect in effects if isinstance(effect, Slip))
+            return max(self.pushed_m - (1.0 - missing) * self.held_m, 0.0)
+        return self.pushed_m / math.prod(one.factor for one in effects if isinstance(one, ContactStiffness))
 
 
 def list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
@@ -67,16 +89,48 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
         after = np.flatnonzero(seen.tick > touch.turning_points.tick[-1])
         if after.size < 2 or not one.press_N or surface is None:
             continue
-        normal_R, ends = np.array(surface.normal_N), [seen.X_RF[k] for k in after[[0, -1]]]
-        X_FT = configure(one.params).arm.X_FT[touch.tool]
-        begin_m, end_m = (normal_R @ (X_RF @ X_FT).p for X_RF in ends)
-        nominal_m = (one.press_N - TOUCHING_N) * pad_compliance_m_N(one.arm, touch.tool)
-        noise_m = [
-            X_RF.R.T @ normal_R * seen.sigma[3:, k] for X_RF, k in zip(ends, after[[0, -1]], strict=True)
-        ]
-        sigma = float(np.linalg.norm([*np.ravel(noise_m), PAD_DOUBT * nominal_m]))
-        feature = Feature(one, TRANSLATION, "surface", "press", _still(one), "press", sigma=sigma)
-        yield PressFeature(float(begin_m - end_m), nominal_m, feature)
+        arm, normal_R = configure(one.params).arm, np.array(surface.normal_N)
+        ends = [seen.X_RF[k] @ arm.X_FT[touch.tool] for k in after[[0, -1]]]
+        pads = [switch.p_m for switch in one.arm.description.switches.values() if switch.tool == touch.tool]
+        begin_R_m, end_R_m = (rotate(X_RT.R, np.transpose(pads)) + X_RT.p[:, None] for X_RT in ends)
+        compliance_m_N, friction = _read_pads(one.arm, touch.tool)
+        axis_R = ends[0].R[:, 0]
+        cosine = -float(normal_R @ axis_R)
+        # the lowest pad alone bears a touch if the tool leans
+        in_m = (one.press_N * cosine - TOUCHING_N * len(pads)) * compliance_m_N
+        if in_m <= 0.0:  # pressed no more than touched
+            continue
+        way_m = (normal_R @ begin_R_m).min() - (normal_R @ end_R_m).mean()
+        yield PressFeature(float(way_m), in_m, 0.0, _make_feature(one, "press", normal_R, after, in_m))
+        aside_R = axis_R + cosine * normal_R
+        sine = float(np.linalg.norm(aside_R))
+        if sine < LEAST_SINE:
+            continue
+        aside_R /= sine
+        ways_m = aside_R @ (end_R_m - begin_R_m)
+        full_m = one.press_N * _bend(arm, one, touch.tool, aside_R)
+        held_m = full_m * HOLDING_SHARE * friction * cosine
+        feature = _make_feature(one, "slide", aside_R, after)
+        yield PressFeature(float(min(ways_m, key=abs)), full_m * sine, held_m, feature)
+
+
+def _make_feature(
+    one: Recording, kind: str, way_R: Array, poses: NDArray[np.intp], doubted_m: float = 0.0
+) -> Feature:
+    """Make the feature of a way (3,) between the first and the last of the poses after a touch."""
+    seen = one.tracker_poses
+    noise_m = [rotate_back(seen.X_RF[k].R, way_R) * seen.sigma[3:, k] for k in poses[[0, -1]]]
+    sigma = float(np.linalg.norm([*np.ravel(noise_m), WAY_DOUBT * doubted_m]))
+    return Feature(one, TRANSLATION, "surface", kind, _still(one), kind, sigma=sigma)
+
+
+def _bend(arm: Arm, one: Recording, tool: str, way_R: Array) -> float:
+    """Compute how far a tool goes along a direction (3,) per newton [m/N] when the log ends, on brakes."""
+    output_rad, gravity, push = one.motor_rad()[:, -1], one.world.gravity_N_m_s2, ToolForce(tool, way_R)
+    free, pushed = (settle_output(arm, output_rad, gravity, by) for by in (None, push))
+    wound_rad = output_rad + (pushed.torque_Nm - free.torque_Nm) / arm.gear_stiffness_Nm_rad
+    wound = settle_output(arm, wound_rad, gravity, push)
+    return float(way_R @ (tool_pose(arm, wound.frames, tool).p - tool_pose(arm, free.frames, tool).p))
 
 
 def _still(recording: Recording) -> tuple[float, ...]:
@@ -84,14 +138,9 @@ def _still(recording: Recording) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=8)
-def pad_compliance_m_N(arm: ArmModel, tool: str) -> float:
-    """Compute the compliance [m/N] of the pads of a tool side by side, in the limit of short steps.
-
-    MuJoCo's direct format gives a stiffness per unit of the inverse mass of the body.
-    """
-    model, stiffness_N_m = build(World(), arm).compile(), 0.0
-    for switch in arm.params.tool_switches[tool]:
-        geom = model.geom(f"{arm.params.switches[switch].name}_pad")
-        share, inverse_kg = 1.0 - model.geom_solimp[geom.id, 0], model.body_invweight0[geom.bodyid[0], 0]
-        stiffness_N_m -= float(model.geom_solref[geom.id, 0] / (share * inverse_kg))
-    return 1.0 / stiffness_N_m
+def _read_pads(arm: ArmModel, tool: str) -> tuple[float, float]:
+    """Read the compliance [m/N] of the pads of a tool side by side, and their friction coefficient."""
+    model = build(World(), arm).compile()
+    springs, switches = read_pad_springs(model), arm.params.switches
+    pads = [model.geom(f"{switches[k].name}_pad").id for k in arm.params.tool_switches[tool]]
+    return 1.0 / float(sum(springs[pad][0] for pad in pads)), float(model.geom_friction[pads[0], 0])

@@ -43,7 +43,7 @@ from marsarm.diagnosis.arm.rest_poses import (
 )
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
-from sim.effects.environment import FARTHEST_SURFACE_M, ContactStiffness, SurfacePosition
+from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
 from sim.effects.gears import OutputFriction
 from sim.frames import p_R_from_N
 from sim.loop import SimulationOptions
@@ -139,8 +139,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
         p_RoTo_R_m = (rest.X_RF[0] @ X_FT[one.tool]).p
         height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
         found.append(float(height_m) - shift_m)
-    factor = np.prod([effect.factor for effect in effects if isinstance(effect, ContactStiffness)])
-    return np.array([*found, *(one.nominal_m / factor for one in feature_set.presses)])
+    return np.array([*found, *(one.predict(effects) for one in feature_set.presses)])
 
 
 def measure_features(feature_set: FeatureSet) -> Array:

@@ -130,12 +130,13 @@ def _segment_features(
     j, motor = segment.joint, recording.motor_rad()[segment.joint]
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
     backlash_rad = 2.0 * float(config.half_backlash_rad[j])
-    touch, rate_rad_s = _touch_tick(recording), recording.drive["setpoint_rate_rad_s"][:, j]
+    touch, rate_rad_s = find_touch(recording), recording.drive["setpoint_rate_rad_s"][:, j]
+    last = recording.ticks if touch is None else touch - round(TOUCH_MARGIN_S * CYCLE_HZ)
     least_rad_s = CYCLE_HZ * abs(float(recording.rad_per_count[j]))
     for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
         for bin_number, (first, end) in enumerate(segment.bins()):
             is_slow = np.abs(rate_rad_s[first:end]).mean() < least_rad_s
-            if end > touch or (is_slow and channel != RESOLVER):
+            if end > last or (is_slow and channel != RESOLVER):
                 continue
             speed, angle = float(rate_rad_s[first:end].mean()), float(motor[(first + end) // 2])
             sine, cosine = float(np.sin(angle)), float(np.cos(angle))
@@ -167,12 +168,6 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
     }
     values = [read[channel][j, first:end].mean() for channel, j, first, end in motion.bins]
     return np.concatenate([values, sensors["gravity_R_m_s2"].mean(axis=0)])
-
-
-def _touch_tick(recording: Recording) -> int:
-    """Return the tick from which on a tool may touch."""
-    touch = find_touch(recording)
-    return recording.ticks + 1 if touch is None else touch - round(TOUCH_MARGIN_S * CYCLE_HZ)
 
 
 def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:

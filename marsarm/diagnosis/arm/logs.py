@@ -181,6 +181,7 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         np.array([j.hardstop_rad for j in joints]),
         arm or default_arm(),
     )
+    commands = json.loads(log.header.get("commands", "[]"))
     warm_C = float(np.mean(sensors["winding_C"][0]))
     name = session.name or path.stem
     return Recording(
@@ -196,14 +197,9 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         drives=tuple(_split_drive(drive)),
         sensors=sensors,
         tracker_poses=tracked,
-        press_N=_read_press(log.header),
+        press_N=max((one["fields"]["force_N"] for one in commands if one["type"] == "Preload"), default=0.0),
         notes=inputs.notes,
     )
-
-
-def _read_press(header: Mapping[str, str]) -> float:
-    commands = json.loads(header.get("commands", "[]"))
-    return max((one["fields"]["force_N"] for one in commands if one["type"] == "Preload"), default=0.0)
 
 
 def _read_session(text: str, path: Path) -> _SessionHeader:

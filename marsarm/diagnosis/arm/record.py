@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import product
@@ -204,7 +205,11 @@ def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, see
         for moment in run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:
-                rows += _measure_turret(loop, session, moment.record.tick, rng)
+                loop.plant.truth()  # updates the kinematics
+                roll_rad, X_RF = session.world.tilt_roll_rad, turret_pose(loop.plant)
+                with suppress(TooFewTargets):
+                    one = measure_pose(TYPICAL_TRACKER, loop.plant, roll_rad, X_RF, rng)
+                    rows.append((moment.record.tick, one.X_RT, np.sqrt(np.diag(one.covariance))))
     if rows:
         ticks, poses, sigmas = zip(*rows, strict=True)
         seen = TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
@@ -215,20 +220,6 @@ def session_json(session: DiagnosisSession) -> str:
     """Return the description of a session for the header of its log."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
     return json.dumps({**known, "world": record_to_json(session.world)})
-
-
-def _measure_turret(
-    loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
-) -> list[tuple[int, Pose, Array]]:
-    """Measure the turret pose with the tracker; nothing if too few targets are visible."""
-    loop.plant.truth()  # updates the kinematics
-    try:
-        seen = measure_pose(
-            TYPICAL_TRACKER, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng
-        )
-    except TooFewTargets:
-        return []
-    return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]
 
 
 def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:

@@ -261,7 +261,10 @@ def simulate_open_loop(
 
     The turret pose is taken after the cycles `pose_ticks`. PlantDiverged if MuJoCo counted a warning.
     """
-    arm = OpenLoopArm(recording.start, order_effects(recording, effects), options)
+    # temperatures follow the built-in effects, whose friction the cold changes
+    built = (effect for effect in effects if effect.built_in)
+    temperatures = (Ambient(recording.temperature_C), StructureTemperature(recording.structure_C))
+    arm = OpenLoopArm(recording.start, (*built, *temperatures, *effects_of_run(effects)), options)
     readings: list[Sensors] = []
     poses: dict[int, Pose] = {}
     for reading in arm.readings(recording.drives[:ticks]):
@@ -274,13 +277,6 @@ def simulate_open_loop(
 
 simulate_open_loop_cached = lru_cache(maxsize=64)(simulate_open_loop)
 """The same, and runs that several effects share are kept."""
-
-
-def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Order effects: built-in ones, temperatures, those of the run; cold changes the first ones' friction."""
-    built = (effect for effect in effects if effect.built_in)
-    temperatures = (Ambient(recording.temperature_C), StructureTemperature(recording.structure_C))
-    return (*built, *temperatures, *effects_of_run(effects))
 
 
 def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:

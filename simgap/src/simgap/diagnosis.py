@@ -11,7 +11,7 @@ from simgap.arrays import Array
 from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.commands import count_foreign_commands
-from simgap.checks.records import COARSE_RAD, REFUSED, Audit, Remark, joint_samples
+from simgap.checks.records import COARSE_RAD, REFUSED, Audit, joint_samples
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Variation, unbound
@@ -105,12 +105,13 @@ def diagnose(
             part = _add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
+    remarks = () if audit is None else audit.remarks
     return replace(
         convert_errors(robot, join_parts(parts)),
         seed=seed,
         is_base_only=base_only,
         refused=() if audit is None else audit.refused,
-        remarks=() if audit is None else tuple(map(describe_remark, audit.remarks)),
+        remarks=tuple(end_sentence(f"{one.joint or 'robot'}: {one.kind}: {one.text}") for one in remarks),
         fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
     )
@@ -277,11 +278,6 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
         raise RobotError(
             f"no sample of the fitted motions can be used ({reasons}); `simgap check` shows where"
         )
-
-
-def describe_remark(one: Remark) -> str:
-    """Return a remark of the audit as a sentence."""
-    return end_sentence(f"{one.joint or 'robot'}: {one.kind}: {one.text}")
 
 
 def end_sentence(text: str) -> str:

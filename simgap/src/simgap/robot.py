@@ -11,7 +11,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from simgap import mjcf
+import simgap.mjcf as mjcf
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file

@@ -154,12 +154,12 @@ def test_messages_are_matched_by_the_names_in_them(tmp_path):
 
 def test_a_gain_is_estimated_by_the_sag_under_gravity(tmp_path):
     kp_Nm_rad = (60.0, 25.0)
-    time_s = np.arange(0.0, 60.0, 0.02)
+    time_s = np.arange(0.0, 60.0, 0.1)
     command = np.column_stack([np.sin(0.2 * time_s), 1.2 * np.sin(0.3 * time_s + 1.0)])
     # at rest the loop holds gravity: kp (command - position) = torque, solved by iteration
     model = mujoco.MjModel.from_xml_string(MODEL)
     data, position = mujoco.MjData(model), command.copy()
-    for _ in range(50):
+    for _ in range(20):
         for row, q in enumerate(position):
             data.qpos[:] = q
             mujoco.mj_forward(model, data)

@@ -61,6 +61,7 @@ def test_a_tool_move_says_which_branch_it_takes():
     assert chosen[0].branch in BRANCHES
 
 
+@pytest.mark.slow
 def test_unstow_leads_past_the_way_points_to_the_ready_pose_and_stow_leads_back():
     drawn = CONFIG.params.joints.in_order()
     joints = {joint.name.lower(): replace(drawn[joint], speed_rad_s=0.1) for joint in Joint}

@@ -47,21 +47,6 @@ def targets_of(q, tool, arm=ARM, gravity=None):
     return X.p, X.R[:, 0]
 
 
-def random_case(tool, n=N, arm=ARM, gravity=None):
-    q = in_limits(config_of(), np.random.default_rng(100 + tool_index(tool)), n)
-    p, a = targets_of(q, tool, arm, gravity)
-    return q, p, a, ik.inverse_kinematics(arm, tool, p, a, gravity)
-
-
-def of_roots(v, roots):
-    """Repeat targets (3, n) for each chosen slot (slots, n)."""
-    return v[:, np.nonzero(roots)[1]]
-
-
-def where_verdict(result, verdict):
-    return result.verdict == verdict
-
-
 @pytest.mark.parametrize("gravity", slow_but(GRAVITIES, "rigid", "tilted"))
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("tool", slow_but(TOOLS, "apxs", "drill", "drt"))
@@ -92,8 +77,8 @@ def test_roots_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, grav
     solved = solve_poses(trial, in_limits(config_of(), np.random.default_rng(100 + tool_index(tool)), 100))
     assert_poses_found(solved)
     result = solved.result
-    valid = where_verdict(result, ik.BranchVerdict.VALID)
-    p, a = (of_roots(v, valid) for v in (solved.p, solved.a))
+    valid = result.verdict == ik.BranchVerdict.VALID
+    p, a = (v[:, np.nonzero(valid)[1]] for v in (solved.p, solved.a))  # of each chosen slot
     missed, cold_missed = (
         task_error(pose_of(arm, result.output_rad[:, valid], tool, pull), p, a) for arm in (warm, cold)
     )
@@ -108,7 +93,7 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
     solved = random_poses(name, gravity, "drill", N_LOADED)
     arm, pull = solved.trial.arm, GRAVITIES[gravity]
     roots = closed_form(arm, "drill", solved.p, solved.a)
-    guessed = where_verdict(solved.result, ik.BranchVerdict.OUTSIDE_LIMITS) & ~kinematics.claimed_roots(
+    guessed = (solved.result.verdict == ik.BranchVerdict.OUTSIDE_LIMITS) & ~kinematics.claimed_roots(
         solved.result
     )
     guessed &= roots.from_fold.min(axis=0) > kinematics.CLEAR_OF_FOLDS
@@ -144,8 +129,8 @@ def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
     chord = frames.X_RF.p[:, 3] - frames.X_RF.p[:, 1]
     p, a = targets_of(q, "drill")
     result = ik.inverse_kinematics(ARM, "drill", p + push_m * chord / np.linalg.norm(chord), a)
-    assert not where_verdict(result, ik.BranchVerdict.VALID).any()
-    missing = result.excess[where_verdict(result, ik.BranchVerdict.OUT_OF_REACH)]
+    assert not (result.verdict == ik.BranchVerdict.VALID).any()
+    missing = result.excess[result.verdict == ik.BranchVerdict.OUT_OF_REACH]
     assert missing.min() == pytest.approx(push_m, rel=1e-9)
     branch = int(np.flatnonzero(result.excess == missing.min())[0])
     assert ik.describe_slot(ARM, result, branch) == f"{BRANCHES[branch]}: out of reach by {push_m:.3f} m"
@@ -155,7 +140,7 @@ def test_a_target_inside_the_shoulder_cylinder_says_so():
     # the turret axis would pass 0.01 m from the azimuth axis; the wrist's offset keeps it 0.1664 m away
     p = np.array([1.11285 + 0.36, -0.4515 + 0.01, 1.0])
     result = ik.inverse_kinematics(ARM, "drill", p, np.array([1.0, 0.0, 0.0]))
-    assert where_verdict(result, ik.BranchVerdict.OUT_OF_REACH).all()
+    assert (result.verdict == ik.BranchVerdict.OUT_OF_REACH).all()
     np.testing.assert_allclose(result.excess, 0.1664 - 0.01, atol=1e-12)
 
 
@@ -173,8 +158,8 @@ def along_the_pitch_axis(tool):
 def test_an_approach_along_the_pitch_axis_is_singular_for_that_shoulder_of_the_rigid_arm(tool):
     result = ik.inverse_kinematics(ARM, tool, *along_the_pitch_axis(tool))
     out = np.array(["shoulder-out" in name for name in BRANCHES])
-    assert where_verdict(result, ik.BranchVerdict.SINGULAR)[out].all()
-    assert not where_verdict(result, ik.BranchVerdict.SINGULAR)[~out].any()
+    assert (result.verdict == ik.BranchVerdict.SINGULAR)[out].all()
+    assert not (result.verdict == ik.BranchVerdict.SINGULAR)[~out].any()
     assert np.isnan(result.output_rad[:, out]).all()
     assert (result.joint[out] == Joint.WRIST).all()
     assert (result.excess[out] < FREE_SINE).all()
@@ -193,7 +178,7 @@ def test_the_nearest_regular_approach_is_off_the_pitch_axes_by_its_sine_and_has_
     assert a @ regular > np.cos(2 * ik.REGULAR_SINE)
     assert closed_form(ARM, tool, p, regular).wrist_sine[0] == pytest.approx(ik.REGULAR_SINE, abs=1e-4)
     result = ik.inverse_kinematics(ARM, tool, p, regular, MARS_R_m_s2)
-    assert not where_verdict(result, ik.BranchVerdict.SINGULAR).any()
+    assert not (result.verdict == ik.BranchVerdict.SINGULAR).any()
     assert kinematics.claimed_roots(result).any()
 
 
@@ -230,7 +215,7 @@ UNREACHABLE = [
 def test_an_unreachable_target_is_eight_sentences_and_no_exception(name, gravity, p, a):
     arm = kinematics.arm_of(name)
     result = ik.inverse_kinematics(arm, "drill", np.array(p), np.array(a), GRAVITIES[gravity])
-    assert where_verdict(result, ik.BranchVerdict.OUT_OF_REACH).all()
+    assert (result.verdict == ik.BranchVerdict.OUT_OF_REACH).all()
     assert_consistent(arm, result)
     assert_sentences(arm, result)
 
@@ -251,7 +236,8 @@ def test_no_sentence_and_no_number_of_any_target_is_nan(seed, gravity, name):
 @pytest.mark.parametrize("tool", ["apxs", "mahli"])
 def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape(tool):
     n = 150
-    _, p, a, result = random_case(tool, n)
+    p, a = targets_of(in_limits(config_of(), np.random.default_rng(100 + tool_index(tool)), n), tool)
+    result = ik.inverse_kinematics(ARM, tool, p, a)
     shaped = ik.inverse_kinematics(ARM, tool, p.reshape(3, 5, 30), a.reshape(3, 5, 30))
     for k in range(n):
         one = ik.inverse_kinematics(ARM, tool, p[:, k], a[:, k])
@@ -291,18 +277,12 @@ def test_of_no_targets_there_are_no_roots(name, gravity, shape):
     assert result.output_rad.shape == result.torque_Nm.shape == (5, 8, *shape)
 
 
-def two_turns(joint):
-    """Return an angle that the limits allow in two turns, and both turns."""
-    low, high = ARM.soft_min_rad[joint], ARM.soft_max_rad[joint]
-    assert high - low > 2 * np.pi or joint is not Joint.WRIST
-    angle = 0.5 * (low + 2 * np.pi + high)
-    return angle, angle - 2 * np.pi
-
-
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
-    high, low = two_turns(Joint.WRIST)
-    for wrist in (high, low):
+    low, high = ARM.soft_min_rad[Joint.WRIST], ARM.soft_max_rad[Joint.WRIST]
+    assert high - low > 2 * np.pi
+    middle = 0.5 * (low + high)
+    for wrist in (middle + np.pi, middle - np.pi):
         q = np.array([0.1, -1.0, 1.2, wrist, 1.0])
         p, a = targets_of(q, "apxs", gravity=GRAVITIES[gravity])
         result = ik.inverse_kinematics(ARM, "apxs", p, a, GRAVITIES[gravity], near_rad=q)

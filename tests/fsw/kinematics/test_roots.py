@@ -50,10 +50,6 @@ def deflected_targets(config, tool, n, gravity):
     return here.output_rad, X.p, X.R[:, 0]
 
 
-def deflected_tool(config, output_rad, gravity, tool):
-    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool)
-
-
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("gravity", [RIGID, TILTED_R_m_s2], ids=["rigid", "tilted"])
 def test_newton_solves_the_arm_at_rest_and_tells_the_error_that_is_left(name, gravity):
@@ -111,20 +107,16 @@ CASES = pytest.mark.parametrize(
 )
 
 
-def straight_poses(name, gravity):
-    """Solve targets of poses with a nearly straight elbow, clear of the folds of shoulder and wrist."""
-    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
-    q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
-    q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
-    shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
-    return solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
-
-
 @CASES
 def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_arm_does_not_reach(
     name, gravity
 ):
-    solved = straight_poses(name, gravity)
+    """The poses are clear of the folds of shoulder and wrist."""
+    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
+    q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
+    q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
+    shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
+    solved = solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
     found = root_distances(solved.result, solved.q).min(axis=0) < SAME_RAD
     single = solved.sigma > CLEAR_SIGMA
     assert single.sum() > 0.9 * N_STRAIGHT
@@ -193,7 +185,7 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
     config = config_of(name)
     drawn = tool_pose(config.arm, forward(config.arm, REFERENCE), tool)
     p, a = relative_target(config.arm, tool, REFERENCE, MARS_R_m_s2, drawn.p, drawn.R[:, 0])
-    deflected = deflected_tool(config, REFERENCE, MARS_R_m_s2, tool)
+    deflected = tool_pose(config.arm, settle_output(config.arm, REFERENCE, MARS_R_m_s2).frames, tool)
     np.testing.assert_allclose(p, deflected.p, atol=1e-14)
     np.testing.assert_allclose(a, deflected.R[:, 0], atol=1e-14)
     found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)

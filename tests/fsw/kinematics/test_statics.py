@@ -30,11 +30,6 @@ def compliances(arm):
     return np.moveaxis(arm.compliance, -1, 0)
 
 
-def spring_J(arm, strain):
-    """Compute the energy of the springs; rigid directions have none."""
-    return sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in zip(strain.T, compliances(arm), strict=True))
-
-
 def rigid(arm):
     return replace(arm, compliance=np.zeros_like(arm.compliance))
 
@@ -64,7 +59,9 @@ def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name)
             here = settle_output(arm, q, gravity)
 
             def energy(strain, q=q, gravity=gravity):
-                return potential_J(arm, forward(arm, q, strain), gravity) + spring_J(arm, strain)
+                pairs = zip(strain.T, compliances(arm), strict=True)  # rigid directions have no energy
+                springs_J = sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in pairs)
+                return potential_J(arm, forward(arm, q, strain), gravity) + springs_J
 
             for i in range(6):
                 yields = np.abs(compliances(arm)[i]).sum(axis=1) > 0

@@ -58,19 +58,13 @@ def advance(move, joints=None):
     return advance_move(CONFIG, move, following(move) if joints is None else joints, NO_LOAD, SENSORS)
 
 
-def run_through(move):
-    """Run a move to its end; return the move in each cycle, and the last result."""
-    moves = []
+def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_the_path_without_a_jump():
+    moves, move = [], move_by(0.02)
     while move is not None:
         moves.append(move)
         result = advance(move)
         move = result.move
         assert len(moves) < 2000
-    return moves, result
-
-
-def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_the_path_without_a_jump():
-    moves, result = run_through(move_by(0.02))
     phases = [move.phase for move in moves]
     assert phases == sorted(phases)
     assert set(phases) == set(Phase)
@@ -266,12 +260,6 @@ def line_errors(X):
     return np.linalg.norm(offset, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
 
 
-def without_play(name):
-    """Return a configuration without backlash and friction, so that only the geometry remains."""
-    config = replace(config_of(name), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
-    return in_the_open(config)
-
-
 CROSSING = [
     *(
         (tool, kind, start)
@@ -322,7 +310,8 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
 
 
 def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
-    config = without_play("nominal")
+    bare = replace(config_of("nominal"), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
+    config = in_the_open(bare)  # so that only the geometry remains
     rig = Rig(config)
     X = rig.tool_pose("apxs")
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]

@@ -28,14 +28,6 @@ STAYS_M = 2e-5
 """Tolerance: encoder counts and bounds of the backlash move the tool by some micrometres."""
 
 
-def tool_under_force(rig: Rig):
-    """Compute the tool pose of the modelled arm under the reaction of the surface."""
-    state, arm = rig.state, rig.config.arm
-    push = None if state.preload is None else state.preload.reaction
-    here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
-    return tool_pose(arm, here.frames, "apxs")
-
-
 @made_once
 def pressed_with(force_N: float) -> Rig:
     rig = guarded_in_contact()
@@ -51,7 +43,9 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
         rig.cycle(**TOUCHED)
         forces.append(rig.state.preload.force_N)
     assert np.all(np.diff(forces) > -1e-9)
-    touched, ends = rig.state.preload, tool_under_force(rig)
+    state, arm = rig.state, rig.config.arm
+    here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, state.preload.reaction)
+    touched, ends = state.preload, tool_pose(arm, here.frames, "apxs")
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
     assert touched.force_N == pytest.approx(300.0, abs=MIN_CORRECTION_N)
@@ -106,18 +100,14 @@ def test_a_force_is_changed_and_released_the_way_it_came():
 
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     rig = guarded_in_contact()
-    rig.state = replace_friction(rig, 170.0)
+    joints = rig.state.joints
+    reference = replace(joints.reference, friction_Nm=np.full(5, 170.0))
+    rig.state = replace(rig.state, joints=replace(joints, reference=reference))
     rig.cycle(Preload("apxs", 100.0), **TOUCHED)
     rig.cycle(**TOUCHED)
     limit = rig.outputs.drive.current_limit_A
     assert np.all(limit <= rig.config.current_limit_A)
     assert limit[:3].max() < 0.5 * rig.config.current_limit_A[0]
-
-
-def replace_friction(rig: Rig, friction_Nm: float):
-    joints = rig.state.joints
-    reference = replace(joints.reference, friction_Nm=np.full(5, friction_Nm))
-    return replace(rig.state, joints=replace(joints, reference=reference))
 
 
 def test_nothing_is_pressed_without_a_closed_switch_nor_with_another_tool_nor_with_too_much_force():
@@ -217,20 +207,15 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
     of_model = move.plan.preload_change.torque_per_N * state.preload.model_N
-    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
+    arm, frames = config.arm, forward(config.arm, state.joints.output_rad)
+    X_RT = tool_pose(arm, frames, state.preload.tool)
+    across_per_N = joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]  # along the tool's y and z axes
+    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + across_per_N @ np.array(across)
     # the estimated load contains the estimated reaction already
     extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
     torque = resisting - state.load.torque_Nm - extra + offset_Nm
     return torque / config.torque_constant_Nm_A + 1e-9 * state.tick
-
-
-def levers_across(rig) -> np.ndarray:
-    """Compute the loads (5, 2) by unit forces along the tool's y and z axes."""
-    arm, state = rig.config.arm, rig.state
-    frames = forward(arm, state.joints.output_rad)
-    X_RT = tool_pose(arm, frames, state.preload.tool)
-    return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
 
 
 @pytest.mark.parametrize("stiffness", slow_but([0.8, 0.9, 1.15], 0.8))

@@ -120,11 +120,6 @@ LATER = tuple(x + 0.5 for x in BEFORE)
 SENSOR_AT = ["resolver_rad"] * 5 + ["current_A"] * 5 + ["gravity_R_m_s2"] * 3 + ["structure_C"]
 
 
-def with_one_the_same(place):
-    """The others rise and fall by turns."""
-    return tuple(x if k == place else x + 0.5 * (-1) ** k for k, x in enumerate(BEFORE))
-
-
 def test_readings_that_change_are_alive_however_long_they_stood_and_frozen_sensors_are_named_once_each():
     assert inputs.check_frozen(BOUNDS, (10_000,) * 14, BEFORE, LATER) == ((0,) * 14, ())
     bound = MONITORS.frozen_persistence
@@ -139,7 +134,10 @@ def test_readings_that_change_are_alive_however_long_they_stood_and_frozen_senso
 
 @pytest.mark.parametrize("place", range(14))
 def test_a_number_that_stays_the_same_is_counted_by_itself_and_named_from_its_persistence_on(place):
-    now, bound = with_one_the_same(place), MONITORS.frozen_persistence
+    now = tuple(
+        x if k == place else x + 0.5 * (-1) ** k for k, x in enumerate(BEFORE)
+    )  # others rise and fall
+    bound = MONITORS.frozen_persistence
     for stood in (0, 1, bound - 2):
         counts, found = inputs.check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
         assert counts == tuple(stood + 1 if k == place else 0 for k in range(14))

@@ -1,7 +1,6 @@
 """`marsarm arm`: frames are those of the kinematics, and files that are stale are made anew."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def test_the_files_of_an_arm_are_what_its_description_says(name):
 
 
 @pytest.mark.slow
-def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path: Path) -> None:
+def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path):
     (tmp_path / "arm.toml").write_bytes((ARMS / default_arm().name / "arm.toml").read_bytes())
     (tmp_path / "arm.xml").write_bytes(b"\xff\xfe")
     build_arms(ArmRequest(str(tmp_path)))
@@ -63,7 +62,7 @@ def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path: Path) -> No
     assert make_files(str(tmp_path)).stale == ()
 
 
-def test_an_arm_that_mujoco_does_not_accept_is_not_built(tmp_path: Path) -> None:
+def test_an_arm_that_mujoco_does_not_accept_is_not_built(tmp_path):
     (tmp_path / "arm.toml").write_bytes((ARMS / default_arm().name / "arm.toml").read_bytes())
     looks = "<visual><asset><material name='arm_titanium'/></asset><body name='link2'><geom/></body></visual>"
     (tmp_path / "visual.xml").write_text(looks)

@@ -218,7 +218,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("command", CASES)
-def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, command: str) -> None:
+def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder, command):
     before = snapshot(folder)
     done = marsarm(folder, *shlex.split(command))
     assert CASES[command] in done.stderr
@@ -231,7 +231,7 @@ def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, command:
 
 
 @pytest.mark.parametrize("command", ["log recover run.mcap good.mcap", "log export run.mcap tables"])
-def test_a_full_disk_gets_one_sentence_and_leaves_nothing(folder: Path, command: str) -> None:
+def test_a_full_disk_gets_one_sentence_and_leaves_nothing(folder, command):
     before = snapshot(folder)
     with largest_file(100):
         done = marsarm(folder, *shlex.split(command))

@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -56,9 +54,7 @@ def no_late_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_verb_says_so_in_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, status: int
-) -> None:
+def test_an_interrupted_verb_says_so_in_one_sentence(tmp_path, monkeypatch, number, status):
     monkeypatch.setattr(IkModel, "solve", lambda *_: signal.raise_signal(number))
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -71,7 +67,7 @@ def test_an_interrupted_verb_says_so_in_one_sentence(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
+def test_a_signal_in_a_deferred_section_is_raised_at_its_end():
     done = []
     with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:  # noqa: PT012
         with defer_interrupts:
@@ -81,7 +77,7 @@ def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
     assert done == ["inner", "outer"]
 
 
-def test_a_second_signal_does_not_disturb_the_end() -> None:
+def test_a_second_signal_does_not_disturb_the_end():
     with signals_raise():
         with pytest.raises(Interrupted):
             signal.raise_signal(signal.SIGINT)
@@ -90,8 +86,8 @@ def test_a_second_signal_does_not_disturb_the_end() -> None:
 
 
 def test_a_signal_while_an_extension_is_imported_is_an_interruption(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     def import_extension() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
@@ -104,12 +100,12 @@ def test_a_signal_while_an_extension_is_imported_is_an_interruption(
     assert capsys.readouterr().err == "interrupted by SIGINT before the end\n"
 
 
-def test_another_error_is_no_interruption() -> None:
+def test_another_error_is_no_interruption():
     with signals_raise(), pytest.raises(ImportError), report_interruption():
         raise ImportError("no such module")
 
 
-def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path) -> None:
+def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path):
     def write() -> None:
         writer = atomic_write(tmp_path / "result.json", "out")
         writer.__enter__()
@@ -121,17 +117,12 @@ def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def interrupted_log(path: Path) -> Path:
-    """Record a log whose run is interrupted."""
-    with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:  # noqa: PT012
+def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
+    log = tmp_path / "run.mcap"
+    with pytest.raises(Interrupted), Recorder(log, {"seed": "1"}) as recorder:  # noqa: PT012
         for tick in range(8):
             recorder.write(cycle_at(tick))
         raise Interrupted(signal.SIGINT)
-    return path
-
-
-def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -> None:
-    log = interrupted_log(tmp_path / "run.mcap")
     read = read_log(log)
     assert (read.end, read.interrupted_by, read.truncated, len(read["/joint"])) == (
         "interrupted", "SIGINT", False, 8,
@@ -148,7 +139,7 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -
     assert read_log(tmp_path / "good.mcap").interrupted_by == "SIGINT"
 
 
-def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_path: Path) -> None:
+def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap", {})
     recorder.write(cycle_at(0))
     del recorder
@@ -158,7 +149,7 @@ def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_
     assert read_log(tmp_path / "whole.mcap").end == "closed"
 
 
-def test_a_log_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
+def test_a_log_belongs_to_one_run_at_a_time(tmp_path):
     path = tmp_path / "run.mcap"
     with Recorder(path, {}) as recorder:
         recorder.write(cycle_at(0))
@@ -188,9 +179,7 @@ SLOW_ENDS = [("swallow", "; it did not end by itself"), ("end slowly", "")]
 
 
 @pytest.mark.parametrize(("what", "rest"), slow_but(SLOW_ENDS, SLOW_ENDS[0]))
-def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
-    tmp_path: Path, what: str, rest: str
-) -> None:
+def test_an_interruption_that_takes_long_is_ended_with_one_sentence(tmp_path, what, rest):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         done = subprocess.run(
@@ -205,7 +194,7 @@ def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
 
 
 @pytest.mark.slow
-def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path: Path) -> None:
+def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path):
     words = ["place", "--log", "run.mcap", "--no-picture"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the run inherits
@@ -214,7 +203,8 @@ def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_mo
     finally:
         signal.signal(signal.SIGINT, before)
     try:
-        wait_until(lambda: (tmp_path / "run.mcap").exists())
+        while not (tmp_path / "run.mcap").exists():
+            time.sleep(0.05)
         second = marsarm(tmp_path, *words)
     finally:
         first.send_signal(signal.SIGINT)
@@ -226,18 +216,9 @@ def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_mo
     assert read_log(tmp_path / "run.mcap").end == "interrupted"
 
 
-def wait_until(holds: Callable[[], Any]) -> None:
-    """Wait until something holds."""
-    while not holds():
-        time.sleep(0.05)
-
-
-MAIN = "from marsarm.__main__ import start; start()"
-
-
 def to(target, *words):
     return subprocess.run(
-        ["bash", "-c", f'set -o pipefail; "$@" {target}', "-", sys.executable, "-c", MAIN, *words],
+        ["bash", "-c", f'set -o pipefail; "$@" {target}', "-", *RUN, *words],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
 

@@ -114,6 +114,7 @@ def square_or_fail(x: int) -> int:
     return x * x
 
 
+@pytest.mark.slow
 def test_results_before_an_error_are_kept():
     found = []
     with pytest.raises(ValueError, match="900 is not allowed"):

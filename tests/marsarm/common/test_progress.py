@@ -1,7 +1,6 @@
 """Progress: the share of all work, the time left, and lines where there is no terminal."""
 
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from simgap.common.progress import (
 )
 
 
-def test_the_time_left_follows_from_the_work_done() -> None:
+def test_the_time_left_follows_from_the_work_done():
     state = ProgressState(started_s=0.0)
     assert state.left_text(1.0) == "time left not known"
     state.update(0, 10, "arms", 10.0)
@@ -30,7 +29,7 @@ def test_the_time_left_follows_from_the_work_done() -> None:
     assert state.line(50.0) == "arms: 40% after 50 s, 60 s left"
 
 
-def test_while_a_step_lasts_the_time_left_is_a_range_that_holds_the_truth() -> None:
+def test_while_a_step_lasts_the_time_left_is_a_range_that_holds_the_truth():
     """The step ends now, or it has only begun."""
     state = ProgressState(started_s=0.0)
     state.update(0, 10, "arms", 10.0)
@@ -40,14 +39,14 @@ def test_while_a_step_lasts_the_time_left_is_a_range_that_holds_the_truth() -> N
     assert state.line(200.0).endswith("0 s to 5 min left")
 
 
-def test_work_of_which_no_share_is_done_counts_its_steps() -> None:
+def test_work_of_which_no_share_is_done_counts_its_steps():
     state = ProgressState(started_s=0.0)
     for now_s in range(1, 8):
         state.update(0.0, 1.0, "fit", now_s)
     assert state.line(90.0) == "fit: step 7 after 90 s, time left not known"
 
 
-def test_stages_are_parts_of_one_whole_that_never_falls() -> None:
+def test_stages_are_parts_of_one_whole_that_never_falls():
     state = ProgressState(started_s=0.0)
     seen = []
 
@@ -69,13 +68,11 @@ def test_stages_are_parts_of_one_whole_that_never_falls() -> None:
     ("duration_s", "text"),
     [(0.2, "0 s"), (99.0, "99 s"), (100.0, "2 min"), (5400.0, "90 min"), (7260.0, "2 h 1 min")],
 )
-def test_a_duration_is_short_text(duration_s: float, text: str) -> None:
+def test_a_duration_is_short_text(duration_s, text):
     assert format_duration(duration_s) == text
 
 
-def test_lines_come_without_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_lines_come_without_a_terminal(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(module, "WAITS_S", (0.02, 0.01))
     with show_progress("job", "") as progress:
@@ -98,7 +95,7 @@ STAGES = ((0.1, 2.0), (0.5, 90.0), (0.6, 92.0), (1.0, 100.0))
 
 
 @pytest.mark.parametrize("size", [0.1, 0.5, 1.0, 3.0, 10.0])
-def test_the_time_left_of_a_run_of_another_size_is_right_within_a_factor_of_two(size: float) -> None:
+def test_the_time_left_of_a_run_of_another_size_is_right_within_a_factor_of_two(size):
     state = ProgressState(0.0, EarlierRun.of_points(STAGES, 100.0))
     fine = [(share / 100, time_s) for share, time_s in zip(range(101), _times_s(size), strict=True)]
     for share, time_s in fine:
@@ -126,21 +123,21 @@ def tell_left_s(stage: tuple[float, float], total: float) -> tuple[float, float]
 
 @pytest.mark.parametrize("stage", [(0.0, 1.0), (0.2, 0.6)])
 def test_a_guessed_share_tells_a_range_from_half_to_twice_what_a_counted_one_tells(
-    stage: tuple[float, float],
-) -> None:
+    stage,
+):
     counted, guessed = tell_left_s(stage, 1.0), tell_left_s(stage, GUESS)
     assert counted is not None
     assert guessed == pytest.approx((counted[0] / 2.0, counted[1] * 2.0))
 
 
-def test_the_first_hundredth_of_a_guess_tells_no_time_left() -> None:
+def test_the_first_hundredth_of_a_guess_tells_no_time_left():
     state = ProgressState(0.0)
     for share, is_told in ((0.0, False), (0.009, False), (0.02, True)):
         state.update(share, GUESS, "work", 1.0 + share)
         assert (state.left_s(2.0) is not None) == is_told
 
 
-def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells() -> None:
+def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells():
     told = []
     for total in (1.0, GUESS):
         state = ProgressState(0.0, EarlierRun((0.0, 0.6, 1.0), (0.0, 60.0, 100.0)))
@@ -149,23 +146,21 @@ def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells() 
     assert told[0] == told[1]
 
 
-def test_what_nobody_knows_stays_unknown_in_a_guess_and_in_a_stage() -> None:
+def test_what_nobody_knows_stays_unknown_in_a_guess_and_in_a_stage():
     state = ProgressState(0.0)
     for progress in (as_guess, lambda progress: part_of(progress, 0.2, 0.6)):
         progress(lambda *report: state.update(*report, 1.0))(0.0, 0.0, "reading")
     assert (state.what, state.first_share) == ("reading", None)
 
 
-def test_a_last_step_that_takes_longer_than_in_the_earlier_run_tells_no_time() -> None:
+def test_a_last_step_that_takes_longer_than_in_the_earlier_run_tells_no_time():
     state = ProgressState(0.0, EarlierRun.of_points([(0.5, 10.0)], 20.0))
     state.update(0.5, 1.0, "fit", 10.0)
     assert state.left_s(15.0) == pytest.approx((5.0, 5.0))
     assert state.left_s(25.0) is None
 
 
-def test_the_course_of_a_run_is_kept_for_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_course_of_a_run_is_kept_for_the_next_one(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert read_earlier_run("job", "a.csv") is None
     run = EarlierRun.of_points([(0.0, 1.0), (0.3, 40.0), (0.305, 41.0), (1.0, 60.0)], 61.0)

@@ -90,14 +90,14 @@ def test_a_robot_that_cannot_be_simulated_has_no_sensitivities(made):
 @pytest.mark.parametrize(
     "per_typical", np.geomspace(2 * TARGET_SIGMAS / MAX_STEP_SHARE, TARGET_SIGMAS / MIN_STEP_SHARE / 2, 7)
 )
-def test_a_step_along_a_line_is_adapted_at_once(per_typical: float) -> None:
+def test_a_step_along_a_line_is_adapted_at_once(per_typical):
     better = adapt_step(1.0, per_typical) or 1.0
     assert 1.0 / MAX_STEP_RATIO <= better * per_typical / TARGET_SIGMAS <= MAX_STEP_RATIO
     assert adapt_step(better, better * per_typical) is None
     assert step_error(better * per_typical) < step_error(0.0)
 
 
-def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
+def test_a_step_beyond_a_jump_comes_back_before_it():
     """A backlash changes sides at 0.05 of a typical size, and hides what is visible from 0.02 on."""
     share = 1.0
     for _ in range(MAX_ROUNDS):
@@ -189,18 +189,18 @@ def residuals(value: np.ndarray) -> FeatureResiduals:
     return FeatureResiduals(SENSITIVITIES, WHITEN, value)
 
 
-def test_without_effect_features_are_white() -> None:
+def test_without_effect_features_are_white():
     values = [WORLD.measured(np.random.default_rng([1, k])) for k in range(40)]
     white = np.array([residuals(value).residuals((), np.zeros((1, 0)))[0] for value in values])
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_class_competes_once() -> None:
+def test_a_class_competes_once():
     labels = [MODEL.label[SENSITIVITIES.index(one.key)] for one in EFFECTS]
     assert len(set(labels)) == len(labels) == int(MODEL.label.max()) + 1
 
 
-def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
+def test_the_change_by_effects_is_that_of_the_sensitivities():
     """Also beyond their reach, and for several effects at once."""
     rng = np.random.default_rng(3)
     value, some = WORLD.measured(rng), EFFECTS[4:12:3]
@@ -211,7 +211,7 @@ def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
     np.testing.assert_allclose(residuals(value).residuals(some, sizes[None])[0], expected, atol=1e-8)
 
 
-def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None:
+def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too():
     rng = np.random.default_rng(4)
     for h in (3, int(np.flatnonzero(np.bincount(WORLD.owner) == 2)[0])):
         hypothesis = SENSITIVITIES.hypotheses[h]
@@ -222,7 +222,7 @@ def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None
             np.testing.assert_allclose(one.change({hypothesis: a}), change)
 
 
-def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
+def test_a_class_is_represented_by_the_member_with_the_widest_bounds():
     """The bounds of the first members are one typical size; those of their copies are a thousand."""
     pairs = [of for k in range(len(SENSITIVITIES.hypotheses)) if len(of := MODEL.equivalence_class(k)) == 2]
     assert pairs
@@ -236,7 +236,7 @@ def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
     assert not {first for first, _ in pairs} & chosen
 
 
-def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
+def test_a_nuisance_of_the_same_parameter_bends_with_the_effect():
     """At the simulated size it has the slope of the parabola; other nuisances stay."""
     h, a = 3, np.array([2.0])
     (column,) = np.flatnonzero(WORLD.owner == h)
@@ -265,7 +265,7 @@ class Steep:
         return SENSITIVITIES.effect[:, column] * float(a[0] + 0.02 * a[0] ** 3)
 
 
-def test_a_second_simulation_does_not_depend_on_the_first() -> None:
+def test_a_second_simulation_does_not_depend_on_the_first():
     """A selection that simulates twice begins at the sensitivities of the campaign each time."""
     simulator, h = Steep(), 3
     value = simulator.respond(h, np.array([6.0]))

@@ -3,7 +3,6 @@
 import json
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -16,7 +15,7 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from marsarm.cli.app import app
-from marsarm.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
+from marsarm.dictionary.entries import Dictionary, build_dictionary
 from marsarm.telemetry.schema import arm_names, array_shape, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named, nominal_params
@@ -34,7 +33,7 @@ def out(*words: str, status: int = 0) -> str:
     return str(result.output if status else result.stdout)
 
 
-def test_the_document_has_all_sections_and_nothing_else_is_printed() -> None:
+def test_the_document_has_all_sections_and_nothing_else_is_printed():
     whole = json.loads(out("--json"))
     assert {name: bool(entries) for name, entries in whole.items()} == {
         "commands": True,
@@ -47,45 +46,42 @@ def test_the_document_has_all_sections_and_nothing_else_is_printed() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["MoveTool", "movetool", "MOVE_TOOL"])
-def test_a_command_is_found_by_either_name(pattern: str) -> None:
+def test_a_command_is_found_by_either_name(pattern):
     part = json.loads(out(pattern, "--json"))
     assert [entry["name"] for entry in part["commands"]] == ["MoveTool"]
     assert part["evrs"] == part["packets"] == part["parameters"] == []
 
 
-def has_current(kind: object) -> bool:
-    return is_dataclass(kind) and any(field.name.endswith("current_A") for field in fields(kind))
-
-
-def test_a_pattern_narrows_to_the_fields_that_match() -> None:
+def test_a_pattern_narrows_to_the_fields_that_match():
     part = json.loads(out("*current_A", "--json"))
     assert [(p["name"], [f["name"] for f in p["fields"]]) for p in part["packets"]] == [
         ("/sensors", ["current_A"])
     ]
-    fits = {kind.__name__ for kind in (*vars(evrs).values(), *vars(faults).values()) if has_current(kind)}
+    records = filter(is_dataclass, (*vars(evrs).values(), *vars(faults).values()))
+    fits = {one.__name__ for one in records if any(f.name.endswith("current_A") for f in fields(one))}
     assert {e["name"] for e in part["evrs"]} == fits
     assert "OverCurrent" in fits
 
 
-def test_people_read_a_table_that_marks_the_truth() -> None:
+def test_people_read_a_table_that_marks_the_truth():
     text = out("/truth")
     assert "flight software never sees it" in " ".join(text.split())
     assert "kinetic_energy_J" in text
 
 
-def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant() -> None:
+def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant():
     assert "did you mean OverCurrent?" in out("OverCurent", status=2)
     assert "did you mean /joint.motor_rad?" in out("/joint/moter_rad", status=2)
 
 
 @pytest.mark.parametrize("pattern", ["/joint.motor_rad", "/joint/motor_rad", "/JOINT/motor_*d"])
-def test_a_channel_is_found_in_either_spelling(pattern: str) -> None:
+def test_a_channel_is_found_in_either_spelling(pattern):
     (packet,) = json.loads(out(pattern, "--json"))["packets"]
     assert packet["name"] == "/joint"
     assert "motor_rad" in [one["name"] for one in packet["fields"]]
 
 
-def test_the_catalogue_is_one_document(tmp_path: Path) -> None:
+def test_the_catalogue_is_one_document(tmp_path):
     done = marsarm(tmp_path, "dictionary", "--effects", "--json")
     assert done.returncode == 0, done.stderr
     listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
@@ -106,18 +102,13 @@ def whole() -> Dictionary:
     return build_dictionary()
 
 
-def fields_of(whole: Dictionary) -> list[tuple[str, FieldDefinition]]:
-    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
-    named = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
-    return named + [(one.name, one) for one in whole.parameters]
+def test_every_number_has_a_unit_and_nothing_else_has(whole):
+    entries = (*whole.commands, *whole.evrs, *whole.packets)
+    for one in (*(one for entry in entries for one in entry.fields), *whole.parameters):
+        assert (one.unit is not None) == one.type.startswith(("float", "int")), one.name
 
 
-def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None:
-    for name, one in fields_of(whole):
-        assert (one.unit is not None) == one.type.startswith(("float", "int")), name
-
-
-def test_every_entry_and_every_field_has_a_text(whole: Dictionary) -> None:
+def test_every_entry_and_every_field_has_a_text(whole):
     for entry in (*whole.commands, *whole.evrs, *whole.packets):
         assert entry.text, entry.name
     for one in (
@@ -130,7 +121,7 @@ def test_every_entry_and_every_field_has_a_text(whole: Dictionary) -> None:
             assert one.text or f"{{e.{one.name}" in evr.message, f"{evr.name}.{one.name}"
 
 
-def test_every_command_evr_topic_and_fault_is_there(whole: Dictionary) -> None:
+def test_every_command_evr_topic_and_fault_is_there(whole):
     all_kinds = (*Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
     kinds = {kind.__name__ for kind in all_kinds if kind.__module__.startswith("fsw.")}
     assert {entry.name for entry in whole.commands} == {kind.__name__ for kind in get_args(Command)}
@@ -141,11 +132,11 @@ def test_every_command_evr_topic_and_fault_is_there(whole: Dictionary) -> None:
     }
 
 
-def test_the_truth_is_marked_and_nothing_else_is(whole: Dictionary) -> None:
+def test_the_truth_is_marked_and_nothing_else_is(whole):
     assert [packet.name for packet in whole.packets if packet.is_truth] == ["/truth"]
 
 
-def test_parameters_have_their_nominal_values_within_their_limits(whole: Dictionary) -> None:
+def test_parameters_have_their_nominal_values_within_their_limits(whole):
     values = {one.name: one for one in whole.parameters}
     assert values["joints.elbow.gear_ratio"].default == nominal_params().joints.elbow.gear_ratio
     for one in whole.parameters:
@@ -153,7 +144,7 @@ def test_parameters_have_their_nominal_values_within_their_limits(whole: Diction
             assert np.all((one.low <= np.array(one.default)) & (np.array(one.default) <= one.high)), one.name
 
 
-def test_the_shapes_are_those_of_a_run() -> None:
+def test_the_shapes_are_those_of_a_run():
     arm = arm_named("nominal", None)
     loop = ClosedLoop(Setup(arm, World("mars"), arm.params.poses.ready_rad), with_truth=True)
     cycles = [loop.cycle((Stop(),) if k == 0 else ()) for k in range(64)]
@@ -185,5 +176,5 @@ UNITS = {
 }
 
 
-def test_the_name_tells_the_unit() -> None:
+def test_the_name_tells_the_unit():
     assert {name: unit_of(name) for name in UNITS} == UNITS

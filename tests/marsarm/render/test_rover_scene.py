@@ -33,9 +33,7 @@ def axes(data: mujoco.MjData, body: str) -> np.ndarray:
 
 @pytest.mark.parametrize("scene", ["mars", "earth"])
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
-def test_gravity_points_down_and_the_rover_feels_it_as_in_the_run(
-    scene: Scene, roll_deg: float, pitch_deg: float
-) -> None:
+def test_gravity_points_down_and_the_rover_feels_it_as_in_the_run(scene, roll_deg, pitch_deg):
     world = tilted(roll_deg, pitch_deg, scene)
     model, data = drawn(world)
     np.testing.assert_array_equal(model.opt.gravity[:2], 0.0)
@@ -44,7 +42,7 @@ def test_gravity_points_down_and_the_rover_feels_it_as_in_the_run(
 
 
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
-def test_the_horizon_is_level_on_all_sides(roll_deg: float, pitch_deg: float) -> None:
+def test_the_horizon_is_level_on_all_sides(roll_deg, pitch_deg):
     model, data = drawn(tilted(roll_deg, pitch_deg, "earth"))
     azimuth = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
     for height, seen in ((0.001, -1), (-0.001, model.geom("ground").id)):
@@ -55,9 +53,7 @@ def test_the_horizon_is_level_on_all_sides(roll_deg: float, pitch_deg: float) ->
 
 @pytest.mark.parametrize("surface", [None, ROCK, LOW_ROCK], ids=["no rock", "rock", "rock below the wheels"])
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
-def test_rover_arm_and_rock_stay_together_on_the_slope(
-    roll_deg: float, pitch_deg: float, surface: Surface | None
-) -> None:
+def test_rover_arm_and_rock_stay_together_on_the_slope(roll_deg, pitch_deg, surface):
     level = build(tilted(0.0, 0.0, surface=surface), for_pictures=True).compile()
     model, data = drawn(tilted(roll_deg, pitch_deg, surface=surface))
     before = mujoco.MjData(level)
@@ -77,7 +73,7 @@ def test_rover_arm_and_rock_stay_together_on_the_slope(
     np.testing.assert_allclose(below_sky_m, 50.0, atol=1e-5)
 
 
-def test_a_hill_has_no_edge_where_its_slope_ends_or_where_it_meets_the_plain() -> None:
+def test_a_hill_has_no_edge_where_its_slope_ends_or_where_it_meets_the_plain():
     model, data = drawn(tilted(0.0, 30.0))
     down = np.array([0.0, 0.0, -1.0])
     x_m = np.linspace(-9.0, 9.0, 181)
@@ -87,7 +83,7 @@ def test_a_hill_has_no_edge_where_its_slope_ends_or_where_it_meets_the_plain() -
     assert np.abs(np.diff(from_sky_m)).max() < 0.1 * np.tan(np.radians(50.0))
 
 
-def test_a_level_rover_is_drawn_as_ever() -> None:
+def test_a_level_rover_is_drawn_as_ever():
     spec = build(World(surface=ROCK), for_pictures=True)
     before = spec.to_xml()
     tilt_rover(spec)
@@ -129,9 +125,9 @@ def test_the_triangles_of_a_solid_enclose_its_volume_and_face_outward(model, nam
     a, b, c = found.vertices_m.astype(float)[found.faces].transpose(1, 0, 2)
     volume = np.sum(a * np.cross(b, c)) / 6
     assert volume == pytest.approx(VOLUMES[name], rel=0.07)
-    edges = np.sort(
-        _same_place(found)[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1
-    )
+    # vertices at sharp edges are there twice
+    place = np.unique(found.vertices_m.round(6) + 0.0, axis=0, return_inverse=True)[1].ravel()
+    edges = np.sort(place[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all(), "each edge of a closed surface belongs to two triangles"
 
@@ -141,8 +137,3 @@ def test_a_plane_has_its_size_and_faces_up(model):
     assert np.ptp(found.vertices_m, axis=0).tolist() == [4.0, 6.0, 0.0]
     a, b, c = found.vertices_m[found.faces].transpose(1, 0, 2)
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
-
-
-def _same_place(found):
-    """Return a number for the place of each vertex; vertices at sharp edges are there twice."""
-    return np.unique(found.vertices_m.round(6) + 0.0, axis=0, return_inverse=True)[1].ravel()

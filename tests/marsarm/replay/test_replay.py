@@ -175,15 +175,13 @@ def test_sensors_of_another_shape_are_refused():
     sensors = RECORDED["/sensors"]
     four = np.zeros(len(sensors), [("current_A", "<f8", (4,)), ("cycle", "<i8")])
     names = [name for name in sensors.dtype.names if name not in four.dtype.names]
-    whole = np.zeros(len(sensors), four.dtype.descr + [(n, *_descr(sensors.dtype[n])) for n in names])
+    whole = np.zeros(
+        len(sensors), four.dtype.descr + [(n, sensors.dtype[n].base, sensors.dtype[n].shape) for n in names]
+    )
     with pytest.raises(
         NotReplayable, match=r"current_A is float64\(4,\); flight software reads float64\(5,\)"
     ):
         inputs_from_log(replace(RECORDED, packets={"/sensors": whole}))
-
-
-def _descr(dtype: np.dtype) -> tuple:
-    return (dtype.base, dtype.shape)
 
 
 def test_a_whole_log_is_replayed_to_its_end():

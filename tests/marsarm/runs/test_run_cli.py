@@ -2,6 +2,9 @@
 
 import gc
 import json
+import os
+import subprocess
+import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +34,7 @@ from sim.world import build
 from simgap.common.errors import BadOutput
 from simgap.common.progress import no_progress
 from simgap.common.report import print_parts
-from tests.marsarm.command import SHORT_RUN, largest_file, marsarm, marsarm_process
+from tests.marsarm.command import ROOT, SHORT_RUN, largest_file, marsarm
 from tests.sim import lab
 
 REFUSED = SHORT_RUN + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
@@ -170,6 +173,7 @@ def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
     assert max(lines, key=lambda line: line.count_diff).count_diff < LAST - FIRST
 
 
+@pytest.mark.slow
 def test_one_joint_is_found_and_drawn_and_people_see_a_table_and_what_was_said(tmp_path):
     words = ("--arm", "as-built:5", "--temperature", "-55", "--picture", "turret.png")
     done = marsarm(tmp_path, "hardstop", "--joint", "turret", *words)
@@ -275,7 +279,16 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path)
 @pytest.mark.slow
 @pytest.mark.parametrize("value", ["nonsense", " OFF "])
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
-    done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
+    command = [
+        sys.executable,
+        "-c",
+        "from marsarm.__main__ import start; start()",
+        "place",
+        "--tool",
+        "spoon",
+    ]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": value}
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "tool: 'spoon' cannot be placed" in done.stderr
 

@@ -102,7 +102,7 @@ def imported(folder: Path) -> Log:
     return read_log(folder / "o.mcap")
 
 
-def test_a_table_of_a_run_is_that_run(run: Log, tmp_path: Path) -> None:
+def test_a_table_of_a_run_is_that_run(run, tmp_path):
     columns, mapping = exported(run)
     parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'arm = "theirs"\n{mapping}')
@@ -117,7 +117,7 @@ def test_a_table_of_a_run_is_that_run(run: Log, tmp_path: Path) -> None:
     assert (log.header["arm"], log.header["mjcf_sha256"], log.end) == ("theirs", "unknown", "closed")
 
 
-def test_the_drive_of_a_log_is_imported_again(run: Log, tmp_path: Path) -> None:
+def test_the_drive_of_a_log_is_imported_again(run, tmp_path):
     names = json.dumps([f"/drive.current_limit_a[{k}]" for k in range(5)])
     (tmp_path / "m.toml").write_text(drive("current_limit_A", f'columns = {names}\nunit = "A"'))
     (series,) = convert_table(run.path, tmp_path / "m.toml").series
@@ -125,43 +125,43 @@ def test_the_drive_of_a_log_is_imported_again(run: Log, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("unit", "given_value"), [("deg/s", 180.0), ("rpm", 30.0)])
-def test_units_are_converted_to_those_of_a_log(mapped: Any, unit: str, given_value: float) -> None:
+def test_units_are_converted_to_those_of_a_log(mapped, unit, given_value):
     made = mapped(SPEED.replace("rad/s", unit), a=[given_value] * 4)
     assert values(made, "setpoint_rate_rad_s") == pytest.approx(np.full(4, np.pi), rel=1e-15)
 
 
-def test_counts_stay_whole_and_are_rounded_only_where_a_factor_asks_for_it(mapped: Any) -> None:
+def test_counts_stay_whole_and_are_rounded_only_where_a_factor_asks_for_it(mapped):
     made = mapped(STEPS, a=[0, 1 << 53, -5, 2])
     assert values(made, "setpoint_count").tolist() == [0, 1 << 53, -5, 2]
     scaled = drive("setpoint_count", f"columns = {FIVE}\nfactor = [0.4, 1, 1, 1, 1]")
     assert values(mapped(scaled, a=[0, 1, 2, 4]), "setpoint_count").tolist() == [0, 0, 1, 2]
 
 
-def test_flags_may_be_numbers_and_may_be_turned_round(mapped: Any) -> None:
+def test_flags_may_be_numbers_and_may_be_turned_round(mapped):
     assert values(mapped(FLAG, a=[0, 1, 1, 0]), "vibrate").tolist() == [False, True, True, False]
     turned = drive("vibrate", 'columns = "a"\nfactor = -1\noffset = 1')
     made = mapped(turned, a=[True, False, True, True])
     assert values(made, "vibrate").tolist() == [False, True, False, False]
 
 
-def test_a_constant_stands_in_every_message(mapped: Any) -> None:
+def test_a_constant_stands_in_every_message(mapped):
     made = mapped(STEPS.replace('value = 0\nunit = "A"', 'value = 2000\nunit = "mA"'), a=[1] * 4)
     assert made.series[0].data["current_limit_A"].tolist() == [[2.0] * 5] * 4
     assert not made.series[0].data["power_on"].any()
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-def test_the_unit_of_the_time_is_that_of_the_column(mapped: Any, unit: str) -> None:
+def test_the_unit_of_the_time_is_that_of_the_column(mapped, unit):
     t = GRID_S * {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
     assert mapped(STEPS, f'unit = "{unit}"', t + t[1], a=[1] * 4).series[0].ticks.tolist() == [0, 1, 2, 3]
 
 
-def test_the_file_may_know_its_times(mapped: Any) -> None:
+def test_the_file_may_know_its_times(mapped):
     t = pa.array(np.arange(4) * TICK_NS + 10**18, pa.timestamp("ns"))
     assert mapped(STEPS, t=t, a=[1] * 4).series[0].ticks.tolist() == [0, 1, 2, 3]
 
 
-def test_linear_is_between_the_rows_and_flags_are_held(mapped: Any) -> None:
+def test_linear_is_between_the_rows_and_flags_are_held(mapped):
     t, k, at_s = np.arange(9) / 100, np.arange(9), np.arange(6) / 64
     made = mapped(SPEED, 'grid = "linear"', t, a=10.0 * t)
     assert made.series[0].ticks.tolist() == list(range(6))
@@ -172,7 +172,7 @@ def test_linear_is_between_the_rows_and_flags_are_held(mapped: Any) -> None:
     assert values(made, "vibrate").tolist() == (np.floor(at_s * 100).astype(int) % 2 == 1).tolist()
 
 
-def test_rows_on_the_grid_keep_every_bit_whatever_comes_beside_them(mapped: Any) -> None:
+def test_rows_on_the_grid_keep_every_bit_whatever_comes_beside_them(mapped):
     a = np.array([1.0, -0.0, np.nan, np.inf])
     made = mapped(SPEED, 'grid = "linear"', a=a)
     assert values(made, "setpoint_rate_rad_s").tobytes() == a.tobytes()
@@ -180,12 +180,12 @@ def test_rows_on_the_grid_keep_every_bit_whatever_comes_beside_them(mapped: Any)
     assert values(far, "setpoint_rate_rad_s").tolist() == [-1.5e308, 0.0, 1.5e308]
 
 
-def test_a_topic_of_a_lower_rate_has_its_own_rows(mapped: Any) -> None:
+def test_a_topic_of_a_lower_rate_has_its_own_rows(mapped):
     made = mapped(STEPS, 'grid = "linear"', a=[0, None, 4, None])
     assert values(made, "setpoint_count").tolist() == [0, 2, 4]
 
 
-def test_a_repeat_is_known_as_one_to_the_diagnosis(run: Log, tmp_path: Path) -> None:
+def test_a_repeat_is_known_as_one_to_the_diagnosis(run, tmp_path):
     columns, mapping = exported(run)
     for name in ("gravity_R_m_s2", "winding_C", "structure_C"):
         columns |= {key: np.zeros(N_CYCLES) for key in columns if key.startswith(f"/sensors.{name}")}
@@ -259,15 +259,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("mapping", "columns", "why"), WRONG.values(), ids=WRONG.keys())
-def test_a_wrong_mapping_or_column_is_refused(
-    mapped: Any, mapping: str, columns: dict[str, Any], why: str
-) -> None:
+def test_a_wrong_mapping_or_column_is_refused(mapped, mapping, columns, why):
     with pytest.raises(RobotError) as caught:
         mapped(mapping, **columns)
     assert why in str(caught.value)
 
 
-def test_nan_in_csv_is_an_empty_cell(tmp_path: Path) -> None:
+def test_nan_in_csv_is_an_empty_cell(tmp_path):
     (tmp_path / "t.csv").write_text("t,a,a2,a3,a4,a5\n0,1,1,1,1,1\n0.015625,1,nan,1,1,1\n")
     (tmp_path / "m.toml").write_text(f'[time]\ncolumn = "t"\n{SPEED}')
     with pytest.raises(RobotError, match="row 2, column 'a2': has no value"):
@@ -286,13 +284,13 @@ TIMES = {
 
 
 @pytest.mark.parametrize(("t", "grid", "why"), TIMES.values(), ids=TIMES.keys())
-def test_times_that_do_not_fit_are_refused(mapped: Any, t: list[float], grid: str, why: str) -> None:
+def test_times_that_do_not_fit_are_refused(mapped, t, grid, why):
     with pytest.raises(RobotError) as caught:
         mapped(STEPS, f'grid = "{grid}"', np.array(t) / 64, **A)
     assert why in str(caught.value)
 
 
-def test_the_verb_reports_what_was_made(tmp_path: Path) -> None:
+def test_the_verb_reports_what_was_made(tmp_path):
     parquet.write_table(pa.table({"t": GRID_S, "a": [0, 1, 1, 0]}), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'[time]\ncolumn = "t"\n{FLAG}')
     words = ["log", "import", *(str(tmp_path / name) for name in ("t.parquet", "m.toml", "out.mcap"))]

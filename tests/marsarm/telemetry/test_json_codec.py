@@ -150,7 +150,7 @@ def test_a_whole_number_where_a_float_may_be_stays_what_it_is():
 )
 @settings(max_examples=1)
 @given(data=st.data())
-def test_every_evr_goes_into_a_log(kind: Any, data: Any) -> None:
+def test_every_evr_goes_into_a_log(kind, data):
     evr = data.draw(any_record(kind))
     entry = evr_entry(7, evr)
     assert type(entry).decode(entry.encode()) == entry
@@ -161,7 +161,7 @@ def test_every_evr_goes_into_a_log(kind: Any, data: Any) -> None:
     )
 
 
-def test_a_field_without_a_json_type_is_refused() -> None:
+def test_a_field_without_a_json_type_is_refused():
     with pytest.raises(SchemaError, match="object in a command or EVR"):
         record_to_json(object())
 
@@ -215,7 +215,7 @@ def packed(packet: Packet) -> bytes:
     return Packer("packet", packet_layout(Packet, NAMES, ARM)).pack(packet)
 
 
-def test_a_message_is_cdr_as_decoded_by_hand() -> None:
+def test_a_message_is_cdr_as_decoded_by_hand():
     header, colour, current, *rest = BY_HAND.unpack(packed(PACKET))
     assert (header, colour, current) == (b"\x00\x01\x00\x00", 7, -0.25)
     assert rest[:9] == list(range(9))
@@ -223,7 +223,7 @@ def test_a_message_is_cdr_as_decoded_by_hand() -> None:
     assert rest[12:] == [True, True, False, True]
 
 
-def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments() -> None:
+def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments():
     assert packet_layout(Packet, NAMES, ARM).ros_text.splitlines() == [
         "int64 colour  # Colour: 3 RED, 7 BLUE",
         "float64 current_a  # current_A; [A]; -2 .. 2.5",
@@ -237,12 +237,12 @@ def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_doc
 
 
 @pytest.mark.parametrize("kind", ["<,f8", "8(f8", "V8", "<f16", "O", "<\u00ff", "<U4"])
-def test_a_layout_of_what_is_no_number_is_refused(kind: str) -> None:
+def test_a_layout_of_what_is_no_number_is_refused(kind):
     with pytest.raises(ValueError, match="is no number"):
         Layout.from_json(json.dumps([["angle_rad", kind, None]]))
 
 
-def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
+def test_an_array_lies_row_by_row_whatever_its_order_in_memory():
     turned = replace(
         PACKET, R_RT=np.asfortranarray(PACKET.R_RT), count=np.array([-32768, 0, 32767, 0], np.int16)[::2]
     )
@@ -259,7 +259,7 @@ def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
         ("colour", 0.5, "packet.colour: 0.5 given"),
     ],
 )
-def test_a_packet_unlike_its_layout_is_refused_by_its_field(name: str, value: object, what: str) -> None:
+def test_a_packet_unlike_its_layout_is_refused_by_its_field(name, value, what):
     with pytest.raises(SchemaError, match=what):
         packed(replace(PACKET, **{name: value}))
 
@@ -277,6 +277,6 @@ class Odd:
 @pytest.mark.parametrize(
     "names", [("text",), ("maybe",), ("words",), ("count", "Count"), ("under__score",)], ids=str
 )
-def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names: tuple[str, ...]) -> None:
+def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names):
     with pytest.raises(SchemaError, match=rf"Odd\.{names[-1]}:"):
         packet_layout(Odd, names, ARM)

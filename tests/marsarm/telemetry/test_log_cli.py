@@ -130,21 +130,21 @@ def assert_same_bits(log: Log, topic: str, path: Path) -> None:
             assert (read.dtype, read.tobytes()) == (values.dtype, values[:, k].tobytes()), column
 
 
-def test_parquet_keeps_every_bit_of_every_topic(log: Log, tmp_path: Path) -> None:
+def test_parquet_keeps_every_bit_of_every_topic(log, tmp_path):
     files = export(log, tmp_path / "tables", [], no_progress)
     assert files.keys() == log.time_ns.keys()
     for topic in log.packets:
         assert_same_bits(log, topic, files[topic])
 
 
-def test_a_mode_that_is_not_known_is_named_with_those_that_are(log: Log, tmp_path: Path) -> None:
+def test_a_mode_that_is_not_known_is_named_with_those_that_are(log, tmp_path):
     joint = log["/joint"].copy()
     joint["mode"][3] = 99
     with pytest.raises(BadRequest, match=r"/joint\.mode: 99 is no mode; there are 0 STOWED, .* --topic$"):
         export(replace(log, packets={**log.packets, "/joint": joint}), tmp_path, ["/joint"], no_progress)
 
 
-def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
+def test_parquet_keeps_header_and_units(log, tmp_path):
     (path,) = export(log, tmp_path, ["/joint"], no_progress).values()
     schema = pq.read_schema(path)
     assert json.loads(schema.metadata[b"marsarm.header"]) == dict(log.header)
@@ -156,7 +156,7 @@ def test_parquet_keeps_header_and_units(log: Log, tmp_path: Path) -> None:
     assert b"marsarm.truth" in pq.read_schema(truth).metadata
 
 
-def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:
+def test_csv_reads_back_exactly(log, tmp_path):
     (path,) = export(log, tmp_path, ["/sensors"], no_progress, ".csv").values()
     with path.open(newline="") as file:
         names, *rows = csv.reader(file)
@@ -169,7 +169,7 @@ def test_csv_reads_back_exactly(log: Log, tmp_path: Path) -> None:
     assert set(columns["switch_closed[0]"]) <= {"0", "1"}
 
 
-def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
+def test_events_and_commands_are_tables_too(log, tmp_path):
     files = export(log, tmp_path / "tables", ["/evr", "/command"], no_progress)
     evrs = pq.read_table(files["/evr"]).to_pylist()
     assert (evrs[0]["name"], evrs[0]["severity"]) == ("Booted", "ACTIVITY_HI")
@@ -177,7 +177,7 @@ def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
     assert pq.read_table(files["/command"])["name"].to_pylist()[:2] == ["Stop", "GuardedMove"]
 
 
-def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
+def test_channels_by_pattern_with_their_ranges(log):
     chosen = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
     rad, flags = channels_document(log, chosen)["channels"]
     assert (rad["channel"], rad["type"], rad["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
@@ -226,7 +226,7 @@ def broken(data: bytes, *places: int) -> bytes:
     return bytes(changed)
 
 
-def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
+def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path, data):
     recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     due = {topic: LostMessages(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
     lost = {one.topic: one for one in recovered.lost}
@@ -240,33 +240,31 @@ def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: P
     assert not log.truncated
 
 
-def test_losses_at_the_end_are_of_an_unknown_number(tmp_path: Path, data: bytes) -> None:
+def test_losses_at_the_end_are_of_an_unknown_number(tmp_path, data):
     recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
     assert recovered.lost == (LostMessages(None, None, (N_CYCLES - 2) * TICK_NS, None),)
     assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.156250 s"
 
 
-def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(tmp_path: Path) -> None:
+def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(tmp_path):
     cycles = [cycle_at(tick) if tick < 3 else replace(cycle_at(tick), commands=()) for tick in range(8)]
     data = record(tmp_path / "run.mcap", cycles, chunk_cycles=1).read_bytes()
     recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     assert LostMessages("/command", None, 4 * TICK_NS, 6 * TICK_NS) in recovered.lost
 
 
-def test_losses_at_the_beginning_are_reported(tmp_path: Path, data: bytes) -> None:
+def test_losses_at_the_beginning_are_reported(tmp_path, data):
     recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
     assert LostMessages("/joint", 1, None, TICK_NS) in recovered.lost
 
 
-def test_an_undamaged_log_loses_nothing(tmp_path: Path, data: bytes) -> None:
+def test_an_undamaged_log_loses_nothing(tmp_path, data):
     assert saved(tmp_path, data).lost == ()
     assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "bad.mcap"))
 
 
 @pytest.mark.parametrize("end", ["closed", "killed"])
-def test_two_runs_in_one_file_do_not_become_one_log(
-    tmp_path: Path, data: bytes, other: bytes, end: str
-) -> None:
+def test_two_runs_in_one_file_do_not_become_one_log(tmp_path, data, other, end):
     first = data if end == "closed" else data[: chunk_of(data, 8)]
     recovered = saved(tmp_path, first + other)
     (tmp_path / "first.mcap").write_bytes(first)
@@ -276,23 +274,21 @@ def test_two_runs_in_one_file_do_not_become_one_log(
 
 
 @pytest.mark.parametrize("behind", [b"garbage", b"\0" * 4096])
-def test_bytes_after_a_log_are_reported_and_cost_no_message(
-    tmp_path: Path, data: bytes, other: bytes, behind: bytes
-) -> None:
+def test_bytes_after_a_log_are_reported_and_cost_no_message(tmp_path, data, other, behind):
     for rest in (behind, other):
         (tmp_path / "run.mcap").write_bytes(data + rest)
         log = read_log(tmp_path / "run.mcap")
         assert (log.truncated, log.trailing_bytes, len(log["/joint"])) == (False, len(rest), N_CYCLES)
 
 
-def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
+def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path, data):
     a, b = (chunk_of(data, tick) for tick in (4, 5))
     recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
     assert "duplicate messages left out" in recovered.notes[0]
     assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
 
 
-def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
+def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path, data):
     at = data.index(b"nominal")
     recovered = saved(tmp_path, broken(data, at))
     assert recovered.header_lost
@@ -301,19 +297,19 @@ def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
-def test_bits_flipped_anywhere(tmp_path: Path, data: bytes, kept: float) -> None:
+def test_bits_flipped_anywhere(tmp_path, data, kept):
     found = flip_bits(original(data[: int(kept * len(data))]), 30, 6, tmp_path)
     assert found.wrong == []
     assert found.read["detected"] > 10
 
 
-def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
+def test_files_cut_anywhere(tmp_path, data):
     found = truncate_file(original(data), CUT_EVERY // 4, tmp_path)
     assert found.wrong == []
     assert found.read["cut"] > 5
 
 
-def test_records_that_do_not_fit_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
+def test_records_that_do_not_fit_are_read_or_refused(tmp_path, data):
     found = change_records(original(data[: int(0.6 * len(data))]), 60, 6, tmp_path)
     assert (found.wrong, found.read.keys()) == ([], {"read", "refused"})
 
@@ -340,7 +336,7 @@ def short_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_readers_of_mcap_take_it(short_logs: Path, kind: str) -> None:
+def test_the_readers_of_mcap_take_it(short_logs, kind):
     path = short_logs / f"{kind}.mcap"
     counts = {topic: len(times) for topic, times in read_log(path).time_ns.items()}
     for reader in (make_reader, NonSeekingReader):
@@ -351,7 +347,7 @@ def test_the_readers_of_mcap_take_it(short_logs: Path, kind: str) -> None:
         assert counts == {topic: found[topic] for topic in counts}
 
 
-def test_messages_follow_their_definitions(short_logs: Path) -> None:
+def test_messages_follow_their_definitions(short_logs):
     log = read_log(short_logs / "run.mcap")
     found: dict[str, list[Any]] = {}
     with (short_logs / "run.mcap").open("rb") as file:

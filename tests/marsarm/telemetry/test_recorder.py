@@ -45,9 +45,7 @@ ROOT = Path(__file__).parents[3]
     ],
     ids=["no directory", "a directory", "zero byte", "too long", "below a file", "a pipe"],
 )
-def test_a_path_that_cannot_be_written_is_refused_and_left_as_it_was(
-    tmp_path: Path, name: str, why: str
-) -> None:
+def test_a_path_that_cannot_be_written_is_refused_and_left_as_it_was(tmp_path, name, why):
     (tmp_path / "file").write_text("mine")
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(LogNotWritable, match=why) as caught:
@@ -58,16 +56,14 @@ def test_a_path_that_cannot_be_written_is_refused_and_left_as_it_was(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_directory_without_permission_is_refused(tmp_path: Path) -> None:
+def test_a_directory_without_permission_is_refused(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(LogNotWritable, match="no right to write there"):
         Recorder(tmp_path / "run.mcap", {})
 
 
 @pytest.mark.parametrize("before", [{}, {"run.mcap": b"of a good day"}], ids=["new", "over another"])
-def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
-    tmp_path: Path, before: dict[str, bytes]
-) -> None:
+def test_a_disk_without_room_is_refused_and_leaves_what_was_there(tmp_path, before):
     for name, data in before.items():
         (tmp_path / name).write_bytes(data)
     with largest_file(0), pytest.raises(LogNotWritable, match="File too large"):
@@ -75,7 +71,7 @@ def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
-def test_a_log_is_written_where_a_link_points_to(tmp_path: Path) -> None:
+def test_a_log_is_written_where_a_link_points_to(tmp_path):
     (tmp_path / "last.mcap").symlink_to("run.mcap")
     record(tmp_path / "last.mcap", [cycle_at(0)])
     assert (tmp_path / "last.mcap").is_symlink()
@@ -112,7 +108,7 @@ def record_and_end(
 forks = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 
 
-def test_a_cycle_after_the_end_of_the_log_is_refused(tmp_path: Path) -> None:
+def test_a_cycle_after_the_end_of_the_log_is_refused(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap", {})
     recorder.write(cycle_at(0))
     recorder.close()
@@ -122,7 +118,7 @@ def test_a_cycle_after_the_end_of_the_log_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("tick", [2, 3])
-def test_a_log_goes_forward(tmp_path: Path, tick: int) -> None:
+def test_a_log_goes_forward(tmp_path, tick):
     with Recorder(tmp_path / "run.mcap", {}) as recorder:
         recorder.write(cycle_at(3))
         with pytest.raises(ValueError, match=f"cycle {tick} after cycle 3"):
@@ -132,7 +128,7 @@ def test_a_log_goes_forward(tmp_path: Path, tick: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_forked_process_leaves_a_log_alone_that_the_end_of_the_program_closes(tmp_path: Path) -> None:
+def test_a_forked_process_leaves_a_log_alone_that_the_end_of_the_program_closes(tmp_path):
     program = """
 import os, sys
 from marsarm.telemetry.recorder import Recorder
@@ -176,7 +172,7 @@ def record_on_disk(path: Path, size: int, cycles: int) -> tuple[list[str | None]
     return errors, recorder.written_cycles
 
 
-def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path):
     errors, written = record_on_disk(tmp_path / "run.mcap", 300_000, 100_000)
     assert errors == ["File too large", "File too large"]
     log = read_log(tmp_path / "run.mcap")
@@ -184,7 +180,7 @@ def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path: Path) -
     assert len(log["/joint"]) == written > 0
 
 
-def test_a_disk_that_is_full_at_the_end_is_reported_by_close(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_at_the_end_is_reported_by_close(tmp_path):
     whole = record(tmp_path / "whole.mcap", [cycle_at(0)]).stat().st_size
     assert record_on_disk(tmp_path / "run.mcap", whole - 10, 1) == ([None, "File too large"], 1)
     log = read_log(tmp_path / "run.mcap")
@@ -192,7 +188,7 @@ def test_a_disk_that_is_full_at_the_end_is_reported_by_close(tmp_path: Path) -> 
 
 
 @forks
-def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
+def test_a_killed_run_loses_less_than_a_chunk(tmp_path):
     assert record_and_end(tmp_path / "run.mcap", 150, lambda _: os.kill(os.getpid(), 9)) == 9
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (128, True)
@@ -200,7 +196,7 @@ def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @forks
-def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path: Path) -> None:
+def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path):
     rng, path, good = np.random.default_rng(54), tmp_path / "run.mcap", tmp_path / "good.mcap"
     cycles, written = [cycle_at(tick) for tick in range(64)], np.frombuffer(mmap(-1, 8), np.int64)
     for _ in range(50):
@@ -226,9 +222,7 @@ def test_runs_killed_at_random_times_leave_what_is_older_than_a_chunk(tmp_path: 
         assert written[0] - len(log["/joint"]) <= 1.2 * CYCLE_HZ
 
 
-def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(tmp_path, monkeypatch):
     class HalfFile(FileIO):
         def write(self, data: Any) -> int:
             if len(data) < 2000:
@@ -252,14 +246,14 @@ def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(
 
 @forks
 @pytest.mark.parametrize("closed", [(1,), (0, 1, 2)], ids=str)
-def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, closed: Sequence[int]) -> None:
+def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path, closed):
     """The first file that such a run opens has the number of a standard stream."""
     record_and_end(tmp_path / "run.mcap", 40, Recorder.close, closed)
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (40, False)
 
 
-def test_the_summary_is_that_of_the_messages(tmp_path: Path) -> None:
+def test_the_summary_is_that_of_the_messages(tmp_path):
     path = record(tmp_path / "run.mcap", map(cycle_at, range(30)), chunk_cycles=1)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)

@@ -52,12 +52,12 @@ ASKED_FOR = (
 )
 
 
-def test_all_that_was_asked_for_is_there_and_can_be_raced() -> None:
+def test_all_that_was_asked_for_is_there_and_can_be_raced():
     hypothesised = {hypothesis.kind for hypothesis in HYPOTHESES}
     assert [name for name in ASKED_FOR if catalogue().get(name) not in hypothesised] == []
 
 
-def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
+def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name():
     names = [kind.__name__ for kind in effect_classes_in(sim.effects.gears)]
     assert names[:2] == ["CoulombFriction", "AsymmetricFriction"]
     assert set(effect_classes_in(sim.effects.gears)) <= set(catalogue().values())
@@ -65,7 +65,7 @@ def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
 
 
 @KINDS
-def test_the_typical_size_of_a_parameter_twice_over_is_within_its_bounds(kind: type[Effect]) -> None:
+def test_the_typical_size_of_a_parameter_twice_over_is_within_its_bounds(kind):
     for parameter in parameters_of(kind):
         size = parameter.spec
         if size is not None and parameter.is_amplitude:
@@ -76,7 +76,7 @@ def test_the_typical_size_of_a_parameter_twice_over_is_within_its_bounds(kind: t
 
 
 @KINDS
-def test_every_effect_comes_back_from_what_is_written_of_it(kind: type[Effect]) -> None:
+def test_every_effect_comes_back_from_what_is_written_of_it(kind):
     places = list(all_places(kind))
     assert places
     for place in (places[0], places[-1]):
@@ -97,7 +97,7 @@ def value_of(parameter) -> object:
     return value if parameter.count == 1 else (value,) * parameter.count
 
 
-def test_hypotheses_are_all_different_and_have_names_of_their_own() -> None:
+def test_hypotheses_are_all_different_and_have_names_of_their_own():
     names = [str(hypothesis) for hypothesis in HYPOTHESES]
     assert len(set(names)) == len(names)
     assert "coulomb-friction:elbow" in names
@@ -105,14 +105,14 @@ def test_hypotheses_are_all_different_and_have_names_of_their_own() -> None:
     assert "warming" in names
 
 
-def test_a_hypothesis_has_one_place_and_its_sizes_open() -> None:
+def test_a_hypothesis_has_one_place_and_its_sizes_open():
     (one,) = (hypothesis for hypothesis in HYPOTHESES if str(hypothesis) == "flex-cable:wrist")
     assert [p.field for p in one.amplitudes] == ["stiffness_Nm_rad", "drag_Nm"]
     effect = one.effect(drag_Nm=2.0)
     assert (effect.joint, effect.stiffness_Nm_rad, effect.drag_Nm) == (Joint.WRIST, 0.0, 2.0)
 
 
-def test_places_that_a_class_refuses_are_none() -> None:
+def test_places_that_a_class_refuses_are_none():
     assert {place["frame"] for place in all_places(LinkBending)} == {*Frame} - {
         Frame.ARM1,
         Frame.ARM6,
@@ -161,12 +161,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", RIGHT)
-def test_what_is_written_rightly_is_read(text: str) -> None:
+def test_what_is_written_rightly_is_read(text):
     assert parse_effect_text(text, TOOLS) == RIGHT[text]
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text: str) -> None:
+def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text):
     with pytest.raises(BadEffect, match=WRONG[text].replace("[", r"\[")):
         parse_effect_text(text, TOOLS)
 
@@ -189,7 +189,7 @@ type = "done"
 """
 
 
-def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begins() -> None:
+def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begins():
     scenario = parse_scenario(SCENARIO, "still", "still.toml")
     nominal = arm_named("nominal")
     arm = scenario.fit_arm(nominal)
@@ -227,7 +227,7 @@ MISFITS = {
 
 
 @pytest.mark.parametrize(("effect", "problem"), MISFITS.values(), ids=MISFITS)
-def test_what_the_arm_lacks_is_refused_in_one_sentence(effect: Effect, problem: str) -> None:
+def test_what_the_arm_lacks_is_refused_in_one_sentence(effect, problem):
     for refuse in (
         lambda: ARM.with_effects((effect,)),
         lambda: ClosedLoop(Setup(ARM, World(), ARM.params.poses.ready_rad, effects=(effect,))),
@@ -237,14 +237,14 @@ def test_what_the_arm_lacks_is_refused_in_one_sentence(effect: Effect, problem: 
         assert str(refused.value) == f"effect {type(effect).__name__}: {problem}"
 
 
-def test_what_the_arm_has_is_allowed() -> None:
+def test_what_the_arm_has_is_allowed():
     check_effects((replace(DEAD, index=LAST), replace(DEAD, index=None)), ARM.params)
     check_effects((ToolOffset(tool, "x", 1e-3) for tool in TOOLS), ARM.params)
     with pytest.raises(EffectMisfit, match="index: this arm has no contact switch"):
         check_effects((replace(DEAD, index=0),), replace(ARM.params, switches=()))
 
 
-def test_a_request_is_refused_before_anything_moves() -> None:
+def test_a_request_is_refused_before_anything_moves():
     text = f"sensor-fault:switch_closed.biased:at_s=1,index={LAST + 1},size=-1"
     with pytest.raises(BadRequest, match=r"effect SensorFault: index: 10 is outside 0 \.\. 9"):
         prepare_placement(PlaceRequest(effects=(text,)))
@@ -261,7 +261,7 @@ def dent(tmp_path: Path) -> Path:
     return file
 
 
-def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -> None:
+def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent):
     option = re.search(r"own_effect\.py:(Dent\S*)", (ROOT / "docs" / "effects.md").read_text())[1]
     effect = parse_effect_text(f"{dent}:{option}", TOOLS)
     assert isinstance(effect, Effect)
@@ -295,7 +295,7 @@ def test_it_comes_back_from_what_is_written_of_it_and_is_read_anew_when_its_file
         ("", "names no class"),
     ],
 )
-def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, expected: str) -> None:
+def test_what_is_wrong_with_it_is_said(dent, rest, expected):
     with pytest.raises(BadEffect, match=expected):
         parse_effect_text(f"{dent}:{rest}", TOOLS)
 

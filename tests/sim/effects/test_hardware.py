@@ -92,7 +92,7 @@ def jacobian() -> lab.Array:
 
 
 @pytest.mark.parametrize("effect", [*SHIFTS, *TURNS], ids=str)
-def test_a_link_or_tool_of_another_length_or_angle_moves_the_tool_by_its_jacobian(effect) -> None:
+def test_a_link_or_tool_of_another_length_or_angle_moves_the_tool_by_its_jacobian(effect):
     if effect in SHIFTS:
         size, first = getattr(effect, "length_m", None) or effect.offset_m, 3
         bound_m = 1e-12
@@ -105,7 +105,7 @@ def test_a_link_or_tool_of_another_length_or_angle_moves_the_tool_by_its_jacobia
 
 @pytest.mark.parametrize("axis", ["y", "z"])
 @TIMES
-def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float) -> None:
+def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis, times):
     """Compare with two thousand short pieces, each rotated slightly against the last."""
     length, gradient_K = 0.785, 20.0 * times
     bend = TITANIUM_1_K * gradient_K * length / geometry.WIDTH_M
@@ -124,7 +124,7 @@ def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float
 
 
 @TIMES
-def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_warmth(times: float) -> None:
+def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_warmth(times):
     warming_K, J = 40.0 * times, jacobian()
     growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, tool_index(TOOL)]]) * warming_K
     expected = np.einsum("ijk,jk->i", J, growth)[3:]
@@ -147,7 +147,7 @@ TOLD = [
 
 
 @pytest.mark.parametrize("effect", slow_but(TOLD, *TOLD[::3]), ids=str)
-def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect) -> None:
+def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect):
     plant, _ = bench.build_arm(effect, world=TILTED, calm=True)
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
     there = plant.truth().p_RoTo_R_m[tool_index(TOOL)]
@@ -162,7 +162,7 @@ def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(eff
 
 
 @pytest.mark.parametrize("joint", Joint)
-def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(joint: Joint) -> None:
+def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(joint):
     effect = EncoderZero(joint, 3e-3)
     believed = lab.LEFT_RAD + 3e-3 * (np.arange(5) == joint)
     true, arm = forward(ARM, lab.LEFT_RAD), build_arm(effect.on_params(PARAMS))
@@ -171,7 +171,7 @@ def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(
     np.testing.assert_allclose(poses[1].R, poses[0].R, atol=1e-12)
 
 
-def test_a_link_creeps_under_its_load_as_far_as_a_softer_link_bends_and_no_farther() -> None:
+def test_a_link_creeps_under_its_load_as_far_as_a_softer_link_bends_and_no_farther():
     places = []
     for effect in (None, LinkCreep(Frame.ARM3, "y", 2e-5, 2.0), LinkBending(Frame.ARM3, "y", 2e-5)):
         plant, hardware = bench.build_arm(*([effect] if effect else []), world=TILTED)

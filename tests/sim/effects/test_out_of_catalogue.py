@@ -91,14 +91,14 @@ def differences(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dic
     return {name: float(np.abs(one[name][:least] - other[name][:least]).max()) for name in one}
 
 
-def test_there_are_two_dozen_and_all_are_tested() -> None:
+def test_there_are_two_dozen_and_all_are_tested():
     assert {file: len(kinds) for file, kinds in FOUND.items()} == {"related": 12, "unrelated": 12}
     assert len(KINDS) == 24
     assert set(KINDS) == {*SENSORS, *chain(*MOVERS.values())}
 
 
 @EACH
-def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: str) -> None:
+def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name):
     assert not {str(one).split(":")[0] for one in hypotheses({name: KINDS[name]})} & set(catalogue())
     places = list(hypotheses({name: KINDS[name]}))
     assert len(places) >= 2
@@ -108,14 +108,14 @@ def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: 
 
 
 @FILES
-def test_where_they_are_neutral_they_change_nothing(file: str) -> None:
+def test_where_they_are_neutral_they_change_nothing(file):
     """All effects of a file are neutral at all of their places at once."""
     everywhere = (one.effect() for one in hypotheses({kind.__name__: kind for kind in FOUND[file]}))
     assert all(value == 0.0 for value in differences(record_session(*everywhere), record_session()).values())
 
 
 @FEW
-def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
+def test_of_its_typical_size_it_shows_and_the_same_each_time(name):
     with_it = record_session(hypothesis_at(name).typical())
     moved = differences(with_it, record_session())
     for reading, least in LEAST.items():
@@ -126,7 +126,7 @@ def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", slow_but(SENSORS, *list(SENSORS)[::2]))
-def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
+def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name):
     """Flight software may react to wrong readings later; before the move all else is unchanged."""
     with_it, without = record_session(hypothesis_at(name).typical()), record_session()
     others = set(READINGS) - {SENSORS[name]}
@@ -139,7 +139,7 @@ def change(name: str, reading: str, times: float) -> np.ndarray:
     return moved
 
 
-def test_a_current_drifts_with_time_and_a_heater_is_on_or_off() -> None:
+def test_a_current_drifts_with_time_and_a_heater_is_on_or_off():
     drifted_A, heater_A = (
         change(name, "current_A", 1.0)[:, 2] for name in ("DriftingCurrent", "HeaterOnLine")
     )

@@ -116,26 +116,18 @@ DEEP_M = 0.004
 SETTLE_S = 16.0
 
 
-def press_tool(
-    tool: str, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]
-) -> Plant:
-    """Return the arm at rest with a tool pressed against a rock."""
-    world = World(surface=Surface(point_N_m, normal_N))
-    normal = np.array(normal_N) / np.linalg.norm(normal_N)
-    config = configure(arm_named("nominal").params)
-    target = p_R_from_N(np.array(point_N_m)) - DEEP_M * normal
-    answers = inverse_kinematics(config.arm, tool, target, -normal, np.zeros(3), lab.READY_RAD)
-    slot = np.flatnonzero(answers.verdict == 0)[0]
-    plant = Plant(build(world).compile())
-    plant.place(answers.output_rad[:, slot], SETTLE_S)
-    return plant
-
-
 @pytest.fixture(scope="module", params=[("drill", (0.0, 0.0, -1.0)), ("apxs", (-0.5, 0.1, -0.85))])
 def contact(request):
-    tool, normal = request.param
-    plant = press_tool(tool, (2.05, 0.1, -0.25), normal)
-    return plant, tool, np.array(normal) / np.linalg.norm(normal)
+    """Press a tool against a rock; return the plant at rest, the tool, and the normal of the rock."""
+    tool, normal_N = request.param
+    world = World(surface=Surface((2.05, 0.1, -0.25), normal_N))
+    normal = np.array(normal_N) / np.linalg.norm(normal_N)
+    target = p_R_from_N(np.array(world.surface.p_N_m)) - DEEP_M * normal
+    arm = configure(arm_named("nominal").params).arm
+    answers = inverse_kinematics(arm, tool, target, -normal, np.zeros(3), lab.READY_RAD)
+    plant = Plant(build(world).compile())
+    plant.place(answers.output_rad[:, np.flatnonzero(answers.verdict == 0)[0]], SETTLE_S)
+    return plant, tool, normal
 
 
 def test_a_pressed_tool_is_pushed_out_of_the_rock_with_what_sensors_and_mujoco_say_and_no_other_is(contact):

@@ -99,7 +99,7 @@ def compare(request: CompareRequest, progress: Progress) -> VerbResult:
 
     Example: simgap compare robot.toml monday.parquet friday.parquet
     """
-    from simgap.command.diagnosis import compare_logs
+    from simgap.command.compare import compare_logs
     from simgap.report.document import comparison_details, comparison_document, comparison_lines
 
     made = compare_logs(request, progress)

@@ -16,7 +16,6 @@ from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable
 from simgap.files.motion_rows import conversion
-from simgap.files.robot_file import SignalColumn
 from simgap.loading import load
 from simgap.logs import Motion
 from simgap.next_motion.family import NAME
@@ -64,8 +63,9 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
     if not made.proposal.choice.tells_apart:
         return [*lines]
     split = made.robot.file.split if made.robot.file else ""
-    named = f' Name it "{NAME}" in a part of {split} that is fitted.' if split else ""
-    after = f"Then diagnose the earlier logs and that of this motion together.{named}"
+    names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
+    part = f" in a part of {split} that is fitted" if split else ""
+    after = f"Name its runs {names}{part}. Then diagnose the earlier logs and those of this motion together."
     return [*lines, *next_tables(made.proposal), after]
 
 
@@ -88,15 +88,18 @@ def command_table(robot: Robot, motion: Motion) -> str:
     """
     assert robot.file is not None
     file, first = robot.file, next(iter(motion.joints.values())).position.time_s
-    columns: dict[str, list[str]] = {name: [NAME] * first.size for name in file.motion.columns}
+    names = filter(None, (*file.motion.columns, file.motion.repeat_column))  # its runs repeat one another
+    columns: dict[str, list[str]] = {name: [NAME] * first.size for name in names}
     columns[file.time.column or "time"] = _texts(first / UNITS[file.time.unit].factor)
     for name, table in file.joints.items():
         log = motion.joints[name]
-        key = "position" if table.command is None or log.command is None else "command"
-        one: SignalColumn = getattr(table, key)
-        signal = log.position if key == "position" or log.command is None else log.command
+        one, signal = table.position, log.position
+        if table.command and log.command:
+            one, signal = table.command, log.command
         factor, offset = conversion(one, UNITS[one.unit].quantity, table)
         columns[one.column] = _texts((signal.value - offset) / factor)
+        if table.enabled and log.enabled:
+            columns[table.enabled.column] = _texts(log.enabled.value)
         if table.gain_column:
             columns[table.gain_column] = _texts(np.full(first.size, motion.gain[name]))
     for name, condition in file.conditions.items():

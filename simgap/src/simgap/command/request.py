@@ -8,6 +8,10 @@ from simgap.common.options import Option, ReportOption
 
 FIT_SHARE: Final = 0.5
 """Share of the poses of a tracker that are fitted, unless the user says so."""
+ARM_FILE: Final = "arm.toml"
+"""File of a serial arm with its links and what was named, in the folder of a patch."""
+CALIBRATED_FILE: Final = "calibrated.toml"
+"""File of a serial arm with every term that was fitted, named or not."""
 RobotArgument = Annotated[
     Path,
     Option("The robot: its MJCF model, joints and columns.", "ROBOT.toml", is_argument=True, is_read=True),

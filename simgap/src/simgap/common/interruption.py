@@ -85,7 +85,11 @@ def report_interruption() -> Iterator[None]:
         interrupted = _find_interruption(error)
         if interrupted is None:
             raise
-        _close_generators(interrupted)
+        from traceback import clear_frames  # loaded late: this module is the first that a command loads
+
+        # A generator whose block the signal prevented stays suspended, and its file is there, as long as a
+        # frame of the traceback holds it.
+        clear_frames(interrupted.__traceback__)
         _report(interrupted.sentence, sys.stdout)
         sys.exit(interrupted.exit_status)
 
@@ -98,17 +102,6 @@ def _find_interruption(error: BaseException | None) -> Interrupted | None:
     while error is not None and not isinstance(error, Interrupted):
         error = error.__cause__ or error.__context__
     return error
-
-
-def _close_generators(interrupted: Interrupted) -> None:
-    """Close the context managers whose blocks the signal prevented, so that they delete their files.
-
-    A signal can arrive when a generator has made its file, and before the block of the `with` statement
-    begins. The generator then stays suspended as long as a frame of the traceback holds it.
-    """
-    from traceback import clear_frames  # loaded late: this module is the first that a command loads
-
-    clear_frames(interrupted.__traceback__)
 
 
 def _report(sentence: str, stdout: TextIO | None) -> None:

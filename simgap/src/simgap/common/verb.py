@@ -111,7 +111,9 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
 
     command.__signature__ = inspect.Signature()  # type: ignore[attr-defined]
     command.read_options = read_options  # type: ignore[attr-defined]
-    command.__name__, command.__doc__ = work.__name__, _help_text(inspect.getdoc(work) or "")
+    # each paragraph on one line, so that the screen decides its lines
+    help_text = "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(work) or "").split("\n\n"))
+    command.__name__, command.__doc__ = work.__name__, help_text
     return command
 
 
@@ -126,12 +128,6 @@ def _read_parameters(work: Callable[..., VerbResult]) -> tuple[inspect.Parameter
 
     given = inspect.signature(work).parameters.values()
     return tuple(parameter.replace(annotation=find(parameter.annotation)) for parameter in given)
-
-
-def _help_text(doc: str) -> str:
-    """Return a docstring with each paragraph on one line, so that the screen decides its lines."""
-    paragraphs = doc.split("\n\n")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
 def _carry_out(

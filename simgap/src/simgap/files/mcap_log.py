@@ -90,7 +90,7 @@ def _scan_file(path: Path, names: Sequence[str] | None) -> _Scan:
             ).records:
                 _keep(scan, record)
         except EndOfFile as error:
-            file.seek(-len(MCAP0_MAGIC), 2)
+            file.seek(max(file.seek(0, 2) - len(MCAP0_MAGIC), 0))
             if file.read() == MCAP0_MAGIC:
                 raise RobotError(f"{path}: cannot be read: a record has a wrong length") from error
             if scan.first_ns is None:

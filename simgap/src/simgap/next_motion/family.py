@@ -1,6 +1,6 @@
 """Family of motions of a robot: one joint goes to and fro, within what its logs have shown.
 
-Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain and conditions.
+Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain, conditions and power.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -56,6 +56,8 @@ class Plan:
     gain: Mapping[str, float]
     """Value of the gain column of each joint."""
     conditions: Mapping[str, float]
+    off_s: float = np.inf
+    """Time from which the joint, and all with its column of power, have none; infinite if they keep it."""
 
     def describe(self, robot: Robot) -> str:
         """Return the motion in words."""
@@ -64,6 +66,7 @@ class Plan:
         top = f"at up to {joint.show(self.speed_rad_s, '.3g')}/s"
         speed = top if self.speed_rad_s < np.inf else "in jumps"
         rests = f", with rests of {self.rest_s:g} s" if self.rest_s else ""
+        rests += f", without power from {self.off_s:g} s" if self.off_s < np.inf else ""
         held = [f"{name} at {robot.joint(name).show(at, '.3g')}" for name, at in self.others_rad.items()]
         gained = [name for name, one in (robot.file.joints if robot.file else {}).items() if one.gain_column]
         gains = {f"gain {self.gain[name]:g}" for name in gained}
@@ -96,19 +99,20 @@ def list_plans(
     targets = {name: _targets(motions, name) for name in names}
     gains = _some([*{tuple(one.gain.items()): one.gain for one in motions}.values()])
     given = _some([*{tuple(one.conditions.items()): one.conditions for one in motions}.values()])
+    offs = {name: _list_offs(motions, name) if is_simulated else (np.inf,) for name in names}
     poses = POSES if len(names) > 1 else POSES[:1]
     plans = [
-        Plan(name, ends, speed, rest_s, held, gain, conditions)
+        Plan(name, ends, speed, rest_s, held, gain, conditions, off_s)
         for name in moving
         for pose in poses
         for held in [{one: float(np.quantile(targets[one], pose)) for one in names if one != name}]
         for ends, speed in _strokes(robot, motions, name, targets[name])
-        for rest_s, gain, conditions in product(RESTS_s, gains, given)
+        for rest_s, gain, conditions, off_s in product(RESTS_s, gains, given, offs[name])
         if _has_time(ends, speed, rest_s)
     ]
     order = np.random.default_rng(1).permutation(len(plans))
-    touching = _contacts(robot, np.column_stack([targets[name] for name in names]))
-    free_plans = (plans[k] for k in order if _contacts(robot, _poses(robot, plans[k])) <= touching)
+    touching = list_touching(robot, motions)
+    free_plans = (plans[k] for k in order if list_contacts(robot, _poses(robot, plans[k])) <= touching)
     return [one for one, _ in zip(free_plans, range(MOST), strict=False)]
 
 
@@ -116,6 +120,12 @@ def _some(values: Sequence[Mapping[str, float]]) -> Sequence[Mapping[str, float]
     """Return the least, the middle and the greatest of some settings."""
     ordered = sorted(values, key=lambda one: tuple(one.values()))
     return [ordered[k] for k in sorted({0, len(ordered) // 2, len(ordered) - 1})]
+
+
+def _list_offs(motions: Sequence[Motion], joint: str) -> tuple[float, ...]:
+    """Return when a joint may lose its power: never, or half way if the logs show it without."""
+    logs = [one.joints[joint].enabled for one in motions]
+    return (np.inf, 0.5 * LENGTH_s) if any(one and np.any(one.value < 0.5) for one in logs) else (np.inf,)
 
 
 def _targets(motions: Sequence[Motion], joint: str) -> Array:
@@ -166,12 +176,20 @@ def _poses(robot: Robot, plan: Plan) -> Array:
     )
 
 
-def _contacts(robot: Robot, q_rad: Array) -> set[tuple[int, int]]:
-    """Return the pairs of geoms that touch in some poses, (n, n_joints) [rad]."""
-    found = set()
+def list_touching(robot: Robot, motions: Sequence[Motion]) -> set[tuple[int, int]]:
+    """Return the `list_contacts` of logged poses; RobotError if a joint has no log."""
+    return list_contacts(robot, np.column_stack([_targets(motions, one.name) for one in robot.joints]))
+
+
+def list_contacts(robot: Robot, q_rad: Array) -> set[tuple[int, int]]:
+    """Return the pairs of geoms that touch in some poses, (n, n_joints) [rad], and (-1, joint) at a limit."""
+    found, model = set(), robot.model
     for _, data in visit_poses(robot, [one.name for one in robot.joints], q_rad):
-        mujoco.mj_collision(robot.model, data)
-        found |= {(int(one.geom1), int(one.geom2)) for one in data.contact}
+        mujoco.mj_collision(model, data)
+        if data.ncon:  # to read the contacts takes longer than all the rest
+            found |= {(int(a), int(b)) for a, b in data.contact.geom}
+        (low, high), q = model.jnt_range.T, data.qpos[model.jnt_qposadr]
+        found |= {(-1, int(k)) for k in np.flatnonzero(model.jnt_limited * ((q < low) | (q > high)))}
     return found
 
 
@@ -183,19 +201,22 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
     """
     first = logged.joints[robot.joints[0].name].position.time_s
     time_s = np.arange(0.0, LENGTH_s, float(np.median(np.diff(first))))
-    joints = {}
+    columns = {name: one.enabled for name, one in (robot.file.joints if robot.file else {}).items()}
+    joints, power = {}, columns.get(plan.joint)
     for joint in robot.joints:
         log, path = logged.joints[joint.name], np.full(time_s.size, plan.others_rad.get(joint.name, 0.0))
         if joint.name == plan.joint:
             path = _path(plan, time_s)
         speed, still = np.gradient(path, time_s), np.zeros(time_s.size)
         values = {"position": path, "secondary": path, "velocity": speed, "torque": still}
-        values["enabled"] = still + 1.0
+        is_on = joint.name != plan.joint and (power is None or columns[joint.name] != power)
+        values["enabled"] = still + (is_on | (time_s < plan.off_s))
         if joint.mode in PATH_MODES:
             values["command"] = path if joint.mode is ControlMode.POSITION else speed
         if log.temperature is not None:
             values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
-        there = {key: Signal(time_s, own) for key, own in values.items() if getattr(log, key) is not None}
+        known = {key for key in values if getattr(log, key)} | ({"enabled"} if plan.off_s < np.inf else set())
+        there = {key: Signal(time_s, own) for key, own in values.items() if key in known}
         joints[joint.name] = JointLog(**there)
     return Motion(name, joints, plan.gain, conditions=plan.conditions)
 

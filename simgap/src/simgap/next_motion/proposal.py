@@ -10,7 +10,14 @@ from simgap.arrays import Array, Flags
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Size
 from simgap.logs import Logs, Motion, Usable
-from simgap.next_motion.family import Plan, START_s, list_plans, make_motion
+from simgap.next_motion.family import (
+    Plan,
+    START_s,
+    list_contacts,
+    list_plans,
+    list_touching,
+    make_motion,
+)
 from simgap.next_motion.rivals import choose_rivals, is_sure
 from simgap.next_motion.separation import Choice, Slopes, choose_motion, scale_slopes
 from simgap.residuals.conditioned import join_conditions
@@ -25,7 +32,8 @@ AT_ONCE: Final = 32
 """Motions that are simulated together, between two reports of the progress."""
 SCREENED: Final = 0.7
 """Share of the time after the simulation of all motions, for the progress: 6.7 s of 9.1 s for a servo arm."""
-
+RUNS: Final = 4
+"""Times that a motion is recorded: this halves its error, and other runs predict one that is left out."""
 Report = Callable[[float, str], None]
 """Takes the share that is done and a text."""
 
@@ -59,6 +67,8 @@ class Proposal:
     choice: Choice
     curves: tuple[Curve, ...]
     """Of the best motion."""
+    runs: int = 1
+    """Times that it is recorded."""
 
 
 def propose_motion(
@@ -104,12 +114,12 @@ def propose_motion(
 
     choice = choose_motion(predictions, differentiate)
     if not choice.motions:
-        raise RobotError("the rivals can make no motion of the family; log slower motions")
+        raise RobotError("in each motion a rival is faster than the logs or touches anew; log more motions")
     best = choice.motions[0]
     keys = tuple(one.effect for one in group)
     words = tuple(plan.describe(robot) for plan in plans)
     progress(1.0, "done")
-    made = Proposal(group[0].finding, keys, is_sure(group), words, choice, family.draw(best))
+    made = Proposal(group[0].finding, keys, is_sure(group), words, choice, family.draw(best), RUNS)
     return made, family.motion(best)
 
 
@@ -173,6 +183,9 @@ class _Family:
         if not isinstance(white, WhitenedResiduals):
             white = WhitenedResiduals(earlier, neighbour_correlation(earlier, left))
         self._correlation, self._scales = white.correlation, scale_residuals(white, white.whiten(left))
+        speeds, joint_of = _speeds(earlier, earlier.explain("position")), earlier.joint_of
+        self._fastest = np.array([speeds[joint_of == j].max(initial=0.0) for j in range(len(earlier.joints))])
+        self._touching = list_touching(robot, motions)
         rows = self._select(earlier)
         every = np.concatenate([models.points, models.neighbours])
         values = self._whiten(white, earlier.residuals(union.effects, every))[:, rows]
@@ -201,8 +214,16 @@ class _Family:
         model = join_conditions(
             self._robot, motions, lambda one, own, _: SimulationResiduals(one, own, is_measured=False)
         )
-        residuals = model.residuals(self._models.union.effects, points)
-        return model, np.where(np.abs(residuals) < PENALTY_rad, residuals, np.nan)
+        residuals, n = model.residuals(self._models.union.effects, points), len(self._models.points)
+        is_known = np.abs(residuals) < PENALTY_rad
+        moved = model.explain("position") - residuals[:n]
+        # faster than in the logs, as at a resonance, grows what every rival lacks
+        is_known[:n] &= _speeds(model, moved) <= self._fastest[model.joint_of]
+        for k in range(len(some)):
+            here = model.motion_of == k
+            poses = np.hstack([*moved[:, here].reshape(n, len(model.joints), -1)[:, :, ::5]]).T
+            is_known[:, here] &= list_contacts(self._robot, poses) <= self._touching
+        return model, np.where(is_known, residuals, np.nan)
 
     def _compare(self, some: Sequence[int], points: Array) -> list[Array]:
         """Return whitened residuals of each motion after its start, (n_points, n)."""
@@ -210,7 +231,7 @@ class _Family:
         # the samples that inverse dynamics compares follow from all motions of a model
         for own in [some] if self._is_simulated else [[k] for k in some]:
             model, residuals = self._simulate(own, points)
-            white = self._whiten(WhitenedResiduals(model, self._correlation), residuals)
+            white = RUNS**0.5 * self._whiten(WhitenedResiduals(model, self._correlation), residuals)
             rows = self._select(model) & (model.time_s >= START_s)
             parts += [white[:, rows & (model.motion_of == m)] for m in range(len(own))]
         return parts
@@ -236,12 +257,18 @@ class _Family:
     def draw(self, k: int) -> tuple[Curve, ...]:
         """Return what the rivals predict of each joint that is compared in a motion."""
         model, residuals = self._simulate([k], self._models.points)
-        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model)
+        predicted, rows = residuals.mean(axis=0) - residuals, self._select(model) & (model.time_s >= START_s)
         return tuple(
             Curve(name, model.units[j], model.time_s[own], predicted[:, own], float(self._scales[j]))
             for j, name in enumerate(model.joints)
             if (own := rows & (model.joint_of == j)).any()
         )
+
+
+def _speeds(model: ResidualModel, positions: Array) -> Array:
+    """Return speeds from positions at the rows of a model, (.., n); 0 at the first of a joint in a motion."""
+    step_s = np.diff(model.time_s, prepend=np.inf)
+    return np.asarray(np.where(step_s > 0.0, np.abs(np.diff(positions, prepend=0.0) / step_s), 0.0))
 
 
 def neighbour_correlation(model: ResidualModel, residuals: Array) -> Array:

@@ -14,8 +14,8 @@ from simgap.selection.verdict import EXCLUDED, ConfidenceSet
 
 NEXT_MOTION: Final = "the motion that `simgap next` proposes"
 """What to record where rivals of a finding are left."""
-MOST_RIVALS: Final = 5
-"""Rivals of a finding that are kept, itself included: more than any verdict names."""
+MOST_RIVALS: Final = 8
+"""Rivals of a finding that are kept, itself included: sets of a servo have had seven members."""
 
 
 def can_be_settled(found: ConfidenceSet) -> bool:

@@ -23,7 +23,7 @@ FORMAT: Final = "next motion 1"
 """Name and version of the document."""
 SHOWN: Final = 5
 """Motions in the table."""
-COLOURS: Final = ("#d55e00", "#1f7ad6", "#009e73", "#cc79a7", "#a08000")
+COLOURS: Final = ("#d55e00", "#1f7ad6", "#009e73", "#cc79a7", "#a08000", "#56b4e9", "#e69f00", "#808080")
 """Colours of rivals (Okabe and Ito), which people with any vision can tell apart."""
 BAND: Final = 2.0
 """Half the width of a band, in standard deviations of the noise."""
@@ -46,7 +46,7 @@ def next_lines(made: Proposal) -> list[str]:
     rest = [made.choice.pairs[k] for k in range(len(powers)) if k not in told]
     pairs = [f"{made.rivals[a]} and {made.rivals[b]}" for a, b in rest]
     return [
-        f"Record: {made.motions[made.choice.motions[0]]}.",
+        f"Record{f' {made.runs} times' if made.runs > 1 else ''}: {made.motions[made.choice.motions[0]]}.",
         f"It tells {len(told)} of {len(powers)} pairs of rivals apart. The nearest of them are "
         f"{made.rivals[i]} and {made.rivals[j]}: {made.choice.sigmas[0, least]:.3g} standard deviations; the "
         f"wrong one is excluded with a probability of {_chance(powers[least])}.",

@@ -79,7 +79,9 @@ class SimulationResiduals:
             is_measured: False for motions that are only planned: nothing is corrected by smaller steps.
         """
         self._robot = robot
-        self._models, self._fine_models = Models(robot), Models(_refine(robot))
+        fine = copy(robot.model)
+        fine.opt.timestep /= STEP_PARTS
+        self._models, self._fine_models = Models(robot), Models(replace(robot, model=fine))
         self._n_threads, self._fit_starts = n_threads, fit_starts
         self.step_s = float(robot.model.opt.timestep)
         self.method = (
@@ -200,13 +202,6 @@ class SimulationResiduals:
     def explain(self, name: str) -> Array:
         """Return a variable at the measured motion, (n,); NaN where it is not logged."""
         return measured_variable(self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s)
-
-
-def _refine(robot: Robot) -> Robot:
-    """Return the robot with smaller steps."""
-    model = copy(robot.model)
-    model.opt.timestep /= STEP_PARTS
-    return replace(robot, model=model)
 
 
 def _cut(

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Integers
+from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
@@ -214,17 +214,12 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
-def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Integers:
-    """Return the columns, (p,), of the base and of these effects that are fitted at a joint or ALL_JOINTS."""
-    wanted = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
-    return context.union.columns(wanted)
-
-
 def start_fit(
     context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[JointFit] = ()
 ) -> Hypothesis:
     """Return the hypothesis of base and effects at a joint, with derivatives of near fits of this model."""
-    columns = free_columns(context, effects, joint)
+    free = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
+    columns = context.union.columns(free)
     slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
     for fit in known:
         here = np.flatnonzero(np.isin(columns, fit.columns))

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import cut_rows
+from simgap.residuals.noise import WhitenedResiduals, cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import cross_validate_each, improvement_share, improvement_z
 from simgap.selection.chance import alternative_p
@@ -181,14 +181,20 @@ def start_competitor(
 def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualModel) -> ConfidenceSet:
     """Take effects back that were excluded, but predict motions that took no part as well as the finding.
 
-    A test of fits excludes the cause where the model lacks something else. It then predicts no worse.
+    A test of fits excludes the cause where the model lacks something else. It then predicts no worse. Where
+    predictions differ by d standard deviations, chance does it too: the finding has less loss by d^2 +- 2 d.
     """
     here = np.isin(held_out.joint_of, joints_of(context, found.effect))
     if not found.excluded or not here.any():
         return found
     sizes = [found.alternatives[0].sizes, *(one.sizes for one in found.excluded)]
-    own, *others = np.mean(np.abs(simulate_models(context, held_out, sizes)[:, here]), axis=1)
-    is_back = [bool(error <= own) for error in others]
+    residuals = simulate_models(context, held_out, sizes)
+    own, *others = np.mean(np.abs(residuals[:, here]), axis=1)
+    if isinstance(context.model, WhitenedResiduals):
+        residuals = WhitenedResiduals(held_out, context.model.correlation).whiten(residuals)
+    apart = ((residuals[1:] - residuals[0]) / context.scales[held_out.joint_of])[:, here]
+    is_told = norm.sf(0.5 * np.linalg.norm(apart, axis=1)) <= EXCLUDED
+    is_back = [bool(error <= own and told) for error, told in zip(others, is_told, strict=True)]
     back, excluded = (
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
         for wanted in (True, False)

@@ -18,7 +18,7 @@ from simgap.common.progress import no_progress
 SEEN = TrackerPoses(np.array([7, 90]), stack_poses([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
 
 
-def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
+def test_poses_of_a_tracker_come_back(tmp_path):
     write_tracker_poses(tmp_path / "t.csv", SEEN)
     again = read_tracker_poses(tmp_path / "t.csv")
     assert again.tick.tolist() == SEEN.tick.tolist()
@@ -34,7 +34,7 @@ def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
         (r"(\n7,.*\n)", r"\1\1", "each there once"),
     ],
 )
-def test_a_table_that_is_none_of_poses_is_refused(tmp_path: Path, pattern: str, by: str, said: str) -> None:
+def test_a_table_that_is_none_of_poses_is_refused(tmp_path, pattern, by, said):
     path = tmp_path / "t.csv"
     write_tracker_poses(path, SEEN)
     path.write_text(re.sub(pattern, by, path.read_text(), count=1))
@@ -50,7 +50,7 @@ def test_a_table_that_is_none_of_poses_is_refused(tmp_path: Path, pattern: str, 
         ('{"world": {"tilt_pitch_rad": 2.9}}', "tilts the rover by 2.9 rad"),
     ],
 )
-def test_a_session_that_a_header_cannot_mean_is_refused(text: str, said: str) -> None:
+def test_a_session_that_a_header_cannot_mean_is_refused(text, said):
     with pytest.raises(NotForDiagnosis, match=f"log a.mcap: session in its header: .*({said})"):
         logs._read_session(text, Path("a.mcap"))
 
@@ -63,7 +63,7 @@ class Named:
     block: str
 
 
-def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
+def test_a_repeat_of_what_is_fitted_is_not_held_out():
     first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
     paths = [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")]
     diagnose_logs._check_sessions(paths[:2], [first], [other])  # type: ignore[list-item]
@@ -71,13 +71,13 @@ def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
         diagnose_logs._check_sessions(paths, [first], [other, again])  # type: ignore[list-item]
 
 
-def test_a_session_is_given_once() -> None:
+def test_a_session_is_given_once():
     paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
     with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
         diagnose_logs._check_sessions(paths, [same], [same])  # type: ignore[list-item]
 
 
-def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path: Path) -> None:
+def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path):
     held_out = tmp_path / record.HELD_OUT_FOLDER
     held_out.mkdir()
     (held_out / "cold.mcap").touch()
@@ -96,9 +96,7 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
             sides(*case)
 
 
-def test_a_session_that_does_not_complete_has_no_log_and_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monkeypatch):
     """Without a log of any session there is no folder."""
 
     def stopped(path: Path, session: DiagnosisSession, *_: object) -> None:

@@ -80,14 +80,12 @@ def tool_error(said: Diagnosis) -> JointError:
     return next(one for one in said.errors if one.joint == "tool")
 
 
-def test_a_bias_is_named_with_its_size_and_closes_the_gap(against: CampaignModel, tmp_path: Path) -> None:
+def test_a_bias_is_named_with_its_size_and_closes_the_gap(against, tmp_path):
     said = diagnose_case(*loaded(tmp_path, ResolverBias(Joint.ELBOW, 5e-3)), against, 0).diagnosis
     assert is_named(said, "resolver-bias", 5e-3)
 
 
-def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
-    against: CampaignModel, long_link: tuple[list[Recording], list[Recording]]
-) -> None:
+def test_a_long_link_is_named_and_no_nuisance_takes_its_place(against, long_link):
     """Fitted alone, nuisances would move the tool back by the 5 mm.
 
     They are resimulated: with the effect in them, the response would be that of twice the effect.
@@ -99,18 +97,14 @@ def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
     assert tool.explained < 2.0 * tool.noise_floor
 
 
-def test_with_the_patch_on_nothing_is_left(
-    against: CampaignModel, long_link: tuple[list[Recording], list[Recording]]
-) -> None:
+def test_with_the_patch_on_nothing_is_left(against, long_link):
     said = diagnose_case(*long_link, against, 0, (LONG_LINK,)).diagnosis
     assert not said.findings
     assert not said.remaining
     assert tool_error(said).base < 2.0 * tool_error(said).noise_floor
 
 
-def test_only_nuisances_that_an_arm_may_have_are_simulated(
-    against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_nuisances_that_an_arm_may_have_are_simulated(against, tmp_path, monkeypatch):
     """Fitted alone they imitate a similar effect, however large: no arm has springs so soft."""
     fitted, _ = loaded(tmp_path, LinkLength(Frame.ARM3, "x", 0.05))
     shifts: list[np.ndarray] = []
@@ -124,7 +118,7 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
 
 
-def test_an_effect_of_another_arm_is_named(tmp_path: Path) -> None:
+def test_an_effect_of_another_arm_is_named(tmp_path):
     """One of its tools has a name that the default arm has not, and nuisances of its own."""
     campaign = recorded(tmp_path / "campaign", (), 1, "m2020")
     run, arm = local_runner(1), arm_named("m2020").model
@@ -135,18 +129,18 @@ def test_an_effect_of_another_arm_is_named(tmp_path: Path) -> None:
     assert any("frame pixl." in one.name for one in model.model.sensitivities.nuisances)
 
 
-def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
+def test_most_of_a_campaign_must_be_there(nominal, against):
     few = [load_recording(path) for path in nominal[0][:1]]
     with pytest.raises(NotForDiagnosis, match=r"poses-level-2, poses-rolled-1"):
         diagnose_case(few, [], against, 0)
 
 
-def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
+def test_a_campaign_without_such_sessions_is_refused(nominal, tmp_path):
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
         diagnose(DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path))
 
 
-def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:
+def test_missing_sessions_are_noted(nominal, against):
     some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
     said = diagnose_case(some, [], against, 0).diagnosis.remarks
     assert "these logs have nothing comparable to the campaign's motions poses-level-2." in said

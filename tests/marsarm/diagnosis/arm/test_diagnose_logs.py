@@ -3,7 +3,6 @@
 import json
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,7 +121,7 @@ def numbers(table: object) -> list[float]:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 7])
-def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int) -> None:
+def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed):
     params = arm_named(f"calibrated:{seed}").params
     found = params_with_effects(effects_of_params(params, nominal_params()), nominal_params())
     for one, other in zip(found.links.in_order(), params.links.in_order(), strict=True):
@@ -139,11 +138,11 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
-def test_the_drawing_has_no_effects() -> None:
+def test_the_drawing_has_no_effects():
     assert effects_of_params(nominal_params(), nominal_params()) == ()
 
 
-def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path: Path) -> None:
+def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path):
     words = ("--out", "logs", "--arm", "calibrated:7", "--sessions", "poses-level-[15]", "--json")
     named = json.loads(marsarm(tmp_path, "gap", "record", *words).stdout)["logs"]
     assert named == ["logs/poses-level-1.mcap", "logs/held-out/poses-level-5.mcap"]
@@ -158,7 +157,7 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     assert str(found.value).startswith("2 of 2 logs were made with other flight parameters")
 
 
-def test_every_candidate_has_one_family() -> None:
+def test_every_candidate_has_one_family():
     count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
     assert set(count.values()) == {1}
     every = [*list_hypotheses()]
@@ -178,7 +177,7 @@ def locations(model: DiagnosisModel) -> list[str]:
     return [one.location for one in model.sensitivities.hypotheses]
 
 
-def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_seed_draws_the_same(campaign, monkeypatch):
     monkeypatch.setattr(Hypothesis, "switch_on", lambda *_: GearStiffness(Joint.ELBOW, 0.9))
     draws = [draw_truth(campaign, np.random.default_rng(k)) for k in range(16)]
     again = [draw_truth(campaign, np.random.default_rng(k))[0] for k in range(16)]
@@ -190,9 +189,7 @@ def test_the_same_seed_draws_the_same(campaign: DiagnosisModel, monkeypatch: pyt
     assert len({one.digest() for one in again}) == 16
 
 
-def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(
-    results: Cases, campaign: DiagnosisModel
-) -> None:
+def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(results, campaign):
     nothing, named = DemoTruth("00", "none", "", "", "", 0.0, ()), results["named"]
     right = [judge(nothing, campaign, results[name])[0] for name in ("nothing", "unknown", "named")]
     assert right == [True, False, False]
@@ -207,9 +204,7 @@ def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(
 
 
 @pytest.mark.parametrize("is_named", [False, True])
-def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(
-    results: Cases, campaign: DiagnosisModel, is_named: bool
-) -> None:
+def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(results, campaign, is_named):
     (finding,) = results["named"].findings
     h = next(h for h in range(40) if locations(campaign)[h] not in finding.places)
     other = campaign.sensitivities.hypotheses[h]
@@ -222,9 +217,7 @@ def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(
     assert is_right is not is_named
 
 
-def test_where_the_catalogue_lacks_the_effect_its_place_must_be_seen_and_no_name_given(
-    results: Cases, campaign: DiagnosisModel
-) -> None:
+def test_where_the_catalogue_lacks_the_effect_its_place_must_be_seen_and_no_name_given(results, campaign):
     for kind, is_right in (("named", False), ("unknown", True), ("nothing", False)):
         assert judge(truth("left out", campaign, 0), campaign, results[kind])[0] == is_right
     places = [one.places for one in results["beside"].findings if level(one) != "none"]

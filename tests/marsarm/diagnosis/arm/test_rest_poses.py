@@ -17,7 +17,6 @@ from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop
 from sim.arms import nominal_params
-from sim.effects.effect import Effect
 from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart
 from sim.effects.structure import LinkCreep
@@ -32,13 +31,13 @@ def rests(recordings: list[Recording]) -> FeatureSet:
     return FeatureSet((), whole.rests)
 
 
-def test_under_a_constant_load_a_link_creeps_exponentially() -> None:
+def test_under_a_constant_load_a_link_creeps_exponentially():
     time_s = np.array([0.5, 3.0, 20.0])
     shares = creep_shares(time_s, np.tile([[0.0], [2e-3], [0.0]], 3), creep_s=5.0)
     np.testing.assert_allclose(shares, 1.0 - np.exp(-time_s / 5.0), rtol=1e-12)
 
 
-def test_under_a_changing_load_a_link_follows_its_differential_equation() -> None:
+def test_under_a_changing_load_a_link_follows_its_differential_equation():
     """Oracle: small steps in time."""
     time_s, whole = np.array([1.0, 4.0, 6.0]), np.array([1e-3, -2e-3, 3e-3])
     a, step_s, found = 0.0, 5e-4, []
@@ -51,7 +50,7 @@ def test_under_a_changing_load_a_link_follows_its_differential_equation() -> Non
 
 
 @pytest.mark.slow
-def test_a_creeping_link_rests_where_the_plant_does(rests: FeatureSet) -> None:
+def test_a_creeping_link_rests_where_the_plant_does(rests):
     """Oracle: the plant, stepped under the recorded drive, with the effect and without."""
     (one,) = rests.rests
     recording, effect = one.turning_points.recording, LinkCreep(Frame.ARM3, "y", 2e-5)
@@ -69,7 +68,7 @@ def test_a_creeping_link_rests_where_the_plant_does(rests: FeatureSet) -> None:
         np.testing.assert_allclose(column, stepped, atol=0.03 * np.linalg.norm(stepped))
 
 
-def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests: FeatureSet) -> None:
+def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests):
     """Oracle: kinematics at the turned angle; all other joints were turned too."""
     (one,) = rests.rests
     config, by_rad = configure(nominal_params()), 1e-5
@@ -100,7 +99,7 @@ def off(**screw: float) -> np.ndarray:
     return np.array([screw.get(key.rpartition("/")[2], 0.0) for key in KEYS])
 
 
-def test_a_shift_moves_every_tool_by_as_much() -> None:
+def test_a_shift_moves_every_tool_by_as_much():
     found = compute_tool_error(
         KEYS, [off(tx=3e-3, ty=4e-3), off(tx=3e-3), off(tz=1e-3)], off(tx=2e-3), DRAWING
     )
@@ -110,7 +109,7 @@ def test_a_shift_moves_every_tool_by_as_much() -> None:
     assert compute_tool_error(KEYS[1:], np.zeros((3, len(KEYS) - 1)), off(), DRAWING) is None
 
 
-def test_a_turn_moves_a_tool_by_its_way_from_the_axis() -> None:
+def test_a_turn_moves_a_tool_by_its_way_from_the_axis():
     found = compute_tool_error(KEYS, [off(rz=1e-3), off(rz=1e-3, tx=1e-3), off()], off(rz=1e-3), DRAWING)
     assert found is not None
     p = np.array([X.p for X in configure(DRAWING).arm.X_FT.values()])
@@ -139,14 +138,14 @@ def features(recordings: list[Recording]) -> FeatureSet:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", list(candidates_at_ends()))
-def test_the_simulator_carries_it(features: FeatureSet, effect: Effect) -> None:
+def test_the_simulator_carries_it(features, effect):
     assert np.all(np.isfinite(simulate_features(features, (effect,), BRIEF)))
 
 
-def test_two_sagging_buses_leave_servos_without_power_not_with_negative_gains(features: FeatureSet) -> None:
+def test_two_sagging_buses_leave_servos_without_power_not_with_negative_gains(features):
     assert np.all(np.isfinite(simulate_features(features, (BusSag(5.0), BusSag(5.0)), BRIEF)))
 
 
-def test_where_a_counter_started_before_homing_changes_nothing(features: FeatureSet) -> None:
+def test_where_a_counter_started_before_homing_changes_nothing(features):
     found = simulate_features(features, (CounterStart(Joint.ELBOW, 1.0),), BRIEF)
     np.testing.assert_array_equal(found, simulate_features(features, (), BRIEF))

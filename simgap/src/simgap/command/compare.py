@@ -1,0 +1,34 @@
+"""Comparison of two logs of a robot: read and check them, and find what differs."""
+
+from dataclasses import replace
+
+from simgap.checks.audit import audit
+from simgap.command.request import CompareRequest
+from simgap.common.options import check_options
+from simgap.common.progress import GUESS, Progress, no_progress
+from simgap.compare import compare
+from simgap.diagnosis import check_audit
+from simgap.loading import load
+from simgap.result import Comparison
+from simgap.robot import Robot
+
+
+def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> Comparison:
+    """Read two logs of a robot and compare them; RobotError if a file is wrong, or the check refuses one."""
+    check_options(request)
+    robot = Robot.from_toml(request.robot)
+    whole = replace(robot, file=robot.file and robot.file.model_copy(update={"split": ""}))  # all motions
+    sets = [load(whole, [path]) for path in (request.before, request.after)]
+    progress(0.0, 0.0, "checking the logs")
+    audits = [audit(robot, logs) for logs in sets]
+    for found, logs in zip(audits, sets, strict=True):
+        check_audit(found, logs.motions)
+    before, after = (logs.motions for logs in sets)
+    return compare(
+        robot,
+        before,
+        after,
+        audits=audits,
+        seed=request.seed,
+        progress=lambda share, text: progress(share, GUESS, text),
+    )
