@@ -135,11 +135,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
 def diagnosis_json(made: RobotDiagnosis) -> dict[str, Any]:
     """Convert a diagnosis to a JSON document, with the calibration where poses were fitted."""
     document = to_document(made.diagnosis)
-    if made.by_poses is None:
-        return document
-    from simgap.command.poses import calibration_json
-
-    return document | {"calibration": calibration_json(made.by_poses.fitted)}
+    return document if made.by_poses is None else document | {"calibration": made.by_poses.document()}
 
 
 def diagnosis_parts(made: RobotDiagnosis) -> list[str | ReportTable]:
@@ -147,9 +143,7 @@ def diagnosis_parts(made: RobotDiagnosis) -> list[str | ReportTable]:
     lines = all_lines(made.diagnosis)
     if made.by_poses is None or not made.request.nested:
         return [*lines]
-    from simgap.command.poses import calibration_parts
-
-    return [*lines, *calibration_parts(made.by_poses.fitted)]
+    return [*lines, *made.by_poses.parts()]
 
 
 def all_lines(diagnosis: Diagnosis) -> list[str]:
@@ -172,9 +166,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
                 if made.patch.runtime:
                     apart = f"{folder / RUNTIME_FILE} has what {MODEL_FILE} lacks: train with both"
             elif made.by_poses is not None:
-                from simgap.command.poses import write_arms
-
-                write_arms(made.by_poses, folder)
+                made.by_poses.write(folder)
         except OSError as error:
             raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
     return file_lines({"report": made.request.report, "patch": folder, "runtime": apart})

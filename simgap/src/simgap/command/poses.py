@@ -44,6 +44,70 @@ class PoseDiagnosis:
     digests: dict[str, str]
     """SHA-256 of the files that were read."""
 
+    def document(self) -> dict[str, Any]:
+        """Convert the calibration to a JSON document in metres and radians."""
+        fitted = self.fitted
+        last, fit, test = fitted.models[-1], fitted.found.fit, fitted.temperature
+        seen = assess_identifiability(fit.parameters, fit.at, fit.used)
+        return {
+            "fitted_poses": fitted.found.model.series.count,
+            "terms": list(last.terms),
+            "models": [_model_json(one) for one in fitted.models],
+            "held_out_rms_m": last.fresh.rms_m,
+            "held_out_rms_rad": last.fresh.rms_rad,
+            "held_out_over_expected": held_out_ratio(fitted.found, fitted.fresh),
+            "fit": {
+                "parameters": len(fit.parameters),
+                "rank": seen.rank,
+                "condition": seen.condition if seen.rank else None,
+                "converged": fit.converged,
+                "iterations": fit.iterations,
+                "sigma0": fit.sigma0,
+                "outlier_rows": list(fitted.found.outliers),
+                "unidentifiable": to_json(seen.unidentifiable_groups()),
+            },
+            "joints": to_json(joint_errors(fitted.found)),
+            "temperature": None
+            if test is None
+            else to_json(test) | {"explains": "something" if test.explains else "nothing"},
+        }
+
+    def parts(self) -> list[str | ReportTable]:
+        """Show the gain of each term, the errors of the joints, and the noise."""
+        fitted, rows = self.fitted, []
+        for k, one in enumerate(fitted.models):
+            gain = [one.gain_m, one.gain_sigma_m] if k else [None, None]
+            lengths_m = [
+                one.fitted.rms_m,
+                one.held_out.rms_m,
+                *gain,
+                one.fresh.rms_m,
+                one.fresh.position_m.max(),
+            ]
+            cells = ("" if length is None else f"{length * 1e3:.3f}" for length in lengths_m)
+            rows.append((f"+ {one.terms[-1]}" if k else "base, target", *cells))
+        poses = f"{fitted.found.model.series.count} poses fitted, {fitted.fresh.count} held out"
+        head = ("with", "fitted", "validated", "less by", "+-", "held out", "largest")
+        parts: list[str | ReportTable] = [ReportTable(head, rows, f"Position error, rms [mm]; {poses}")]
+        if set(fitted.models[-1].terms) - {GEOMETRY}:
+            head = ("joint", "compliance", "+-", "hysteresis", "+-", "periodic", "largest")
+            rows = [_joint_cells(one) for one in joint_errors(fitted.found)]
+            parts.append(ReportTable(head, rows, "Joint errors: urad/Nm, urad, mrad, mrad"))
+        fit = fitted.found.fit
+        return [*parts, f"{len(fit.parameters)} parameters; noise is {fit.sigma0:.2f} of what the file says"]
+
+    def write(self, folder: Path) -> None:
+        """Write the arm with what was named, and that with all that was fitted."""
+        folder.mkdir(exist_ok=True)
+        arms = {ARM_FILE: (self.patched, "named"), CALIBRATED_FILE: (self.fitted.found.arm, "fitted")}
+        for name, (arm, what) in arms.items():
+            about = [
+                f"{self.diagnosis.robot}, with links and effects as {what} by a diagnosis.",
+                *(f"{one} sha256 {digest}" for one, digest in self.digests.items()),
+            ]
+            with atomic_write(folder / name, "patch") as file:
+                file.write(arm_to_toml(arm, about).encode())
+
 
 def diagnose_poses(request: DiagnoseRequest, file: SerialFile, progress: Progress) -> PoseDiagnosis:
     """Diagnose an arm by poses; BadRequest or RobotError if anything given is wrong."""
@@ -69,34 +133,6 @@ def diagnose_poses(request: DiagnoseRequest, file: SerialFile, progress: Progres
     return PoseDiagnosis(result, fitted, patch_arm(arm, result.effects, result.sizes), digests)
 
 
-def calibration_json(fitted: TrackerFit) -> dict[str, Any]:
-    """Convert a calibration to a JSON document in metres and radians."""
-    last, fit, test = fitted.models[-1], fitted.found.fit, fitted.temperature
-    seen = assess_identifiability(fit.parameters, fit.at, fit.used)
-    return {
-        "fitted_poses": fitted.found.model.series.count,
-        "terms": list(last.terms),
-        "models": [_model_json(one) for one in fitted.models],
-        "held_out_rms_m": last.fresh.rms_m,
-        "held_out_rms_rad": last.fresh.rms_rad,
-        "held_out_over_expected": held_out_ratio(fitted.found, fitted.fresh),
-        "fit": {
-            "parameters": len(fit.parameters),
-            "rank": seen.rank,
-            "condition": seen.condition if seen.rank else None,
-            "converged": fit.converged,
-            "iterations": fit.iterations,
-            "sigma0": fit.sigma0,
-            "outlier_rows": list(fitted.found.outliers),
-            "unidentifiable": to_json(seen.unidentifiable_groups()),
-        },
-        "joints": to_json(joint_errors(fitted.found)),
-        "temperature": None
-        if test is None
-        else to_json(test) | {"explains": "something" if test.explains else "nothing"},
-    }
-
-
 def _model_json(model: NestedModel) -> dict[str, Any]:
     is_first = model.gain_sigma_m == 0.0
     return {
@@ -112,39 +148,7 @@ def _model_json(model: NestedModel) -> dict[str, Any]:
     }
 
 
-def calibration_parts(fitted: TrackerFit) -> list[str | ReportTable]:
-    """Show the gain of each term, the errors of the joints, and the noise."""
-    rows = []
-    for k, one in enumerate(fitted.models):
-        gain = [one.gain_m, one.gain_sigma_m] if k else [None, None]
-        lengths_m = [one.fitted.rms_m, one.held_out.rms_m, *gain, one.fresh.rms_m, one.fresh.position_m.max()]
-        cells = ("" if length is None else f"{length * 1e3:.3f}" for length in lengths_m)
-        rows.append((f"+ {one.terms[-1]}" if k else "base, target", *cells))
-    poses = f"{fitted.found.model.series.count} poses fitted, {fitted.fresh.count} held out"
-    head = ("with", "fitted", "validated", "less by", "+-", "held out", "largest")
-    parts: list[str | ReportTable] = [ReportTable(head, rows, f"Position error, rms [mm]; {poses}")]
-    if set(fitted.models[-1].terms) - {GEOMETRY}:
-        head = ("joint", "compliance", "+-", "hysteresis", "+-", "periodic", "largest")
-        rows = [_joint_cells(one) for one in joint_errors(fitted.found)]
-        parts.append(ReportTable(head, rows, "Joint errors: urad/Nm, urad, mrad, mrad"))
-    fit = fitted.found.fit
-    return [*parts, f"{len(fit.parameters)} parameters; noise is {fit.sigma0:.2f} of what the file says"]
-
-
 def _joint_cells(one: JointTerms) -> tuple[str, ...]:
     micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.hysteresis_rad, one.hysteresis_sigma)
     milli = (one.periodic_rms_rad, one.periodic_peak_rad)
     return one.name, *(f"{1e6 * value:.1f}" for value in micro), *(f"{1e3 * value:.2f}" for value in milli)
-
-
-def write_arms(made: PoseDiagnosis, folder: Path) -> None:
-    """Write the arm with what was named, and that with all that was fitted."""
-    folder.mkdir(exist_ok=True)
-    arms = {ARM_FILE: (made.patched, "named"), CALIBRATED_FILE: (made.fitted.found.arm, "fitted")}
-    for name, (arm, what) in arms.items():
-        about = [
-            f"{made.diagnosis.robot}, with links and effects as {what} by a diagnosis.",
-            *(f"{one} sha256 {digest}" for one, digest in made.digests.items()),
-        ]
-        with atomic_write(folder / name, "patch") as file:
-            file.write(arm_to_toml(arm, about).encode())

@@ -221,6 +221,7 @@ class _Family:
         is_known[:n] &= _speeds(model, moved) <= self._fastest[model.joint_of]
         for k in range(len(some)):
             here = model.motion_of == k
+            # every fifth sample: between two of them a joint turns little
             poses = np.hstack([*moved[:, here].reshape(n, len(model.joints), -1)[:, :, ::5]]).T
             is_known[:, here] &= list_contacts(self._robot, poses) <= self._touching
         return model, np.where(is_known, residuals, np.nan)
