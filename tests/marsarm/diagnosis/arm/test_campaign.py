@@ -229,8 +229,7 @@ def test_a_tool_goes_aside_by_what_friction_does_not_hold(tmp_path: Path, missin
     _, slide = build_feature_set([load_recording(path) for path in paths]).presses
     assert slide.predict([]) == slide.predict([GearStiffness(Joint.ELBOW, 0.5)]) == 0.0
     assert slide.feature.sigma < 0.2e-3
-    assert slide.predict([slip]) == pytest.approx(2.0 * missing * 1.1e-3, rel=0.2)
-    assert slide.measured_m == pytest.approx(slide.predict([slip]), abs=3.0 * slide.feature.sigma)
+    assert slide.measured_m == pytest.approx(slide.predict([slip]), abs=slide.feature.sigma)
 
 
 def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(campaign, monkeypatch):
