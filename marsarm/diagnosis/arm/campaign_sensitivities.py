@@ -23,8 +23,8 @@ from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, digest_sources, in_order
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_layout
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
     Column,
@@ -319,8 +319,7 @@ def campaign_digest(logs: Logs, kinds: Names, arm: str) -> str:
 def _simulator(campaign: _Campaign) -> ArmSimulator:
     """Build the simulator; once in each process."""
     arm = arm_named(campaign.arm).model
-    feature_set = build_feature_set(load_checked_recordings(campaign.logs, arm=arm))
-    return ArmSimulator(feature_set, build_layout(feature_set, estimate_floor(feature_set).sigma))
+    return build_simulator(build_feature_set(load_checked_recordings(campaign.logs, arm=arm)))
 
 
 @cache

@@ -2,6 +2,8 @@
 
 `diagnose_case` restricts the campaign to the features of the case, and fits the nuisances with the simulator
 (`case_simulator`). It diagnoses the residual, and tests the findings on held-out motion.
+
+In all functions, `rows` are residuals as in `marsarm.diagnosis.diagnose`, and `sigma` is their noise, (m,).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,13 +22,12 @@ from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     LONG_SETTLING,
-    ArmSimulator,
     CaseSimulator,
     build_case_simulator,
-    build_layout,
+    build_simulator,
     fit_nuisances,
 )
-from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor
+from marsarm.diagnosis.arm.feature_set import build_feature_set
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
@@ -39,7 +40,6 @@ from simgap.common.progress import Progress, part_of
 
 MIN_FEATURE_SHARE: Final = 0.5
 """Least share of the campaign's features that a case must have."""
-
 OWN_FLOOR_RATIO: Final = 1.2
 """Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
 
@@ -83,13 +83,8 @@ def compute_tool_error(
 ) -> JointError | None:
     """Compute the root mean square tool error over rests and the tools; None without whole poses.
 
-    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
-
-    Args:
-        keys: Keys of the m features.
-        rows: Residuals as in `Explanation.residuals`, rotation in rad and shift in m, turret frame, shape
-            (m,) each.
-        sigma: Noise floor in the same units, shape (m,).
+    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p. Features, by their keys,
+    are in the turret frame.
     """
     at = _screw_rows(keys)
     if not at.size:
@@ -145,7 +140,7 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm, floor_notes = _case_simulator(recordings, patch)
+    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, patch)
     sensitivities = campaign.model.sensitivities
     first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
     missing = _find_missing(first, campaign)
@@ -156,7 +151,7 @@ def diagnose_case(
     remarks = (
         *audit_recordings(recordings),
         *missing,
-        *floor_notes,
+        *arm.floor_notes,
         f"these motions would show {seen} of {len(model.limits)} effects at their typical size",
     )
     diagnosis = replace(
@@ -196,15 +191,6 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
             )
 
 
-def _case_simulator(
-    recordings: Sequence[Recording], patch: tuple[Effect, ...]
-) -> tuple[ArmSimulator, tuple[str, ...]]:
-    feature_set = build_feature_set(recordings)
-    floor = estimate_floor(feature_set)
-    layout = build_layout(feature_set, floor.sigma)
-    return ArmSimulator(feature_set, layout, LONG_SETTLING, patch), floor.notes
-
-
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
     """Restrict the campaign to the features of the case, with the higher of both noise floors."""
     found = campaign.sensitivities.select(case.rows)
@@ -230,7 +216,7 @@ def _judge_held_out(
     Raises:
         NotForDiagnosis: Nothing of the motion can be compared with the campaign.
     """
-    arm, _ = _case_simulator(recordings, fit.arm.patch)
+    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, fit.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)

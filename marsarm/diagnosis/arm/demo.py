@@ -76,9 +76,9 @@ def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MUL
 
 def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) -> DetectableEffect:
     """Sample an effect uniformly, then one of its places: many places do not make it more frequent."""
-    names = sorted({one.hypothesis.effect for one in some})
+    names = sorted({one.hypothesis.name for one in some})
     name = names[int(rng.integers(len(names)))]
-    places = [one for one in some if one.hypothesis.effect == name]
+    places = [one for one in some if one.hypothesis.name == name]
     return places[int(rng.integers(len(places)))]
 
 
@@ -263,7 +263,7 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     hypothesis = drawn.source.hypothesis
     effect = drawn.switch_on()
     truth = DemoTruth(
-        salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
+        salt, kind, hypothesis.name, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
     return truth, (*background, effect)
 

@@ -117,7 +117,7 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
 
 def _parse_effects(names: str) -> tuple[str, ...]:
     """Return the names in the order of the catalogue."""
-    known = {one.effect for one in list_hypotheses()}
+    known = {one.name for one in list_hypotheses()}
     wanted = {name.strip() for name in names.split(",")}
     problems = [
         f"catalogue: {shorten(name)!r} is no effect that a diagnosis can identify; "

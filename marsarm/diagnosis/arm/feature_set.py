@@ -3,6 +3,8 @@
 Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
 equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal. The noise floor
 is that of repeats. A touch says how high the tool is over the surface, as the session describes it.
+
+In all functions, features and their changes are arrays (m,) in the units of their channels.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +31,7 @@ from marsarm.diagnosis.arm.features import (
     SensorColumns,
     evaluate_features,
     list_motion_features,
+    still,
 )
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import (
@@ -55,11 +58,9 @@ READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sens
 FRICTION_MARGIN: Final = 0.3
 """Change of the output friction, as a share, for the sensitivity of rests to friction. Near the friction
 limit, the side of the backlash is ambiguous."""
-
-MIN_PAIRS = 8
+MIN_PAIRS: Final = 8
 """Least number of pairs of repeats that estimate the noise floor of a channel."""
-
-DOUBT_SIGMAS = 3.0
+DOUBT_SIGMAS: Final = 3.0
 """Doubt above this many sigmas of the noise is added to the noise floor."""
 
 
@@ -143,7 +144,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
-    """Compute the measured features in the units of their channels, shape (m,)."""
+    """Compute the measured features."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
@@ -152,18 +153,13 @@ def measure_features(feature_set: FeatureSet) -> Array:
     return np.concatenate([*values, np.zeros(len(feature_set.touches)), ways_m])
 
 
-def every_motion(_: MotionFeatures) -> bool:
-    """Return True: simulate every motion."""
-    return True
-
-
 def simulate_features(
     feature_set: FeatureSet,
     effects: Sequence[Effect],
     options: SimulationOptions,
-    wanted: Callable[[MotionFeatures], bool] = every_motion,
+    wanted: Callable[[MotionFeatures], bool] = lambda _: True,
 ) -> Array:
-    """Predict the features, (m,), in the units of their channels.
+    """Predict the features.
 
     Repeats of a motion have those of the first one. They are NaN for motions that are not wanted, and where
     the first repeat lacks them. PlantDiverged if MuJoCo counted a warning.
@@ -192,7 +188,7 @@ def simulate_motion(
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
     simulate = simulate_open_loop_cached if readers else simulate_open_loop
-    readings = simulate(motion.recording, acting, options, ticks=motion.compared_ticks).readings
+    readings, _ = simulate(motion.recording, acting, options, ticks=motion.compared_ticks)
     return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
 
 
@@ -242,12 +238,11 @@ def _list_rest_features(
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
             features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
-    condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
         for r, k in zip(tracked, poses, strict=True):
             sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
-            features.append(Feature(recording, channel, "turret", "pose", condition, key, sigma=sigma))
+            features.append(Feature(recording, channel, "turret", "pose", still(recording), key, sigma=sigma))
     rest_features = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
     differences = np.abs(
         [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
@@ -268,15 +263,10 @@ def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
 
 
 def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: bool = True) -> Array:
-    """Return the change of rests by one joint alone, where all joints turn.
+    """Return the part of a change that one joint alone makes at rests, where all joints turn.
 
-    Args:
-        change: Change of the features in the units of the channels, shape (m,).
-        turns: False if only the reading of its resolver changes.
-
-    Returns:
-        Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
-        (m,); 0 elsewhere.
+    That is the change of its resolver, and of the poses to first order by the turn that the resolver shows;
+    0 elsewhere. If the joint does not turn, only the reading of its resolver changes.
     """
     config = configure(feature_set.arm.params)
     found, begin = np.zeros_like(change), feature_set.n_moving
@@ -297,16 +287,11 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NoiseFloor:
-    """Standard deviation of every feature between repeats, shape (m,), and notes on its origin."""
+def estimate_floor(feature_set: FeatureSet) -> tuple[Array, tuple[str, ...]]:
+    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise.
 
-    sigma: Array
-    notes: tuple[str, ...]
-
-
-def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
-    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
+    Return the standard deviation of every feature between repeats, and notes on its origin.
+    """
     features, values = feature_set.list_features(), measure_features(feature_set)
     sigma = np.array([ASSUMED_SIGMA[one.channel] if one.sigma is None else one.sigma for one in features])
     known: dict[tuple[str, str], int] = {}
@@ -335,4 +320,4 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
             f"{int(doubted.sum())} of {doubted.size} features have little weight: the arm rests near the "
             f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
-    return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
+    return np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes)

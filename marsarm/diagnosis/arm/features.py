@@ -6,7 +6,8 @@ Each motion of a joint is divided into bins of a quarter of a second, over which
     following error: encoder minus set-point
     resolver minus encoder
 
-The mean gravity reading of the IMU is added.
+The mean gravity reading of the IMU is added. In all functions, features are arrays (m,) in the units of their
+channels.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,6 +34,7 @@ CONDITIONS: Final = (
 """Conditions of a feature: degC, N m, rad/s, and the last three without a unit."""
 
 SensorColumns = Mapping[str, NDArray[Any]]
+"""Readings by field, each of shape (n, ...) with n ticks."""
 _MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
 ASSUMED_SIGMA: Final = (
     0.02 * _MEAN,
@@ -100,6 +102,11 @@ class MotionFeatures:
         return max((end for *_, end in self.bins), default=1)
 
 
+def still(recording: Recording) -> tuple[float, ...]:
+    """Return the conditions of an arm at rest."""
+    return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))
+
+
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
     """List the features of a recording: three channels of every moving joint by bin, and the IMU.
 
@@ -112,9 +119,8 @@ def list_motion_features(recording: Recording, config: Config) -> MotionFeatures
         for feature, span in _segment_features(recording, config, segments, number, float(load_Nm)):
             features.append(feature)
             bins.append((feature.channel, segments[number].joint, *span))
-    still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
-        features.append(Feature(recording, IMU, f"imu.{axis}", "rest", still, f"imu/{axis}"))
+        features.append(Feature(recording, IMU, f"imu.{axis}", "rest", still(recording), f"imu/{axis}"))
     return MotionFeatures(recording, segments, tuple(features), tuple(bins))
 
 
@@ -151,13 +157,7 @@ def _segment_features(
 
 
 def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
-    """Compute the features (m,) from sensors, in the units of their channels.
-
-    Args:
-        motion: Segments and features of the recording, m of them.
-        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
-            `compared_ticks`, in the units of their names.
-    """
+    """Compute the features from recorded or simulated sensors, of at least `compared_ticks`."""
     recording = motion.recording
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
     setpoint_count = recording.drive["setpoint_count"][: encoder.shape[1]]

@@ -357,7 +357,7 @@ def propose(tmp_path, monkeypatch, made, campaign, results):
         return [folder / f"{one.name}.mcap" for one in sessions]
 
     def compute(logs, kept_in, run, progress, kinds, steps_of, arm):
-        assert set(kinds) <= {one.effect for one in made.hypotheses}
+        assert set(kinds) <= {one.name for one in made.hypotheses}
         block = np.array([recorded[int(one.split()[1])] for one in made.layout.block])
         layout = replace(made.layout, block=block, sigma=0.01 * made.layout.sigma)
         return replace(made, layout=layout)

@@ -170,7 +170,7 @@ Cases = dict[str, Diagnosis]
 
 def truth(kind: str, model: DiagnosisModel, h: int) -> DemoTruth:
     one = model.sensitivities.hypotheses[h]
-    return DemoTruth("00", kind, one.effect, one.place, "", 2.0, ())  # type: ignore[arg-type]
+    return DemoTruth("00", kind, one.name, one.place, "", 2.0, ())  # type: ignore[arg-type]
 
 
 def locations(model: DiagnosisModel) -> list[str]:
@@ -210,7 +210,7 @@ def test_another_name_beside_the_right_one_is_wrong_and_another_place_is_not(res
     other = campaign.sensitivities.hypotheses[h]
     effects = (other.key,) if is_named else ()
     second = replace(
-        finding, place=other.place, effect=other.effect, places=(other.place,), families=(), effects=effects
+        finding, place=other.place, effect=other.name, places=(other.place,), families=(), effects=effects
     )
     both = replace(results["named"], findings=(finding, second))
     is_right, _ = judge(truth("known", campaign, *indices(campaign, results["named"])), campaign, both)

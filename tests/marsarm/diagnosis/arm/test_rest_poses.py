@@ -56,7 +56,7 @@ def test_a_creeping_link_rests_where_the_plant_does(rests):
     recording, effect = one.turning_points.recording, LinkCreep(Frame.ARM3, "y", 2e-5)
     ticks = [one.turning_points.tick[k] for k in one.turning_points.rests]
     with_it, without = (
-        simulate_open_loop(recording, effects, SHORT_SETTLING, frozenset(ticks)).X_RF
+        simulate_open_loop(recording, effects, SHORT_SETTLING, frozenset(ticks))[1]
         for effects in ((effect,), ())
     )
     change = simulate_features(rests, (effect,), SHORT_SETTLING) - simulate_features(
@@ -123,7 +123,7 @@ BRIEF = SimulationOptions(settle_s=1.0)
 
 def candidates_at_ends() -> Iterator[Any]:
     """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
-    for one in {candidate.effect: candidate for candidate in list_hypotheses()}.values():
+    for one in {candidate.name: candidate for candidate in list_hypotheses()}.values():
         ends = np.transpose([parameter.departure_range for parameter in one.parameters])
         for end, departures in zip(("least", "most"), ends, strict=True):
             yield pytest.param(one.switch_on(departures), id=f"{one.key}, {end}")
