@@ -95,8 +95,10 @@ LOCATIONS: Final = {
 """Locations of effects whose place is an axis or the whole arm."""
 
 REST_ONLY_EFFECTS: Final[tuple[type[Effect], ...]] = (
-    *(geometry.FrameError, *FAMILIES[Family.GEOMETRY]),
-    *(*FAMILIES[ArmFamily.STRUCTURE], *FAMILIES[Family.CONTACT]),
+    geometry.FrameError,
+    *FAMILIES[Family.GEOMETRY],
+    *FAMILIES[ArmFamily.STRUCTURE],
+    *FAMILIES[Family.CONTACT],
 )
 """Effects that influence rests or nothing, but for a shifted hardstop; their change of motions is below the
 noise, and no motion of a campaign reaches a hardstop."""

@@ -63,18 +63,18 @@ class Named:
     block: str
 
 
-def test_a_repeat_of_what_is_fitted_is_not_held_out():
+def test_a_session_is_given_once_and_a_repeat_of_what_is_fitted_is_not_held_out():
     first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
-    paths = [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")]
-    diagnose_logs._check_sessions(paths[:2], [first], [other])  # type: ignore[list-item]
+
+    def check(fitted: list[Named], *held_out: Named) -> None:
+        paths = [Path(f"{letter}.mcap") for letter in "abc"[: len(fitted) + len(held_out)]]
+        diagnose_logs._check_sessions(paths, fitted, held_out)  # type: ignore[arg-type]
+
+    check([first], other)
     with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
-        diagnose_logs._check_sessions(paths, [first], [other, again])  # type: ignore[list-item]
-
-
-def test_a_session_is_given_once():
-    paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
+        check([first], other, again)
     with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
-        diagnose_logs._check_sessions(paths, [same], [same])  # type: ignore[list-item]
+        check([first], first)
 
 
 def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path):
