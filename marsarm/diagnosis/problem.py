@@ -228,11 +228,9 @@ class Sensitivities:
         """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures."""
         total = np.zeros(self.layout.size)
         for hypothesis, a in departures.items():
-            total += self._change(np.flatnonzero(self.owner == self.hypotheses.index(hypothesis)), a)
+            own = self.owner == self.hypotheses.index(hypothesis)
+            total += continue_parabola(self.effect[:, own], self.curve[:, own], self.reach[own], a)
         return total
-
-    def _change(self, columns: Ints, a: Array) -> Array:
-        return continue_parabola(self.effect[:, columns], self.curve[:, columns], self.reach[columns], a)
 
     def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
         """Return the sensitivities with the parabola of one hypothesis through a simulated change.
@@ -265,7 +263,7 @@ class Sensitivities:
         columns = np.flatnonzero(self.owner == hypothesis)
         inside = np.clip(a, -self.reach[columns], self.reach[columns])
         effect, curve = self.effect.copy(), self.curve.copy()
-        change = self._change(columns, a)
+        change = self.change({self.hypotheses[hypothesis]: a})
         effect[:, columns] += 2.0 * curve[:, columns] * inside
         largest = int(np.argmax(np.abs(a)))
         others = np.delete(np.arange(columns.size), largest)

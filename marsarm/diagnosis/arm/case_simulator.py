@@ -219,24 +219,16 @@ def _update(
     difference = estimated - current.nuisance
     if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sensitivities.sigma):
         return current
-    blocks = _curved_blocks(model, difference)
+    # a factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear
+    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in sensitivities.nuisances])
+    second_order = sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
+    layout = sensitivities.layout
+    blocks = {*layout.block[np.abs(second_order) > MIN_CURVED * layout.sigma].tolist()}
     pairs = zip(sensitivities.nuisances, estimated.tolist(), strict=True)
     near = (*patch, *(one.effect(value) for one, value in pairs if value and one.effect is not None))
     otherwise = sensitivities.nuisance @ difference
     again = resimulate(current, near, lambda one: one.recording.block in blocks, otherwise)
     return replace(again, nuisance=estimated)
-
-
-def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
-    """Return the blocks in which a change of the nuisances is not linear, to MIN_CURVED noise floors.
-
-    A factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear.
-    """
-    nuisances, layout = model.sensitivities.nuisances, model.sensitivities.layout
-    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in nuisances])
-    second_order = model.sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
-    curved = np.abs(second_order) > MIN_CURVED * layout.sigma
-    return {*layout.block[curved].tolist()}
 
 
 def _cost(whiten: Whitener, residual: Array, selection: FeatureSelection) -> float:

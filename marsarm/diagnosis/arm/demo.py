@@ -258,13 +258,10 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    seen = list_detectable(model, model.family_wise_limits)
-    drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
-    hypothesis = drawn.source.hypothesis
-    effect = drawn.switch_on()
-    truth = DemoTruth(
-        salt, kind, hypothesis.name, hypothesis.place, effect_text(effect), drawn.times_limit, texts
-    )
+    seen = [one for one in list_detectable(model, model.family_wise_limits) if can_sample(one, SIZES)]
+    drawn = sample_amplitude(sample_effect(seen, rng), rng, SIZES)
+    one, effect = drawn.source.hypothesis, drawn.switch_on()
+    truth = DemoTruth(salt, kind, one.name, one.place, effect_text(effect), drawn.times_limit, texts)
     return truth, (*background, effect)
 
 

@@ -209,17 +209,12 @@ def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> It
         hardware = effect.on_hardware(hardware)
     sensor_errors = hardware.sensor_errors
     for one in readings:
-        sensors, sensor_errors = apply_sensor_errors(sensor_errors, _read_resolvers(one, hardware), rng)
+        resolver_rad = one.resolver_rad + hardware.resolver_bias_rad
+        for error in hardware.resolver_errors:
+            resolver_rad = resolver_rad + error.error_rad(one.resolver_rad)
+        read = replace(one, resolver_rad=resolver_rad)
+        sensors, sensor_errors = apply_sensor_errors(sensor_errors, read, rng)
         yield sensors
-
-
-def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
-    """Replace the resolver angles by those with bias and resolver errors."""
-    output_rad = sensors.resolver_rad
-    resolver_rad = output_rad + hardware.resolver_bias_rad
-    for error in hardware.resolver_errors:
-        resolver_rad = resolver_rad + error.error_rad(output_rad)
-    return replace(sensors, resolver_rad=resolver_rad)
 
 
 def _list_rest_features(
@@ -243,14 +238,11 @@ def _list_rest_features(
         for r, k in zip(tracked, poses, strict=True):
             sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
             features.append(Feature(recording, channel, "turret", "pose", still(recording), key, sigma=sigma))
-    rest_features = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
-    differences = np.abs(
-        [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
-    ).max(axis=0)
-    doubted = zip(features, differences, strict=True)
-    return replace(
-        rest_features, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted)
-    )
+    found = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
+    without, *with_others = (_static_values(found, one) for one in (nominal, *others))
+    doubts = np.abs([one - without for one in with_others]).max(axis=0).tolist()
+    doubted = (replace(feature, doubt=by) for feature, by in zip(features, doubts, strict=True))
+    return replace(found, features=tuple(doubted))
 
 
 def _static_values(one: RestFeatures, found: RestPoses) -> Array:

@@ -128,15 +128,12 @@ def _sizes(settings: Departures) -> Array:
 
 def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     """Return whitened changes by shared nuisances, in their sigmas, and by effects, in typical sizes."""
-    shared = sensitivities.shared_nuisances
-    sigma = np.array([sensitivities.nuisances[k].sigma for k in shared])
     owners = [sensitivities.index(one.key) for one in settings]
     columns: Ints = np.concatenate([np.flatnonzero(sensitivities.owner == k) for k in owners])
     reach = sensitivities.reach[columns]
     at = np.clip(_sizes(settings), -reach, reach)  # beyond it, the parabola goes on as a line
     slope = sensitivities.effect[:, columns] + 2.0 * at * sensitivities.curve[:, columns]
-    every = np.hstack([sensitivities.nuisance[:, shared] * sigma, slope])
-    return np.asarray(build_whitener(sensitivities)(every))
+    return np.asarray(build_whitener(sensitivities)(np.hstack([sensitivities.shared_columns, slope])))
 
 
 def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
@@ -157,7 +154,5 @@ def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
 
 def save_files(made: NextArmMotion) -> list[str]:
     """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
-    request = made.request
-    return save_next_files(
-        made.proposal, {"motion": request.out}, lambda: motion_text(made.motion), request.report, made.origin
-    )
+    out, report = {"motion": made.request.out}, made.request.report
+    return save_next_files(made.proposal, out, lambda: motion_text(made.motion), report, made.origin)
