@@ -19,6 +19,7 @@ from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
+from marsarm.diagnosis.arm import rest_poses
 from marsarm.diagnosis.arm.contact import PressFeature, TouchFeature, list_presses, list_touches
 from marsarm.diagnosis.arm.features import (
     ASSUMED_SIGMA,
@@ -34,16 +35,6 @@ from marsarm.diagnosis.arm.features import (
     still,
 )
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.rest_poses import (
-    RestPoses,
-    TurningPoints,
-    find_turning_points,
-    read_resolvers,
-    simulate_open_loop,
-    simulate_open_loop_cached,
-    solve_rests,
-    stack_readings,
-)
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
@@ -68,8 +59,8 @@ DOUBT_SIGMAS: Final = 3.0
 class RestFeatures:
     """Rests of one recording, their nominal equilibrium, and those with a tracker pose."""
 
-    turning_points: TurningPoints
-    nominal: RestPoses
+    turning_points: rest_poses.TurningPoints
+    nominal: rest_poses.RestPoses
     tracked: list[int]
     """Indices of the rests with a tracker pose."""
     poses: list[int]
@@ -109,14 +100,12 @@ class FeatureSet:
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests in free air, and motions without tracker poses or with a surface."""
     config = configure(recordings[0].arm.params)
-    every = (find_turning_points(one) for one in recordings if one.world.surface is None)
+    every = (rest_poses.find_turning_points(one) for one in recordings if one.world.surface is None)
     turning_points = [one for one in every if one.rests]
     moving = [one for one in recordings if one.world.surface or not one.tracker_poses.tick.size]
     step_Nm = (FRICTION_MARGIN * config.output_friction_Nm).tolist()
-    nominal, less, more = (
-        solve_rests(turning_points, [OutputFriction(joint, by * step_Nm[joint]) for joint in Joint])
-        for by in (0.0, -1.0, 1.0)
-    )
+    frictions = ([OutputFriction(joint, by * step_Nm[joint]) for joint in Joint] for by in (0.0, -1.0, 1.0))
+    nominal, less, more = (rest_poses.solve_rests(turning_points, some) for some in frictions)
     found = FeatureSet(
         tuple(list_motion_features(one, config) for one in moving),
         tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
@@ -133,7 +122,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
     shift_m = sum(effect.offset_m for effect in effects if isinstance(effect, SurfacePosition))
     X_FT = configure(params_with_effects(tuple(effects), feature_set.arm.params)).arm.X_FT
     found = []
-    rests = solve_rests([one.turning_points for one in feature_set.touches], effects)
+    rests = rest_poses.solve_rests([one.turning_points for one in feature_set.touches], effects)
     for one, rest in zip(feature_set.touches, rests, strict=True):
         surface = one.turning_points.recording.world.surface
         assert surface is not None
@@ -148,7 +137,7 @@ def measure_features(feature_set: FeatureSet) -> Array:
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
-        values.append(_rest_values(one, read_resolvers(one.turning_points), X_RF))
+        values.append(_rest_values(one, rest_poses.read_resolvers(one.turning_points), X_RF))
     ways_m = [one.measured_m for one in feature_set.presses]
     return np.concatenate([*values, np.zeros(len(feature_set.touches)), ways_m])
 
@@ -173,7 +162,7 @@ def simulate_features(
         np.array([known[one.recording.block].get(feature.key, np.nan) for feature in one.features])
         for one in feature_set.motions
     ]
-    rests = solve_rests([one.turning_points for one in feature_set.rests], effects)
+    rests = rest_poses.solve_rests([one.turning_points for one in feature_set.rests], effects)
     values += [_static_values(one, found) for one, found in zip(feature_set.rests, rests, strict=True)]
     return np.concatenate([*values, simulate_touches(feature_set, effects)])
 
@@ -187,9 +176,9 @@ def simulate_motion(
     """
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
-    simulate = simulate_open_loop_cached if readers else simulate_open_loop
+    simulate = rest_poses.simulate_open_loop_cached if readers else rest_poses.simulate_open_loop
     readings, _ = simulate(motion.recording, acting, options, ticks=motion.compared_ticks)
-    return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
+    return rest_poses.stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
 
 
 def changes_readings_only(effect: Effect) -> bool:
@@ -218,7 +207,7 @@ def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> It
 
 
 def _list_rest_features(
-    turning_points: TurningPoints, nominal: RestPoses, *others: RestPoses
+    turning_points: rest_poses.TurningPoints, nominal: rest_poses.RestPoses, *others: rest_poses.RestPoses
 ) -> RestFeatures:
     """List the features of rests; `doubt` is their change with a little more or less output friction."""
     recording = turning_points.recording
@@ -245,7 +234,7 @@ def _list_rest_features(
     return replace(found, features=tuple(doubted))
 
 
-def _static_values(one: RestFeatures, found: RestPoses) -> Array:
+def _static_values(one: RestFeatures, found: rest_poses.RestPoses) -> Array:
     return _rest_values(one, found.resolver_rad, found.X_RF[one.tracked])
 
 

@@ -14,15 +14,9 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
 from marsarm.common.requests import select_arm
+from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
-from marsarm.diagnosis.arm.record import (
-    PlannedMotion,
-    list_motions,
-    make_session,
-    motion_text,
-    record_campaign,
-)
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
@@ -53,7 +47,7 @@ class NextArmMotion:
 
     request: NextRequest
     proposal: Proposal
-    motion: PlannedMotion
+    motion: record.PlannedMotion
     """The best motion."""
     origin: Origin
 
@@ -71,12 +65,13 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     group = choose_rivals(case.diagnosis.rivals)
     kinds = tuple(dict.fromkeys(one.name for rival in group for one in rival.effects))
     places = {rival.effect.partition(".")[0].partition(":")[0] for rival in group}
-    motions = {one.name: one for one in list_motions(places)}
+    motions = {one.name: one for one in record.list_motions(places)}
     arm = replace(select_arm(request.arm, None), effects=(), params=case.params)
-    sessions = [make_session(one, arm.params) for one in motions.values()]
+    sessions = [record.make_session(one, arm.params) for one in motions.values()]
     with TemporaryDirectory() as scratch:
         recording = part_of(progress, DIAGNOSED, RECORDED)
-        logs = record_campaign(Path(scratch), sessions, arm, true_reference(arm), request.seed, recording)
+        made_of = arm, true_reference(arm), request.seed
+        logs = record.record_campaign(Path(scratch), sessions, *made_of, recording)
         kept_in, rest = cache_folder("marsarm", "sensitivities"), part_of(progress, RECORDED, 1.0)
         run = select_runner(request.workers, request.cluster)
         planned = compute_sensitivities(logs, kept_in, run, rest, kinds, (), request.arm)
@@ -155,4 +150,4 @@ def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
 def save_files(made: NextArmMotion) -> list[str]:
     """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
     out, report = {"motion": made.request.out}, made.request.report
-    return save_next_files(made.proposal, out, lambda: motion_text(made.motion), report, made.origin)
+    return save_next_files(made.proposal, out, lambda: record.motion_text(made.motion), report, made.origin)

@@ -9,21 +9,12 @@ from scipy.stats import chi2
 from typer.testing import CliRunner
 
 from marsarm.cli.app import app
+from marsarm.diagnosis import model as linear
 from marsarm.diagnosis.arm import finite_differences as steps
 from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
 from marsarm.diagnosis.arm.record import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.request import NextRequest
-from marsarm.diagnosis.model import (
-    alias_cosines,
-    build_full_whitener,
-    build_model,
-    detection_limits,
-    equivalence_classes,
-    fit_linear,
-    form_normal_equations,
-    noncentrality,
-)
 from marsarm.diagnosis.problem import Departures, fit_parabola, load_sensitivities, save_sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, select_simulated
 from sim.arms import arm_named, nominal_params
@@ -107,12 +98,13 @@ def _dense(made):
 
 def likelihood_ratio(equations, y, chosen):
     """Return the deviance that hypotheses explain: a'R a, with nuisances eliminated."""
-    a, columns = fit_linear(equations, y, chosen).theta[equations.q :], np.isin(equations.owner, chosen)
+    columns = np.isin(equations.owner, chosen)
+    a = linear.fit_linear(equations, y, chosen).theta[equations.q :]
     return float(a @ equations.R[np.ix_(columns, columns)] @ a)
 
 
 def test_a_fit_is_generalised_least_squares(small, rng):
-    equations, V = form_normal_equations(small), _dense(small)
+    equations, V = linear.form_normal_equations(small), _dense(small)
     y, S = small.measured(rng), small.effect[:, np.isin(small.owner, (1, 3))]
     t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
     before, after = (rest @ np.linalg.solve(V, rest) for rest in (y, y - S @ t))
@@ -122,12 +114,12 @@ def test_a_fit_is_generalised_least_squares(small, rng):
 
 def test_the_full_whitener_leaves_white_noise(small):
     """W V W' is the identity, with V the covariance by noise and all nuisances."""
-    W = build_full_whitener(small)(np.eye(small.layout.size))
+    W = linear.build_full_whitener(small)(np.eye(small.layout.size))
     np.testing.assert_allclose(W @ _dense(small) @ W.T, np.eye(small.layout.size), atol=1e-6)
 
 
 def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
-    cosine, label = alias_cosines(campaign.equations), equivalence_classes(campaign.equations)
+    cosine, label = linear.alias_cosines(campaign.equations), linear.equivalence_classes(campaign.equations)
     same = label[:, None] == label[None, :]
     assert label.max() + 1 == 30
     assert np.all(cosine[~same] <= 0.99)
@@ -137,9 +129,9 @@ def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
 def test_what_nuisances_imitate_is_not_seen(small):
     free = tuple(replace(n, sigma=1e6, random_per_block=False) for n in small.nuisances)
     effect = np.column_stack([small.nuisance[:, 3], small.effect[:, 1:]])
-    equations = form_normal_equations(replace(small, nuisances=free, effect=effect))
+    equations = linear.form_normal_equations(replace(small, nuisances=free, effect=effect))
     assert list(np.flatnonzero(~equations.identifiable)) == [0]
-    assert detection_limits(equations, equivalence_classes(equations))[0][0] == np.inf
+    assert linear.detection_limits(equations, linear.equivalence_classes(equations))[0][0] == np.inf
 
 
 def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
@@ -152,13 +144,13 @@ def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
         found = likelihood_ratio(campaign.equations, campaign.equations.whiten(y), (one,))
         hits += found > chi2.isf(0.05, 2)
     assert 0.86 <= hits / 400 <= 0.94
-    assert noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)
+    assert linear.noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)
 
 
 WORLD = SENSITIVITIES = world(bent=0.3)
-MODEL = build_model(SENSITIVITIES)
+MODEL = linear.build_model(SENSITIVITIES)
 EFFECTS = list_competitors(MODEL)
-WHITEN = build_full_whitener(SENSITIVITIES)
+WHITEN = linear.build_full_whitener(SENSITIVITIES)
 
 
 def test_the_change_by_effects_is_that_of_the_sensitivities():
@@ -318,9 +310,9 @@ def propose(tmp_path, monkeypatch, made, campaign, results):
         layout = replace(made.layout, block=block, sigma=0.01 * made.layout.sigma)
         return replace(made, layout=layout)
 
-    stand_ins = {"diagnose": diagnose, "record_campaign": record, "compute_sensitivities": compute}
-    for name, stand_in in stand_ins.items():
+    for name, stand_in in (("diagnose", diagnose), ("compute_sensitivities", compute)):
         monkeypatch.setattr(f"marsarm.diagnosis.arm.next_motion.{name}", stand_in)
+    monkeypatch.setattr("marsarm.diagnosis.arm.record.record_campaign", record)
     return lambda *words: CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])
 
 
