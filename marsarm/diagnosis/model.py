@@ -78,7 +78,7 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
 def build_full_whitener(sensitivities: Sensitivities) -> Whitener:
     """Build the whitener from the noise floor and all nuisances with their priors."""
     first = build_whitener(sensitivities)
-    N = first(sensitivities.shared_columns)
+    N = whiten_nuisances(sensitivities, first)
     shared = _block_covariance(np.arange(len(N)), N)
     return Whitener(first.sigma, (*first.scatter, shared))
 
@@ -126,7 +126,7 @@ class NormalEquations:
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses; columns that are not identifiable become 0."""
     whiten = build_whitener(sensitivities)
-    N, S = whiten(sensitivities.shared_columns), whiten(sensitivities.effect)
+    N, S = whiten_nuisances(sensitivities, whiten), whiten(sensitivities.effect)
     across = N.T @ S
     R = S.T @ S - across.T @ np.linalg.solve(N.T @ N + np.eye(N.shape[1]), across)
     information = np.diagonal(R)
@@ -136,6 +136,12 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     R = (R + R.T) / 2.0 * np.outer(by, by)
     sigma = sensitivities.sigma[sensitivities.shared_nuisances]
     return NormalEquations(sensitivities.owner, whiten, N, S * by, sigma, R, scale)
+
+
+def whiten_nuisances(sensitivities: Sensitivities, whiten: Whitener) -> Array:
+    """Whiten the columns of the shared nuisances, in units of their sigma, (m, q)."""
+    shared = sensitivities.shared_nuisances
+    return whiten(sensitivities.nuisance[:, shared]) * sensitivities.sigma[shared]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

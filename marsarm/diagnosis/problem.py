@@ -214,12 +214,6 @@ class Sensitivities:
         """Prior standard deviation of each nuisance in its own unit, shape (q,)."""
         return np.array([one.sigma for one in self.nuisances])
 
-    @property
-    def shared_columns(self) -> Array:
-        """Change per sigma of each shared nuisance, shape (m, q)."""
-        shared = self.shared_nuisances
-        return np.asarray(self.nuisance[:, shared] * self.sigma[shared])
-
     def index(self, key: str) -> int:
         """Return the index of the hypothesis with this key."""
         return next(k for k, one in enumerate(self.hypotheses) if one.key == key)

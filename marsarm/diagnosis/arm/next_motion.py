@@ -18,7 +18,7 @@ from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
 from marsarm.diagnosis.arm.request import NextRequest
-from marsarm.diagnosis.model import DiagnosisModel, build_whitener
+from marsarm.diagnosis.model import DiagnosisModel, build_whitener, whiten_nuisances
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
 from sim.initialisation import true_reference
 from simgap.common.files import cache_folder
@@ -128,7 +128,8 @@ def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     reach = sensitivities.reach[columns]
     at = np.clip(_sizes(settings), -reach, reach)  # beyond it, the parabola goes on as a line
     slope = sensitivities.effect[:, columns] + 2.0 * at * sensitivities.curve[:, columns]
-    return np.asarray(build_whitener(sensitivities)(np.hstack([sensitivities.shared_columns, slope])))
+    whiten = build_whitener(sensitivities)
+    return np.hstack([whiten_nuisances(sensitivities, whiten), whiten(slope)])
 
 
 def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
