@@ -24,7 +24,7 @@ from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance, Parameter
 from sim.arm_model.load import ArmModel
 from sim.effects import catalogue, environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import effect_name, effect_place_text
-from sim.effects.effect import EachMove, Effect, joint_of, link_of
+from sim.effects.effect import EachMove, Effect, joint_of, link_of, params_with_effects
 from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.plant import SCREW_AXES, SPRING_NAMES
 from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
@@ -220,23 +220,20 @@ def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
             yield Parameter(parameter.field, size.unit, size.low, size.high, size.typical, size.neutral)
 
 
-def effects_of_params(params: Params, drawing: Params) -> tuple[Effect, ...]:
-    """Return the effects whose perfect calibration gives the parameters of an arm, by those of its drawing.
+def effects_of_params(params: Params, drawing: Params) -> Iterator[Effect]:
+    """Yield the effects whose perfect calibration gives the parameters of an arm, by those of its drawing.
 
     They are frames, springs and masses of the links, frames of the tools, hardstops, backlash, stiffness and
     friction of the joints, constants of the motors and scales of the encoders. A spring has one factor.
     """
-    found: list[Effect] = []
-    now = drawing
-    for effect in _frame_errors(now, params):
-        found.append(effect)
-        now = effect.on_params(now)
+    frames = [*_frame_errors(drawing, params)]
+    now = params_with_effects(frames, drawing)
+    yield from frames
     for frame in Frame:
         if frame is not Frame.TOOL:
-            found += _link_effects(frame, link_of(now, frame), link_of(params, frame))
+            yield from _link_effects(frame, link_of(now, frame), link_of(params, frame))
     for joint in Joint:
-        found += _joint_effects(joint, now, params)
-    return tuple(found)
+        yield from _joint_effects(joint, now, params)
 
 
 def _frame_errors(nominal: Params, params: Params) -> Iterator[geometry.FrameError]:

@@ -27,16 +27,16 @@ def results(made, campaign):
     cosines = np.where(is_apart, alias_cosines(campaign.equations), 0.0)
     similar = int(np.argmax(cosines.max(axis=1)))
     cases = {
-        "named": (1, sized(made, campaign, lone, 6.0), None),
-        "alike": (1, sized(made, campaign, 4, 4.0), None),
-        "undecided": (4, sized(made, campaign, similar, 2.0), None),
-        "nothing": (2, None, None),
+        "named": (1, sized(made, campaign, lone, 6.0), 0.0),
+        "alike": (1, sized(made, campaign, 4, 4.0), 0.0),
+        "undecided": (4, sized(made, campaign, similar, 2.0), 0.0),
+        "nothing": (2, None, 0.0),
         "unknown": (3, None, 3.0 * strange(made)),
         "beside": (3, sized(made, campaign, 4, 8.0), strange(made)),
     }
     return {
         name: select_and_diagnose(
-            campaign, made.measured(np.random.default_rng(seed), t, extra, robot=seed), seed=1
+            campaign, made.measured(np.random.default_rng(seed), t, robot=seed) + extra, seed=1
         )
         for name, (seed, t, extra) in cases.items()
     }

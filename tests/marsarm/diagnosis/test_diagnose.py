@@ -17,8 +17,8 @@ from simgap.report.sentences import level, verdict_word
 from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, world
 
 
-def _diagnose(made, campaign, rng, t=None, extra=None):
-    return select_and_diagnose(campaign, made.measured(rng, t, extra), seed=1)
+def _diagnose(made, campaign, rng, t, extra=0.0):
+    return select_and_diagnose(campaign, made.measured(rng, t) + extra, seed=1)
 
 
 def test_every_case_has_its_verdict_and_level(results):

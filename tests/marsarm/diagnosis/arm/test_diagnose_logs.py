@@ -1,38 +1,36 @@
-"""Request of a diagnosis; its findings as a patch and as flight parameters; the demonstration."""
+"""Request of a diagnosis, its logs and tables; findings as a patch and as parameters; the demonstration."""
 
 import json
+import re
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
+from fsw.kinematics.transforms import IDENTITY, stack_poses
 from marsarm.common.requests import parse_effects
+from marsarm.diagnosis.arm import diagnose_logs, record
+from marsarm.diagnosis.arm import logs as load_logs
 from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
-from marsarm.diagnosis.arm.diagnose_logs import (
-    NothingToWrite,
-    _read_params,
-    diagnose,
-    effects_of_findings,
-    expand_logs,
-    params_text,
-    patch_text,
-)
-from marsarm.diagnosis.arm.logs import NotForDiagnosis
-from marsarm.diagnosis.arm.record import PARAMS_FILE
-from marsarm.diagnosis.arm.request import DiagnoseRequest
+from marsarm.diagnosis.arm.diagnose_logs import diagnose, effects_of_findings, params_text, patch_text
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, TrackerPoses, read_tracker_poses, write_tracker_poses
+from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
+from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from sim.effects.effect import params_with_effects
 from sim.effects.joints import GearStiffness
 from sim.params import params_table
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, RobotError
+from simgap.common.progress import no_progress
 from simgap.report.sentences import level
 from tests.marsarm.command import marsarm
 from tests.marsarm.diagnosis.worlds import indices
@@ -50,7 +48,7 @@ def folder(tmp_path):
 
 
 def test_a_folder_is_all_logs_in_it(folder):
-    logs = expand_logs((folder / "logs", folder / "other.mcap"), "log")
+    logs = diagnose_logs.expand_logs((folder / "logs", folder / "other.mcap"), "log")
     assert [path.name for path in logs] == ["a.mcap", "b.mcap", "other.mcap"]
 
 
@@ -90,9 +88,9 @@ def test_a_finding_of_its_size_is_switched_on_by_the_patch_and_known_to_flight_p
 
 
 def test_without_a_name_or_a_flight_parameter_there_is_no_file(results):
-    with pytest.raises(NothingToWrite, match="no effect was found"):
+    with pytest.raises(diagnose_logs.NothingToWrite, match="no effect was found"):
         patch_text(results["unknown"])
-    with pytest.raises(NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):
+    with pytest.raises(diagnose_logs.NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):
         params_text(diagnosed(results, "elbow: coulomb-friction", 5.0), nominal_params(), nominal_params())
 
 
@@ -120,7 +118,7 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed):
         np.testing.assert_allclose(*masses, rtol=1e-12)
     ours, theirs = (numbers(params_table(one)["joints"]) for one in (found, params))
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
-    assert effects_of_params(nominal_params(), nominal_params()) == ()
+    assert [*effects_of_params(nominal_params(), nominal_params())] == []
 
 
 def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path):
@@ -129,8 +127,9 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     assert named == ["logs/poses-level-1.mcap", "logs/held-out/poses-level-5.mcap"]
     logs = [tmp_path / path for path in named]
     known = arm_named("calibrated:7").params
-    assert params_over_nominal(tmp_path / "logs" / PARAMS_FILE) == known
-    assert _read_params(DiagnoseRequest((tmp_path / "logs",)), tmp_path / "logs", default_arm()) == known
+    assert params_over_nominal(tmp_path / "logs" / record.PARAMS_FILE) == known
+    request = DiagnoseRequest((tmp_path / "logs",))
+    assert diagnose_logs._read_params(request, tmp_path / "logs", default_arm()) == known
     assert load_checked_recordings(logs, known)[0].params == known
     with pytest.raises(NotForDiagnosis, match=r"^2 of 2 logs were made with other flight parameters[^\n]*$"):
         load_checked_recordings(logs, nominal_params())
@@ -199,3 +198,105 @@ def test_where_the_catalogue_lacks_the_effect_its_place_must_be_seen_and_no_name
     assert any(right)
     judged = [judge(truth("left out", campaign, h), campaign, results["beside"])[0] for h in range(40)]
     assert right == judged
+
+
+SEEN = TrackerPoses(np.array([7, 90]), stack_poses([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
+
+
+def test_poses_of_a_tracker_come_back(tmp_path):
+    write_tracker_poses(tmp_path / "t.csv", SEEN)
+    again = read_tracker_poses(tmp_path / "t.csv")
+    assert again.tick.tolist() == SEEN.tick.tolist()
+    np.testing.assert_array_equal(again.sigma, SEEN.sigma)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "by", "said"),
+    [
+        (r",z_sigma_m", "", "z_sigma_m"),
+        (r"\n7,", "\nseven,", "'seven'"),
+        (r"\n7,", "\n7.5,", "ticks must be whole numbers"),
+        (r"(\n7,.*\n)", r"\1\1", "each there once"),
+    ],
+)
+def test_a_table_that_is_none_of_poses_is_refused(tmp_path, pattern, by, said):
+    path = tmp_path / "t.csv"
+    write_tracker_poses(path, SEEN)
+    path.write_text(re.sub(pattern, by, path.read_text(), count=1))
+    with pytest.raises(RobotError, match=said):
+        read_tracker_poses(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"name": "cold"', "EOF|JSON"),
+        ('{"temperature_C": NaN}', "temperature_C: .*finite"),
+        ('{"world": {"tilt_pitch_rad": 2.9}}', "tilts the rover by 2.9 rad"),
+    ],
+)
+def test_a_session_that_a_header_cannot_mean_is_refused(text, said):
+    with pytest.raises(NotForDiagnosis, match=f"log a.mcap: session in its header: .*({said})"):
+        load_logs._read_session(text, Path("a.mcap"))
+
+
+@dataclass(frozen=True)
+class Named:
+    """Recording with name and block only."""
+
+    name: str
+    block: str
+
+
+def test_a_session_is_given_once_and_a_repeat_of_what_is_fitted_is_not_held_out():
+    first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
+
+    def check(fitted: list[Named], *held_out: Named) -> None:
+        paths = [Path(f"{letter}.mcap") for letter in "abc"[: len(fitted) + len(held_out)]]
+        diagnose_logs._check_sessions(paths, fitted, held_out)  # type: ignore[arg-type]
+
+    check([first], other)
+    with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
+        check([first], other, again)
+    with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
+        check([first], first)
+
+
+def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path):
+    held_out = tmp_path / record.HELD_OUT_FOLDER
+    held_out.mkdir()
+    (held_out / "cold.mcap").touch()
+    (tmp_path / "warm.mcap").touch()
+    (tmp_path / "tour.mcap").touch()
+
+    def sides(fitted: str, *apart: str) -> list[list[str]]:
+        cases = [[Named(name, name) for name in names] for names in ((fitted,), apart)]
+        found = diagnose_logs._campaign_logs(tmp_path, *cases)  # type: ignore[arg-type]
+        return [[path.stem for path in side] for side in found]
+
+    assert sides("warm", "cold") == [["tour", "warm"], ["cold"]]
+    assert sides("warm") == [["tour", "warm"], []]
+    for case, said in ((("placed",), "session placed"), (("warm", "tour"), "session that is held out tour")):
+        with pytest.raises(NotForDiagnosis, match=f"has no {said}"):
+            sides(*case)
+
+
+def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monkeypatch):
+    """Without a log of any session there is no folder."""
+
+    def stopped(path: Path, session: DiagnosisSession, *_: object) -> None:
+        path.touch()
+        if session.name not in completed:
+            raise SessionFailed(session.name)
+
+    completed = {"poses-level-2", "poses-level-5"}
+    monkeypatch.setattr(record, "_record_session", stopped)
+    request = RecordRequest(tmp_path / "logs", sessions="poses-level-[235]")
+    found = record.record_logs(request, no_progress)
+    assert [path.name for path in found.logs] == ["poses-level-2.mcap", "poses-level-5.mcap"]
+    assert all(path.exists() for path in found.logs)
+    assert found.left_out == ("poses-level-3",)
+    completed.clear()
+    with pytest.raises(BadRequest, match="completes no session; with smaller effects"):
+        record.record_logs(replace(request, out=tmp_path / "none"), no_progress)
+    assert [path.name for path in tmp_path.iterdir()] == ["logs"]
