@@ -91,6 +91,12 @@ class Hypothesis(Effect):
             for name, least, most in ranges
         )
 
+    @property
+    def common_range(self) -> tuple[float, float]:
+        """Least and greatest departure of all amplitudes together, in typical sizes."""
+        least, most = zip(*(one.departure_range for one in self.parameters), strict=True)
+        return max(least), min(most)
+
     def values(self, departures: Array) -> Array:
         """Return the values of the parameters in their units, (k,)."""
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T

@@ -131,19 +131,14 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 
     Where both act in opposite directions, the bounds of the other change sides.
     """
-    (least, most), (other_least, other_most) = (_room(model, k) for k in (one, other))
+    hypotheses, limits = model.sensitivities.hypotheses, model.limits
+    least, most = np.array(hypotheses[one].common_range) / limits[one]
+    other_least, other_most = np.array(hypotheses[other].common_range) / limits[other]
     a, b = (np.flatnonzero(model.equations.owner == k)[0] for k in (one, other))
     if model.equations.R[a, b] < 0.0:
         other_least, other_most = -other_most, -other_least
     is_wider = most - least > MORE_ROOM * (other_most - other_least)
-    return is_wider and least <= other_least and most >= other_most
-
-
-def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
-    """Return least and greatest common departure of all amplitudes, in detection limits."""
-    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
-    limit = model.limits[k]
-    return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
+    return bool(is_wider and least <= other_least and most >= other_most)
 
 
 class FeatureResiduals:

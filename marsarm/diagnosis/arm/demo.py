@@ -110,8 +110,8 @@ def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffe
 
 def _room(one: DetectableEffect, sign: int) -> float:
     """Return how many typical sizes all amplitudes together may depart to one side."""
-    ends = [parameter.departure_range for parameter in one.hypothesis.parameters]
-    return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)
+    least, most = one.hypothesis.common_range
+    return BOUND_SHARE * (most if sign > 0 else -least)
 
 
 def sample_background(rng: np.random.Generator, arm: str = NOMINAL) -> tuple[Effect, ...]:
