@@ -79,9 +79,10 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     y, q = equations.whiten(value), equations.q
     fit = fit_linear(equations, y, selection.chosen)
     remaining = tuple(find_lack_of_fit(model, fit, y))
-    unit = equations.nuisance_sigma
+    shared = sensitivities.shared_nuisances
+    unit = sensitivities.sigma[shared]
     nuisance = fit.theta[:q] * unit
-    base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
+    base = value - sensitivities.nuisance[:, shared] @ nuisance
     rows = value, base, base - selection.sensitivities.change(selection.departures)
     sets = find_confidence_sets(selection.engine)
     diagnosis = Diagnosis(

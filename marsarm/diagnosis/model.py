@@ -103,8 +103,6 @@ class NormalEquations:
     """Whitened nuisances, shape (m, q)."""
     S: Array
     """Whitened columns, shape (m, k)."""
-    nuisance_sigma: Array
-    """Sigma of each shared nuisance in its own unit, shape (q,)."""
     R: Array
     """Information of the columns with nuisances eliminated, shape (k, k)."""
     scale: Array
@@ -113,7 +111,7 @@ class NormalEquations:
     @property
     def q(self) -> int:
         """Number of shared nuisances."""
-        return self.nuisance_sigma.size
+        return int(self.N.shape[1])
 
     @property
     def identifiable(self) -> Flags:
@@ -134,8 +132,7 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     scale = np.sqrt(np.where(is_seen, information, 0.0))
     by = np.where(is_seen, 1.0 / np.where(is_seen, scale, 1.0), 0.0)
     R = (R + R.T) / 2.0 * np.outer(by, by)
-    sigma = sensitivities.sigma[sensitivities.shared_nuisances]
-    return NormalEquations(sensitivities.owner, whiten, N, S * by, sigma, R, scale)
+    return NormalEquations(sensitivities.owner, whiten, N, S * by, R, scale)
 
 
 def whiten_nuisances(sensitivities: Sensitivities, whiten: Whitener) -> Array:

@@ -253,23 +253,15 @@ def _assemble(
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, factor) in differences.find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
-    hypotheses, nuisances = _list_known(campaign)
-    owner = [k for k, one in enumerate(hypotheses) for _ in one.parameters]
-    sized = len(owner)
+    hypotheses, nuisances = known = _list_known(campaign)
+    owner = np.array([k for k, one in enumerate(hypotheses) for _ in one.parameters], np.intp)
+    sized = owner.size
     nuisance = _restrict_nuisances(simulator, nuisances, slope[:, sized:])
     own = nuisance[:, [bool(one.only_place) for one in nuisances]]
     # a share of the numerical errors is noise: the fit removes them only in part
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    return Sensitivities(
-        replace(simulator.layout, sigma=sigma),
-        hypotheses,
-        nuisances,
-        slope[:, :sized],
-        curvature[:, :sized],
-        reach[:sized],
-        np.array(owner, np.intp),
-        nuisance,
-    )
+    layout, derivatives = replace(simulator.layout, sigma=sigma), (slope[:, :sized], curvature[:, :sized])
+    return Sensitivities(layout, *known, *derivatives, reach[:sized], owner, nuisance)
 
 
 def _restrict_nuisances(simulator: ArmSimulator, nuisances: Sequence[Nuisance], change: Array) -> Array:

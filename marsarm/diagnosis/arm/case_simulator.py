@@ -246,10 +246,9 @@ def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: t
 
     Random and one-sided nuisances stay 0.
     """
-    equations = model.equations
-    residual = current.residual(model.sensitivities.nuisance)
-    fit, nuisances = fit_linear(equations, equations.whiten(residual), beside), model.sensitivities.nuisances
-    found = np.zeros(len(nuisances))
-    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
-    far = MAX_SIGMAS * model.sensitivities.sigma
-    return np.where([one.one_sided for one in nuisances], 0.0, np.clip(found, -far, far))
+    equations, sensitivities = model.equations, model.sensitivities
+    residual, shared = current.residual(sensitivities.nuisance), sensitivities.shared_nuisances
+    fit = fit_linear(equations, equations.whiten(residual), beside)
+    found, far = np.zeros(len(sensitivities.nuisances)), MAX_SIGMAS * sensitivities.sigma
+    found[shared] = fit.theta[: equations.q] * sensitivities.sigma[shared]
+    return np.where([one.one_sided for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))

@@ -117,21 +117,13 @@ def make_session(motion: PlannedMotion, params: Params) -> plans.DiagnosisSessio
         joints = [Joint[motion.joint.upper()]]
         share = np.eye(5)[joints[0]]
     here, there = plans.within_limits(params, motion.start_deg, motion.start_deg + share * motion.turn_deg)
-    ways: list[Command] = [
-        MoveJoints(joints5(pose), "off")
-        if motion.joint == ALL
-        else MoveJoint(joints[0], pose[joints[0]], "off")
-        for pose in (there, here)
-    ]
+    ways: list[Command] = [MoveJoints(joints5(pose), "off") for pose in (there, here)]
+    if motion.joint != ALL:
+        ways = [MoveJoint(joints[0], pose[joints[0]], "off") for pose in (there, here)]
     speeds = [plans.set_speed(params, one, motion.speed_share) for one in joints if motion.speed_share != 1.0]
+    world, commands = World("mars", float(np.radians(motion.roll_deg))), (*speeds, *(ways * motion.count))
     return plans.DiagnosisSession(
-        motion.name,
-        motion.name,
-        World("mars", float(np.radians(motion.roll_deg))),
-        motion.temperature_C,
-        here,
-        (*speeds, *(ways * motion.count)),
-        motion.tracked,
+        motion.name, motion.name, world, motion.temperature_C, here, commands, motion.tracked
     )
 
 
@@ -168,9 +160,8 @@ def record_campaign(
     paths = []
     for number, session in enumerate(sessions):
         progress(number, len(sessions), session.name)
-        loop = plans.start_session(
-            session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
-        )
+        noise = int(np.random.default_rng([seed, number]).integers(2**31))
+        loop = plans.start_session(session, arm, reference, noise, effects)
         path = folder / f"{session.name}.mcap"
         try:
             _record_session(path, session, loop, seed + number)
@@ -207,10 +198,8 @@ def session_json(session: plans.DiagnosisSession) -> str:
 
 def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
     """Split the logs of a folder into those that are fitted and those that are held out."""
-    logs = sorted(folder.glob("*.mcap"))
-    return [log for log in logs if log.stem not in plans.HELD_OUT_SESSIONS], [
-        log for log in logs if log.stem in plans.HELD_OUT_SESSIONS
-    ]
+    logs, apart = sorted(folder.glob("*.mcap")), plans.HELD_OUT_SESSIONS
+    return [log for log in logs if log.stem not in apart], [log for log in logs if log.stem in apart]
 
 
 def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[plans.DiagnosisSession]:
@@ -261,7 +250,7 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> Rec
                 progress(number, len(wanted), session.name)
                 folder = part / HELD_OUT_FOLDER if session.name in plans.HELD_OUT_SESSIONS else part
                 seed = request.seed + number
-                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
+                made = record_campaign(folder, [session], arm, reference, seed, no_progress, begun)
                 paths += [request.out / log.relative_to(part) for log in made]
                 left_out += [] if made else [session.name]
             if not paths:
