@@ -24,6 +24,7 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import (
+    KINDS_OF_TEST,
     MIN_DIRECTION_SHARE,
     DiagnosisModel,
     FeatureGroup,
@@ -45,6 +46,7 @@ from simgap import (
 )
 from simgap.next_motion.rivals import list_rivals
 from simgap.report.sentences import join_words
+from simgap.selection.chance import FALSE_ALARM
 
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
@@ -161,11 +163,13 @@ def _describe_findings(
 def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterator[Remainder]:
     """Test every group, and all groups together, for structure.
 
-    The lesser p of both tests of a group counts. Of each channel the most significant group is
-    yielded, the most significant first; all channels together only if none is by itself.
+    All tests together have their part of the probability of a false alarm (Bonferroni). The lesser p of both
+    tests of a group counts. Of each channel the most significant group is yielded, the most significant
+    first; all channels together only if none is by itself.
     """
     rest = np.asarray(y - fit.A @ fit.theta)
     total, freedom, found = 0.0, 0, []
+    limit = np.log(FALSE_ALARM / KINDS_OF_TEST / (2 * len(model.groups) + 1))
     for group in model.groups:
         statistic, d = _chi_square(group, fit, rest)
         whole = group.regime is None
@@ -178,8 +182,8 @@ def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterato
         found.append((min(of_direction, of_energy), remainder))
     mean = float(np.mean(np.abs(rest)))
     everywhere = Remainder("all channels together", "all motion", mean, FeatureResiduals.units[0], "", 0.0)
-    found = [(log_p, one) for log_p, one in found if log_p <= model.lack_of_fit_limit]
-    if not found and chi_square_log_p(total, max(freedom, 1)) <= model.lack_of_fit_limit:
+    found = [(log_p, one) for log_p, one in found if log_p <= limit]
+    if not found and chi_square_log_p(total, max(freedom, 1)) <= limit:
         yield everywhere
     largest: dict[str, Remainder] = {}
     for _, one in sorted(found, key=lambda pair: pair[0]):

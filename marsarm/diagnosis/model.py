@@ -191,15 +191,6 @@ class DiagnosisModel:
     """Effect that does not compete, to see what takes the place of one that no catalogue has; "" for none."""
 
     @property
-    def lack_of_fit_limit(self) -> float:
-        """Natural logarithm of the p-value up to which structure counts.
-
-        All tests together have their part of the probability of a false alarm (Bonferroni).
-        """
-        tests = 2 * len(self.groups) + 1
-        return float(np.log(FALSE_ALARM / KINDS_OF_TEST / tests))
-
-    @property
     def left_out(self) -> frozenset[int]:
         """Hypotheses of the left-out effect at all places, and those that these motions show alike."""
         named = zip(self.label, self.sensitivities.hypotheses, strict=True)

@@ -180,8 +180,14 @@ def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
     if isinstance(effect, REST_ONLY_EFFECTS) and not isinstance(effect, joints.HardstopAngle):
         return False
+    joint = joint_at(effect)
+    return joint is None or any(segment.joint is joint for segment in one.segments)
+
+
+def joint_at(effect: Effect) -> Joint | None:
+    """Return the joint of an effect; None if it has none."""
     joint = getattr(effect, "joint", None)
-    return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+    return None if joint is None else Joint(joint)
 
 
 def list_hypotheses(

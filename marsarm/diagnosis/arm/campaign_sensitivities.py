@@ -212,7 +212,7 @@ def _choose_steps(
     columns = _list_columns(campaign)
     fixed = differences.find_borrowed_slopes(columns)
     last: dict[int, differences.OneSidedStep] = {}
-    numerical = [k for k in first if columns[k].is_numerical]
+    numerical = [k for k in first if isinstance(one := columns[k].source, Nuisance) and one.only_place]
     wanted = {k: by for k, by in first.items() if k not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     late = 0.5 * _count_ticks(campaign, numerical, True) / _count_ticks(campaign, first, True)

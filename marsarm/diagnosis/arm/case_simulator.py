@@ -22,7 +22,7 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
 from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.features import CHANNELS, CONDITIONS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
@@ -84,8 +84,8 @@ def build_simulator(
     features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
     layout = FeatureLayout(
         sigma=sigma,
-        block=np.array([one.block for one in features], str),
-        channel=np.array([one.channel_name for one in features], str),
+        block=np.array([one.recording.block for one in features], str),
+        channel=np.array([f"{one.place} {CHANNELS[one.channel]}" for one in features], str),
         unit=np.array([UNITS[one.channel] for one in features], str),
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),

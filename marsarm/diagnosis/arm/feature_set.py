@@ -278,7 +278,7 @@ def estimate_floor(feature_set: FeatureSet) -> tuple[Array, tuple[str, ...]]:
     known: dict[tuple[str, str], int] = {}
     pairs: list[tuple[int, int]] = []
     for k, feature in enumerate(features):
-        first = known.setdefault((feature.block, feature.key), k)
+        first = known.setdefault((feature.recording.block, feature.key), k)
         if first != k:
             pairs.append((first, k))
     doubt = np.array([feature.doubt for feature in features])

@@ -77,16 +77,6 @@ class Feature:
     span: tuple[int, int] | None = None
     """First tick and end of its bin; None if it is of no bin."""
 
-    @property
-    def block(self) -> str:
-        """Motion of which it is."""
-        return self.recording.block
-
-    @property
-    def channel_name(self) -> str:
-        """Display name of the channel with its place."""
-        return f"{self.place} {CHANNELS[self.channel]}"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFeatures:

@@ -22,7 +22,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
-from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments
+from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, find_rests, find_segments
 from sim.arm_model.load import ArmModel
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
@@ -36,8 +36,6 @@ from sim.tracker import turret_pose
 from sim.world import build
 from simgap import screw_log
 
-MEAN_TICKS = CYCLE_HZ // 4
-"""Number of ticks at the end of a rest over which resolvers are averaged."""
 STEP_NUMERICS: Final = Numerics("implicit", 2)
 """Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
 the noise floor, and take three times as long."""
@@ -80,11 +78,11 @@ def find_turning_points(recording: Recording, touch: int | None = None) -> Turni
 
 
 def read_resolvers(turning_points: TurningPoints) -> Array:
-    """Compute the recorded resolvers minus motor angles at the rests [rad], shape (5, r)."""
+    """Compute the recorded resolvers minus motor angles [rad], averaged over a bin, at the rests, (5, r)."""
     recording = turning_points.recording
     ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
     difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
-    means = [difference_rad[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
+    means = [difference_rad[:, max(end - BIN_TICKS, 0) : end].mean(axis=1) for end in ends]
     return np.stack(means, axis=-1)
 
 

@@ -1,9 +1,16 @@
-"""Small synthetic campaign that all tests share, and a diagnosis of each verdict."""
+"""Small synthetic campaign that all tests share, a diagnosis of each verdict, and recorded sessions."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from marsarm.diagnosis.arm.logs import Recording, load_recording
+from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.model import alias_cosines, build_model
+from sim.arms import arm_named
+from sim.diagnosis_campaign import campaign_sessions
+from sim.initialisation import true_reference
 from tests.marsarm.diagnosis.worlds import select_and_diagnose, sized, strange, world
 
 
@@ -46,3 +53,21 @@ def results(made, campaign):
 def rng():
     """Return a generator with the same draws in every test."""
     return np.random.default_rng(7)
+
+
+SHOWN = ("poses-level-1", "poses-level-1-again", "place-apxs")
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Record three sessions of the nominal arm."""
+    arm = arm_named("nominal")
+    chosen = [session for session in campaign_sessions(arm.params) if session.name in SHOWN]
+    folder = tmp_path_factory.mktemp("campaign")
+    return record_campaign(folder, chosen, arm, true_reference(arm), 4, lambda *_: None)
+
+
+@pytest.fixture(scope="session")
+def recordings(logs: list[Path]) -> list[Recording]:
+    """Load the recordings."""
+    return [load_recording(path) for path in logs]

@@ -70,7 +70,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
 
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(campaign):
-    assert {f.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
+    assert {f.recording.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
     _, notes = feature_set.estimate_floor(campaign)
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
