@@ -82,16 +82,11 @@ FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
     Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
 }
 
-LOCATIONS: Final = {
-    "contact-stiffness": "surface",
-    "slip": "surface",
-    "surface-position": "surface",
-    "bus-sag": "power bus",
-    "gravity-direction": "imu",
-    "rover-compliance": "rover",
-    "turret-mass": "turret",
-    "turret-centre": "turret",
-}
+LOCATIONS: Final = (
+    dict.fromkeys(("contact-stiffness", "slip", "surface-position"), "surface")
+    | dict.fromkeys(("turret-mass", "turret-centre"), "turret")
+    | {"bus-sag": "power bus", "gravity-direction": "imu", "rover-compliance": "rover"}
+)
 """Locations of effects whose place is an axis or the whole arm."""
 
 REST_ONLY_EFFECTS: Final[tuple[type[Effect], ...]] = (

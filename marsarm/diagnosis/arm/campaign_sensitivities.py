@@ -115,11 +115,7 @@ def _cache_name(arm: str, kinds: Names, *logs: Logs) -> str:
 def _difference_all(
     campaign: _Campaign, run: Runner, progress: Progress, given: Array | None
 ) -> Sensitivities:
-    """Simulate the columns with given steps or with adapted ones, and fit parabolas.
-
-    Args:
-        given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
-    """
+    """Simulate the columns with given steps of hypotheses, (k,), or with adapted ones, and fit parabolas."""
     columns = _list_columns(campaign)
     borrowed = differences.find_borrowed_slopes(columns)
     shares = {
