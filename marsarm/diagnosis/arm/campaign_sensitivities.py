@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
-    FeatureLayout,
     Hypothesis,
     Ints,
     Nuisance,
@@ -133,32 +132,20 @@ def _difference_all(
     shares = {k: one.share for k, one in up.items()}
     two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, sides)
-    (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
-    found = [_assemble(campaign, first, up, down)]
+    (first, rows), (_, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
+    slope, curvature, reach = _fit_parabolas(campaign, up, down)
     if other_rows.size:
-        curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
+        # a line misses a step by MIN_CURVED noise floors
+        missed = np.abs(curvature * reach**2) > MIN_CURVED * first.layout.sigma[:, None]
+        curved = {k: two_sided[k] for k in down if missed[:, k].any()}
         done = work[-1] / (work[-1] + _count_ticks(campaign, curved, False))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
         down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
-        found.append(_assemble(campaign, second, up, down))
-    return _join(_simulator(campaign).layout, found, np.argsort(np.concatenate([rows, other_rows])))
-
-
-def _is_curved(layout: FeatureLayout, up: differences.OneSidedStep, down: differences.OneSidedStep) -> bool:
-    """Check that a line misses a step by MIN_CURVED noise floors."""
-    _, curvature = fit_parabola([(one.change, one.size) for one in (up, down)])
-    missed = curvature * max(up.size**2, down.size**2)
-    return bool(np.any(np.abs(missed) > MIN_CURVED * layout.sigma))
-
-
-def _join(layout: FeatureLayout, parts: Sequence[Sensitivities], order: Ints) -> Sensitivities:
-    """Join the sensitivities of parts of the features, in the given order of their rows."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in parts])[order]
-        for name in ("effect", "curve", "nuisance")
-    }
-    sigma = np.concatenate([one.layout.sigma for one in parts])[order]
-    return replace(parts[0], layout=replace(layout, sigma=sigma), **arrays)
+        other_slope, other_curvature, _ = _fit_parabolas(campaign, up, down)
+        order = np.argsort(np.concatenate([rows, other_rows]))
+        slope = np.concatenate([slope, other_slope])[order]
+        curvature = np.concatenate([curvature, other_curvature])[order]
+    return _assemble(campaign, _simulator(campaign), slope, curvature, reach)
 
 
 def _simulate(
@@ -216,7 +203,8 @@ def _choose_steps(
     for attempt in range(differences.MAX_ROUNDS + 1):
         update = part_of(rounds, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
-        scale = form_normal_equations(_assemble(campaign, simulator, last, {})).scale
+        found = _assemble(campaign, simulator, *_fit_parabolas(campaign, last, {}))
+        scale = form_normal_equations(found).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if differences.step_error(seen[k]) < best[k]]
         chosen = last | chosen | {k: last[k] for k in nearer}
@@ -229,19 +217,18 @@ def _choose_steps(
     return chosen | _simulate(campaign, left, 0, True, run, part_of(progress, 1.0 - late, 1.0))
 
 
-def _assemble(
+def _fit_parabolas(
     campaign: _Campaign,
-    simulator: ArmSimulator,
     up: Mapping[int, differences.OneSidedStep],
     down: Mapping[int, differences.OneSidedStep],
-) -> Sensitivities:
-    """Fit parabolas through the simulated steps, or lines where there is one side.
+) -> tuple[Array, Array, Array]:
+    """Fit slopes and curvatures through simulated steps, (m, n) for n columns; return the largest steps too.
 
-    A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
-    own steps.
+    Where there is one side, it is a line. A hypothesis that is also a nuisance takes its slope from the
+    nuisance, and only its curvature from its own steps.
     """
     columns = _list_columns(campaign)
-    slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
+    slope, curvature = np.zeros((2, next(iter(up.values())).change.size, len(columns)))
     reach = np.ones(len(columns))
     for k, side in up.items():
         sides = [side, down[k]] if k in down else [side]
@@ -249,6 +236,13 @@ def _assemble(
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, factor) in differences.find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
+    return slope, curvature, reach
+
+
+def _assemble(
+    campaign: _Campaign, simulator: ArmSimulator, slope: Array, curvature: Array, reach: Array
+) -> Sensitivities:
+    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns."""
     hypotheses, nuisances = known = _list_known(campaign)
     owner = np.array([k for k, one in enumerate(hypotheses) for _ in one.parameters], np.intp)
     sized = owner.size
