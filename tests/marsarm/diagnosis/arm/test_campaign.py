@@ -1,6 +1,5 @@
 """The residual of a nominal arm is noise, at rest and in motion; the audit notes errors of a recording."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -271,44 +270,37 @@ def test_sensitivities_are_kept_and_found_again(logs, tmp_path):
 BASE = nominal_params()
 
 
-def spoil(recording: Recording, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    return replace(recording, sensors={**recording.sensors, name: change(recording.sensors[name])})
+def refuse(one: Recording) -> tuple[str, ...]:
+    return refusals([one], BASE)
 
 
-def spoilt(values: np.ndarray, ticks: slice, value: float) -> np.ndarray:
+def freeze(values: np.ndarray, ticks: slice, value: float) -> np.ndarray:
     values = values.copy()
     values[ticks, 2] = value
     return values
 
 
-def test_a_good_recording_is_passed_over_in_silence(recordings):
-    for one in recordings:
-        assert list(find_anomalies(one)) == []
-
-
 @pytest.mark.parametrize(
-    ("name", "change", "words"),
+    ("find", "name", "change", "words"),
     [
-        ("resolver_rad", lambda seen: spoilt(seen, slice(100, 250), seen[100, 2]), "is stale"),
-        ("resolver_rad", np.degrees, "another unit"),
-        ("current_A", lambda seen: np.clip(seen, -0.01, 0.01), "saturated"),
-        ("gravity_R_m_s2", np.degrees, "m/s^2 are wanted"),
+        (find_anomalies, "resolver_rad", lambda x: freeze(x, slice(100, 250), x[100, 2]), "is stale"),
+        (find_anomalies, "resolver_rad", np.degrees, "another unit"),
+        (find_anomalies, "current_A", lambda x: np.clip(x, -0.01, 0.01), "saturated"),
+        (find_anomalies, "gravity_R_m_s2", np.degrees, "m/s^2 are wanted"),
+        (
+            refuse,
+            "current_A",
+            lambda x: freeze(x, slice(100, 101), np.nan),
+            "a number 1 times, first at 1.56 s",
+        ),
+        (refuse, "cycle", lambda x: x + 5 * (np.arange(x.size) >= 100), "5 cycles are missing"),
     ],
 )
-def test_an_anomaly_is_noted(recordings, name, change, words):
-    assert any(words in note for note in find_anomalies(spoil(recordings[0], name, change)))
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "words"),
-    [
-        ("current_A", lambda seen: spoilt(seen, slice(100, 101), np.nan), "1 times, first at 1.56 s"),
-        ("cycle", lambda seen: seen + 5 * (np.arange(seen.size) >= 100), "5 cycles are missing"),
-    ],
-)
-def test_what_cannot_be_compared_is_refused(recordings, name, change, words):
-    assert not refusals(recordings, BASE)
-    assert any(words in note for note in refusals([spoil(recordings[0], name, change)], BASE))
+def test_what_is_wrong_with_a_recording_is_noted_or_refused(recordings, find, name, change, words):
+    """A good one is passed over in silence."""
+    assert not any([*find(one)] for one in recordings)
+    sensors = {**recordings[0].sensors, name: change(recordings[0].sensors[name])}
+    assert any(words in note for note in find(replace(recordings[0], sensors=sensors)))
 
 
 def test_a_campaign_that_is_too_small_is_noted(recordings):
