@@ -86,25 +86,21 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     nuisance = fit.theta[:q] * unit
     base = value - sensitivities.nuisance[:, shared] @ nuisance
     rows = value, base, base - selection.sensitivities.change(selection.departures)
-    sets = find_confidence_sets(selection.engine)
+    engine, sets = selection.engine, find_confidence_sets(selection.engine)
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
-        seed=selection.engine.context.seed,
+        seed=engine.context.seed,
         findings=tuple(_describe_findings(model, selection, sets, bool(remaining))),
         base=(),
         errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
         refused=(),
-        fitted_motions=selection.engine.context.model.motions,
+        fitted_motions=engine.context.model.motions,
         judged_motions=(),
         effects=tuple(selection.departures),
         sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
-        rivals=tuple(
-            rival
-            for one in sets
-            for rival in list_rivals(selection.engine.context, selection.engine.chosen, one)
-        ),
+        rivals=tuple(each for one in sets for each in list_rivals(engine.context, engine.chosen, one)),
         method=FeatureResiduals.method,
     )
     covariance = fit.covariance[:q, :q] * np.outer(unit, unit)

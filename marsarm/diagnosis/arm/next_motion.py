@@ -97,8 +97,8 @@ def propose_motion(
     white = build_whitener(planned)(changes.T).T
     new = [_slopes(planned, own) for own in settings]
     old = [_slopes(model.sensitivities, own) for own in settings]
-    known = np.ones(len(planned.shared_nuisances))
-    priors = [np.concatenate([known, np.full(_sizes(own).size, np.inf)]) for own in settings]
+    q = len(planned.shared_nuisances)
+    priors = [np.where(np.arange(one.shape[1]) < q, 1.0, np.inf) for one in new]
     blocks = [*dict.fromkeys(planned.layout.block.tolist())]
     rows = [np.flatnonzero(planned.layout.block == block) for block in blocks]
 
@@ -117,16 +117,12 @@ def _departures(rival: Rival) -> Departures:
     return {one: np.array(size) for one, size in pairs if isinstance(one, Hypothesis)}
 
 
-def _sizes(settings: Departures) -> Array:
-    return np.concatenate([*settings.values()])
-
-
 def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     """Return whitened changes by shared nuisances, in their sigmas, and by effects, in typical sizes."""
     owners = [sensitivities.index(one.key) for one in settings]
     columns: Ints = np.concatenate([np.flatnonzero(sensitivities.owner == k) for k in owners])
     reach = sensitivities.reach[columns]
-    at = np.clip(_sizes(settings), -reach, reach)  # beyond it, the parabola goes on as a line
+    at = np.clip(np.concatenate([*settings.values()]), -reach, reach)  # beyond, it goes on as a line
     slope = sensitivities.effect[:, columns] + 2.0 * at * sensitivities.curve[:, columns]
     whiten = build_whitener(sensitivities)
     return np.hstack([whiten_nuisances(sensitivities, whiten), whiten(slope)])
