@@ -184,7 +184,7 @@ def _true_effect(one: demo.SampledEffect) -> SealedEffect:
     spec = effect_text(one.switch_on()).removeprefix(f"{EFFECTS_FOLDER}/")
     pairs = zip(hypothesis.parameters, hypothesis.values(one.departures).tolist(), strict=True)
     values = {parameter.name: value for parameter, value in pairs}
-    return SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, spec)
+    return SealedEffect(hypothesis.name, hypothesis.place, values, one.times_limit, spec)
 
 
 def check_result(case: TrueCase, result: Document) -> None:

@@ -19,7 +19,7 @@ from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from fsw.kinematics.transforms import Array, rotate, rotate_back
-from marsarm.diagnosis.arm.features import CONDITIONS, TOUCH, TRANSLATION, Feature
+from marsarm.diagnosis.arm.features import TOUCH, TRANSLATION, Feature, still
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import TurningPoints, find_turning_points
 from sim.arm_model.load import ArmModel
@@ -75,7 +75,7 @@ def list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
         switches = one.sensors["switch_closed"]
         closed = np.flatnonzero(switches[touch] & ~switches[0])
         tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
-        feature = Feature(one, TOUCH, "surface", "touch", _still(one), "touch")
+        feature = Feature(one, TOUCH, "surface", "touch", still(one), "touch")
         yield TouchFeature(find_turning_points(one, touch), tool, feature)
 
 
@@ -125,7 +125,7 @@ def _make_feature(
     seen = one.tracker_poses
     noise_m = [rotate_back(seen.X_RF[k].R, way_R) * seen.sigma[3:, k] for k in poses[[0, -1]]]
     sigma = float(np.linalg.norm([*np.ravel(noise_m), WAY_DOUBT * doubted_m]))
-    return Feature(one, TRANSLATION, "surface", kind, _still(one), kind, sigma=sigma)
+    return Feature(one, TRANSLATION, "surface", kind, still(one), kind, sigma=sigma)
 
 
 def _bend(arm: Arm, one: Recording, tool: str, ways_R: Array) -> Array:
@@ -138,10 +138,6 @@ def _bend(arm: Arm, one: Recording, tool: str, ways_R: Array) -> Array:
         wound_rad = output_rad + (torque_Nm - free.torque_Nm) / arm.gear_stiffness_Nm_rad
         p_m.append(tool_pose(arm, settle_output(arm, wound_rad, gravity, push).frames, tool).p)
     return ways_R @ (np.transpose(p_m) - tool_pose(arm, free.frames, tool).p[:, None])
-
-
-def _still(recording: Recording) -> tuple[float, ...]:
-    return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))
 
 
 @lru_cache(maxsize=8)
