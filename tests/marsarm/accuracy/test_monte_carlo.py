@@ -29,7 +29,7 @@ from sim.record import frame_body
 from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
 
@@ -150,10 +150,9 @@ def test_results_of_other_parameters_are_not_mixed_in(tmp_path):
 
 
 def test_the_command_prints_one_document(tmp_path):
-    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1", "--json")
-    done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["arms"] == 3
+    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1")
+    document = marsarm_json(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
+    assert document["arms"] == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "r.jsonl"]
 
 

@@ -18,7 +18,7 @@ from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.recorder import Recorder, run_header
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm, marsarm_json
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
@@ -51,9 +51,7 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     for found in (report, replayed(tmp_path, TURNS_SLOWER, log=log, channel="/joint.*")):
         assert any(note in line for line in replay_parts(found))
         assert note in replay_document(found)["notes"][-1]
-    done = marsarm(tmp_path, "replay", str(log), "--params", "other.toml", "--json")
-    assert done.returncode == 3
-    document = json.loads(done.stdout)
+    document = marsarm_json(tmp_path, "replay", str(log), "--params", "other.toml", status=3)
     assert document["evrs"][0]["recorded"]["name"] == "Booted"
     assert {"channel", "first_tick", "ticks", "greatest", "at_first"} <= document["channels"][0].keys()
 
