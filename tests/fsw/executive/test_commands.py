@@ -162,7 +162,6 @@ def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond
 @pytest.mark.parametrize("cycles", [0, 40])
 def test_all_joints_are_calibrated_by_commands_of_their_own_until_a_stop_ends_them(cycles):
     rig = deployed()
-    rig.evrs.clear()
     rig.cycle(CalibrateAll())
     assert rig.evrs[:2] == [CommandAccepted("CalibrateAll"), CommandAccepted("Calibrate")]
     assert rig.state.move.homing.joint is HARDSTOP_ORDER[0]
@@ -243,7 +242,6 @@ def test_after_a_fault_the_angles_of_calibrated_joints_decide_whether_the_arm_is
 )
 def test_with_readings_that_cannot_be_used_nothing_begins(kind):
     rig = deployed()
-    rig.evrs.clear()
     reference = rig.state.joints.reference
     rig.cycle(COMMANDS[kind](rig), winding_C=[NAN] * 5)
     assert CommandRefused(kind.__name__, "a reading is unusable") in rig.evrs
@@ -297,7 +295,6 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
 
 def test_only_the_first_of_two_moves_in_one_cycle_begins():
     rig = deployed()
-    rig.evrs.clear()
     rig.cycle(MoveJoints(floats(START + 0.05)), Retract("apxs", 0.1))
     assert CommandAccepted("MoveJoints") in rig.evrs
     assert CommandRefused("Retract", "MoveJoints is under way") in rig.evrs

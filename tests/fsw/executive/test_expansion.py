@@ -96,7 +96,6 @@ def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
 
 def test_a_tool_change_ends_with_the_other_tool_in_contact():
     rig = guarded_in_contact()
-    rig.evrs.clear()
     rig.cycle(ToolChange("mahli", standoff_m=0.05), **TOUCHED)
     assert isinstance(rig.evrs[1], SpotSet)
     while rig.state.mode is not Mode.GUARDED or rig.state.tool != "mahli":
@@ -108,7 +107,6 @@ def test_a_tool_change_ends_with_the_other_tool_in_contact():
 
 def test_the_tool_that_touches_is_not_changed_for_itself():
     rig = guarded_in_contact()
-    rig.evrs.clear()
     rig.cycle(ToolChange("apxs"), **TOUCHED)
     assert rig.evrs == [CommandRefused("ToolChange", "apxs is the tool that touches")]
 

@@ -5,9 +5,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.estimate.gear import LIKELY, bound_gear, gear_after_motor_turn
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Pose
 from fsw.motion.plan import Plan
 from tests.fsw.rig import MARS_R_m_s2
 
@@ -42,8 +40,3 @@ def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400)
     for path in plan.paths:
         gear = gears_along(config, gear, sampled(path, n)[1])[-1]
     return gear
-
-
-def tool_at(config: Config, output_rad: np.ndarray, tool: int, gravity_R_m_s2=MARS_R_m_s2) -> Pose:
-    """Compute X_RT at rest for outputs (5, ...)."""
-    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity_R_m_s2).frames, tool)

@@ -14,8 +14,7 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.joints import no_load
 from fsw.executive.poses import find_gravity_pose
-from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import settle_output
+from fsw.kinematics.chain import forward
 from fsw.motion.move import (
     ALL_JOINTS,
     Move,
@@ -29,8 +28,19 @@ from fsw.motion.paths import LinePath, Setpoint, StopPath, Travel, joint_path, l
 from fsw.motion.plan import Plan, Refusal
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from helpers.marks import slow_but
-from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
-from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, quiet_sensors, with_params
+from tests.fsw.motion.lab import gears_along, likely, sampled
+from tests.fsw.rig import (
+    MARS_R_m_s2,
+    Rig,
+    config_of,
+    facing,
+    floats,
+    in_limits,
+    in_the_open,
+    pose_of,
+    quiet_sensors,
+    with_params,
+)
 from tests.tools import TOOLS
 
 CONFIG = config_of()
@@ -127,7 +137,7 @@ def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:
 
 def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: str) -> np.ndarray:
     """Compute the direction of gravity in a tool of the deflected arm."""
-    R_RT = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
+    R_RT = pose_of(config.arm, output_rad, tool, gravity).R
     return R_RT.T @ gravity / np.linalg.norm(gravity)
 
 
@@ -246,7 +256,7 @@ def along(config, tool, path, gear_rad, samples=160):
     """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
     _, motor, _ = sampled(path, samples)
     gears = gears_along(config, gear_rad, motor)
-    return tool_at(config, (motor + gears).T, tool), gears[-1]
+    return pose_of(config.arm, (motor + gears).T, tool, MARS_R_m_s2), gears[-1]
 
 
 def line_errors(X):
@@ -321,17 +331,12 @@ def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
     np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
 
-def lines(plan):
-    assert isinstance(plan, Plan)
-    return [path for path in plan.paths if isinstance(path, LinePath)]
-
-
 @pytest.mark.parametrize("tool", TOOLS)
 def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_its_speed(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(tool, 0.15))
     np.testing.assert_allclose(plan.paths[0].at(0.0).motor_rad, rig.state.joints.motor_rad, atol=1e-12)
-    for path in lines(plan):
+    for path in (one for one in plan.paths if isinstance(one, LinePath)):
         times, angle, rate = sampled(path, 600)
         np.testing.assert_allclose(rate[[0, -1]], 0, atol=1e-9)
         assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()

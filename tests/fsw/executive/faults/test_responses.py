@@ -10,26 +10,6 @@ from fsw.dictionary import faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Stop
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted
-from fsw.dictionary.faults import (
-    ContactInFreeSpace,
-    CycleCountWrong,
-    CyclesMissed,
-    Fault,
-    FollowingErrorHigh,
-    GravityImplausible,
-    MotorStalled,
-    NotSettled,
-    OverCurrent,
-    OverTemperature,
-    ResolverDisagrees,
-    SensorFrozen,
-    SensorNotFinite,
-    SetpointUnsafe,
-    SoftLimitPassed,
-    StructureTemperatureImplausible,
-    TiltChanged,
-    UnderTemperature,
-)
 from fsw.motion.move import Phase
 from fsw.protect.responses import RESPONSE_TO, Response
 from fsw.state import Sequence
@@ -81,22 +61,22 @@ def seized(rig):
 
 HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
 BEYOND = {
-    SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
-    GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
-    StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
-    SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
-    CyclesMissed: lambda rig: MISSED,
-    CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
-    TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
-    SetpointUnsafe: tamper,
-    SoftLimitPassed: lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
-    MotorStalled: seized,
-    FollowingErrorHigh: lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025),
-    OverCurrent: lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
-    OverTemperature: lambda rig: windings(Joint.WRIST, 150.0),
-    UnderTemperature: lambda rig: windings(Joint.WRIST, -100.0),
-    ResolverDisagrees: lambda rig: resolver_off(rig, Joint.ELBOW, 1.0),
-    ContactInFreeSpace: lambda rig: closed("drt_1"),
+    faults.SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
+    faults.GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
+    faults.StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
+    faults.SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
+    faults.CyclesMissed: lambda rig: MISSED,
+    faults.CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
+    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    faults.SetpointUnsafe: tamper,
+    faults.SoftLimitPassed: lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
+    faults.MotorStalled: seized,
+    faults.FollowingErrorHigh: lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025),
+    faults.OverCurrent: lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
+    faults.OverTemperature: lambda rig: windings(Joint.WRIST, 150.0),
+    faults.UnderTemperature: lambda rig: windings(Joint.WRIST, -100.0),
+    faults.ResolverDisagrees: lambda rig: resolver_off(rig, Joint.ELBOW, 1.0),
+    faults.ContactInFreeSpace: lambda rig: closed("drt_1"),
 }
 """Readings of a moving arm that pass the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
@@ -145,7 +125,7 @@ def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles
         twin.cycle()
     cycles = until_the_drive_differs(rig, twin, trouble)
     assert persistence <= cycles <= persistence + LATEST
-    assert isinstance(found(rig, Fault)[0], kind)
+    assert isinstance(found(rig, faults.Fault)[0], kind)
     assert RESPONDED[RESPONSE_TO[kind]] in rig.evrs
     assert (rig.state.mode is Mode.FAULTED) is (RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE)
 
@@ -183,7 +163,7 @@ def test_while_the_arm_is_being_stopped_another_stop_is_only_told_and_a_severer_
     stopping = rig.state.move
     skip(rig)
     assert rig.state.move.plan.paths == stopping.plan.paths
-    assert rig.evrs[-2:] == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
+    assert rig.evrs[-2:] == [faults.CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
     rig.cycle(**closed("drill_1"))
     assert rig.state.mode is Mode.FAULTED
     assert braked(rig)
@@ -263,7 +243,7 @@ def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the
     wanted = np.nan if wrong == "nan" else last[joint] + 0.1
     rig.state = misplanned(rig, np.where(np.arange(5) == joint, wanted, last))
     drive = rig.cycle().drive
-    assert isinstance(rig.evrs[0], SetpointUnsafe)
+    assert isinstance(rig.evrs[0], faults.SetpointUnsafe)
     assert rig.evrs[0].joint is joint
     assert rig.evrs[1] == REFUSED
     assert rig.state.mode is Mode.FAULTED
@@ -287,11 +267,11 @@ def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
             behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
             lag = resolver_off(rig, joint, -0.9 * behind)  # the output lags as its motor does
             rig.cycle(**off_set_point(rig, joint, -0.9 * behind), **lag)
-        assert not found(rig, Fault)
+        assert not found(rig, faults.Fault)
     rig = in_guarded_motion()
     for _ in range(100):
         rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
-    assert not found(rig, Fault)
+    assert not found(rig, faults.Fault)
 
 
 def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
@@ -301,7 +281,7 @@ def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
     while rig.outputs.joint.busy and cycles < 2000:
         rig.cycle(**off_set_point(rig, Joint.TURRET, 3 * settle_error))
         cycles += 1
-    (evr,) = found(rig, NotSettled)
+    (evr,) = found(rig, faults.NotSettled)
     assert evr.joint is Joint.TURRET
     assert evr.error_rad == pytest.approx(3 * settle_error, rel=0.2)
     assert REFUSED in rig.evrs

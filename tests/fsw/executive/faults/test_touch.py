@@ -28,10 +28,10 @@ from tests.fsw.executive.faults.lab import (
 )
 from tests.fsw.protect.test_readings import BAD, QUIET, corrupted
 from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, levers_m, made_once
-from tests.tools import TOOL_SWITCHES, TOOLS
+from tests.tools import TOOL_SWITCHES, TOOLS, WITH_SWITCHES
 
 
-@pytest.mark.parametrize("tool", slow_but([tool for tool in TOOLS if TOOL_SWITCHES[tool]], "apxs", "drill"))
+@pytest.mark.parametrize("tool", slow_but(WITH_SWITCHES, "apxs", "drill"))
 def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
     for switch in TOOL_SWITCHES[tool]:
         rig = in_guarded_motion(tool)
@@ -133,7 +133,6 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
 
 
-PRESSING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 LATEST = 40
 
 
@@ -148,7 +147,7 @@ def pushed(rig, tool, force_N, cycles, **readings):
 
 
 @pytest.mark.parametrize(("times", "cycles"), [(1.5, LATEST), (10.0, 3)], ids=["some", "large"])
-@pytest.mark.parametrize("tool", PRESSING)
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
 def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool, times, cycles):
     rig = in_guarded_motion(tool)
     pushed(rig, tool, times * BOUNDS.guarded_force_N, cycles)
