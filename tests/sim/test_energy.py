@@ -156,8 +156,7 @@ def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(dire
 def pulled(share: float) -> Plant:
     """Return the weightless arm with a share of their friction on all outputs."""
     plant = weightless()
-    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
-    plant.data.qfrc_applied[gears] = share * lab.OUTPUT_FRICTION_NM
+    plant.data.qfrc_applied[plant.at.gear] = share * lab.OUTPUT_FRICTION_NM
     return plant
 
 

@@ -283,11 +283,10 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side):
     plant = lab.plant()
     plant.model.opt.gravity[:] = 0.0
     plant.place(lab.READY_RAD, 0.0)
-    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
     more = side * 4 * lab.OUTPUT_FRICTION_NM
 
     def apply(loads: lab.Array) -> None:
-        plant.data.qfrc_applied[gears] = loads
+        plant.data.qfrc_applied[plant.at.gear] = loads
 
     lab.run(plant, 8.0, lambda amount: apply(torque * lab.smooth_step(amount)))
     lab.run(plant, 1.0)

@@ -12,7 +12,7 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Sensors
 from helpers.marks import slow_but
 from sim.arms import nominal_params
-from sim.effects import geometry
+from sim.effects import geometry, structure
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias
 from sim.effects.sensors import (
@@ -24,17 +24,6 @@ from sim.effects.sensors import (
     GravityDirection,
     ResolverEccentricity,
     ResolverScale,
-)
-from sim.effects.structure import (
-    LinkBending,
-    LinkCreep,
-    LinkMass,
-    LinkStiffness,
-    LinkTorsion,
-    RoverCompliance,
-    StandInTurret,
-    TurretCentre,
-    TurretMass,
 )
 from sim.setting import World
 from sim.tolerances import SPRING_FRAMES
@@ -64,16 +53,16 @@ TURNS = [
     geometry.ToolTurn(TOOL, "y", 1e-3),
 ]
 SPRINGS = [
-    LinkTorsion(Frame.ARM3, 5e-6),
-    LinkTorsion(Frame.ARM4, 5e-6),
-    LinkBending(Frame.ARM2, "y", 5e-6),
-    LinkBending(Frame.ARM3, "z", 5e-6),
-    LinkBending(Frame.ARM4, "y", 5e-6),
-    LinkBending(Frame.ARM5, "z", 5e-6),
-    RoverCompliance("x", 5e-6),
-    RoverCompliance("y", 5e-6),
+    structure.LinkTorsion(Frame.ARM3, 5e-6),
+    structure.LinkTorsion(Frame.ARM4, 5e-6),
+    structure.LinkBending(Frame.ARM2, "y", 5e-6),
+    structure.LinkBending(Frame.ARM3, "z", 5e-6),
+    structure.LinkBending(Frame.ARM4, "y", 5e-6),
+    structure.LinkBending(Frame.ARM5, "z", 5e-6),
+    structure.RoverCompliance("x", 5e-6),
+    structure.RoverCompliance("y", 5e-6),
 ]
-MASSES = [TurretMass(2.0), TurretCentre("x", 0.02), TurretCentre("z", -0.02)]
+MASSES = [structure.TurretMass(2.0), structure.TurretCentre("x", 0.02), structure.TurretCentre("z", -0.02)]
 
 
 def rigid_shift_m(*effects: Effect) -> lab.Array:
@@ -138,10 +127,10 @@ TOLD = [
     *SHIFTS,
     *TURNS[:3],
     *SPRINGS,
-    *(LinkStiffness(frame, 0.6) for frame in SPRING_FRAMES),
+    *(structure.LinkStiffness(frame, 0.6) for frame in SPRING_FRAMES),
     *MASSES,
-    *(LinkMass(frame, 1.3, (0.02, -0.03, 0.04)) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
-    *(StandInTurret(mass_kg) for mass_kg in (0.0, 8.0, 19.0)),
+    *(structure.LinkMass(frame, 1.3, (0.02, -0.03, 0.04)) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
+    *(structure.StandInTurret(mass_kg) for mass_kg in (0.0, 8.0, 19.0)),
     geometry.ThermalGradient(Frame.ARM3, "z", 20.0),
 ]
 
@@ -173,7 +162,11 @@ def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(
 
 def test_a_link_creeps_under_its_load_as_far_as_a_softer_link_bends_and_no_farther():
     places = []
-    for effect in (None, LinkCreep(Frame.ARM3, "y", 2e-5, 2.0), LinkBending(Frame.ARM3, "y", 2e-5)):
+    for effect in (
+        None,
+        structure.LinkCreep(Frame.ARM3, "y", 2e-5, 2.0),
+        structure.LinkBending(Frame.ARM3, "y", 2e-5),
+    ):
         plant, hardware = bench.build_arm(*([effect] if effect else []), world=TILTED)
         plant.place(lab.READY_RAD, 4.0)
         seen = []
