@@ -7,7 +7,7 @@ from fsw.estimate.gear import LIKELY, bound_gear, gear_after_motor_turn
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Plan
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, pose_of
 
 
 def sampled(path, n=400):
@@ -40,3 +40,10 @@ def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400)
     for path in plan.paths:
         gear = gears_along(config, gear, sampled(path, n)[1])[-1]
     return gear
+
+
+def along(config: Config, tool: str, path, gear_rad: np.ndarray, samples: int = 160) -> tuple:
+    """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
+    _, motor, _ = sampled(path, samples)
+    gears = gears_along(config, gear_rad, motor)
+    return pose_of(config.arm, (motor + gears).T, tool, MARS_R_m_s2), gears[-1]

@@ -14,7 +14,8 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.joints import no_load
 from fsw.executive.poses import find_gravity_pose
-from fsw.kinematics.chain import forward
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.statics import settle_output
 from fsw.motion.move import (
     ALL_JOINTS,
     Move,
@@ -28,19 +29,8 @@ from fsw.motion.paths import LinePath, Setpoint, StopPath, Travel, joint_path, l
 from fsw.motion.plan import Plan, Refusal
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from helpers.marks import slow_but
-from tests.fsw.motion.lab import gears_along, likely, sampled
-from tests.fsw.rig import (
-    MARS_R_m_s2,
-    Rig,
-    config_of,
-    facing,
-    floats,
-    in_limits,
-    in_the_open,
-    pose_of,
-    quiet_sensors,
-    with_params,
-)
+from tests.fsw.motion.lab import along, likely, sampled
+from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, quiet_sensors, with_params
 from tests.tools import TOOLS
 
 CONFIG = config_of()
@@ -137,7 +127,7 @@ def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:
 
 def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: str) -> np.ndarray:
     """Compute the direction of gravity in a tool of the deflected arm."""
-    R_RT = pose_of(config.arm, output_rad, tool, gravity).R
+    R_RT = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
     return R_RT.T @ gravity / np.linalg.norm(gravity)
 
 
@@ -250,13 +240,6 @@ def straight(plan) -> LinePath:
     (path,) = plan.paths
     assert isinstance(path, LinePath)
     return path
-
-
-def along(config, tool, path, gear_rad, samples=160):
-    """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
-    _, motor, _ = sampled(path, samples)
-    gears = gears_along(config, gear_rad, motor)
-    return pose_of(config.arm, (motor + gears).T, tool, MARS_R_m_s2), gears[-1]
 
 
 def line_errors(X):
