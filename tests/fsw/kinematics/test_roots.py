@@ -9,12 +9,7 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.roots import (
-    MOST_MISSING_M,
-    TASK_TOLERANCE,
-    refine_roots,
-    solve_fixed_point,
-)
+from fsw.kinematics.roots import MOST_MISSING_M, TASK_TOLERANCE, refine_roots, solve_fixed_point
 from fsw.kinematics.statics import relative_target, settle, settle_output, task_error
 from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but

@@ -16,15 +16,7 @@ from fsw.estimate.joints import no_load
 from fsw.executive.poses import find_gravity_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.motion.move import (
-    ALL_JOINTS,
-    Move,
-    MovePlan,
-    Phase,
-    advance_move,
-    command_actuators,
-    stop_early,
-)
+from fsw.motion.move import ALL_JOINTS, Move, MovePlan, Phase, advance_move, command_actuators, stop_early
 from fsw.motion.paths import LinePath, Setpoint, StopPath, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan, Refusal
 from fsw.motion.plan_tool import plan_guarded, plan_retract

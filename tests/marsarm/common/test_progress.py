@@ -111,9 +111,7 @@ def tell_left_s(stage: tuple[float, float], total: float) -> tuple[float, float]
 
 
 @pytest.mark.parametrize("stage", [(0.0, 1.0), (0.2, 0.6)])
-def test_a_guessed_share_tells_a_range_from_half_to_twice_what_a_counted_one_tells(
-    stage,
-):
+def test_a_guessed_share_tells_a_range_from_half_to_twice_what_a_counted_one_tells(stage):
     counted, guessed = tell_left_s(stage, 1.0), tell_left_s(stage, progress.GUESS)
     assert counted is not None
     assert guessed == pytest.approx((counted[0] / 2.0, counted[1] * 2.0))
