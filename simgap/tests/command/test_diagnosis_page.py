@@ -1,11 +1,8 @@
 """`simgap diagnose`: its page, its files, an interrupted command that goes on, and poses of a tracker."""
 
 import json
-import os
 import re
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +12,7 @@ import pytest
 
 from helpers import verdicts
 from helpers.arm_folder import ROBOT, write_arm
-from helpers.command import run_simgap
+from helpers.command import run_python, run_simgap
 from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.serial_synthetic import MAPPING, POSITION_M, write
 from simgap.command import diagnosis
@@ -203,9 +200,8 @@ start()
 
 def run_apart(folder, cache, *start):
     """Run a diagnosis to its end, or as a program says."""
-    env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
-    return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+    words = (*(start or ("-m", "simgap")), *WORDS)
+    return run_python(folder, *words, timeout_s=WAIT_s, XDG_CACHE_HOME=str(cache))
 
 
 def test_base_parameters_alone_are_fitted_without_the_catalogue(swinging, tmp_path, monkeypatch):

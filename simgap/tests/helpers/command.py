@@ -62,6 +62,14 @@ def call(program, folder, *words):
     return subprocess.CompletedProcess(words, status or 0, printed, errors)
 
 
+def run_python(folder, *words, timeout_s=1200.0, **environment):
+    """Run Python in a process of its own, with other values of some variables of the environment."""
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, env=os.environ | environment, timeout=timeout_s,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
 @contextmanager
 def handlers_kept():
     """Put back how signals end this process, after a block that changes it."""

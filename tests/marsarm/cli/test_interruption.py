@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from helpers.command import handlers_kept
+from helpers.command import handlers_kept, run_python
 from helpers.marks import slow_but
 from marsarm.ik.solve import IkModel
 from marsarm.telemetry.format import LogNotWritable
@@ -159,10 +159,7 @@ SLOW_ENDS = [("swallow", "; it did not end by itself"), ("end slowly", "")]
 
 @pytest.mark.parametrize(("what", "rest"), slow_but(SLOW_ENDS, SLOW_ENDS[0]))
 def test_an_interruption_that_takes_long_is_ended_with_one_sentence(tmp_path, what, rest):
-    done = subprocess.run(
-        [sys.executable, "-c", LATE, what, "--json"], cwd=tmp_path, timeout=50, check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
-    )  # fmt: skip
+    done = run_python(tmp_path, "-c", LATE, what, "--json", timeout_s=50, PYTHONPATH=str(ROOT))
     sentence = f"interrupted by SIGINT before the end{rest}"
     assert (done.returncode, done.stderr) == (130, f"{sentence}\n")
     assert json.loads(done.stdout) == {"error": sentence}

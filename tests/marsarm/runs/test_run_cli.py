@@ -2,9 +2,6 @@
 
 import gc
 import json
-import os
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +13,7 @@ import pytest
 from fsw.dictionary.commands import MoveJoint, Process
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.faults import StalledEarly
+from helpers.command import run_python
 from marsarm.runs.execution import FRAME_CYCLES, choose_log, draw_picture, execute
 from marsarm.runs.place import place
 from marsarm.runs.report import place_document, place_parts
@@ -269,16 +267,8 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path)
 @pytest.mark.slow
 @pytest.mark.parametrize("value", ["nonsense", " OFF "])
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
-    command = [
-        sys.executable,
-        "-c",
-        "from marsarm.__main__ import start; start()",
-        "place",
-        "--tool",
-        "spoon",
-    ]
-    env = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": value}
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    words = ("-c", "from marsarm.__main__ import start; start()", "place", "--tool", "spoon")
+    done = run_python(tmp_path, *words, PYTHONPATH=str(ROOT), MUJOCO_GL=value)
     assert done.returncode == 2
     assert "tool: 'spoon' cannot be placed" in done.stderr
 
