@@ -33,12 +33,8 @@ ROBOT = """name = "pendulum"
 model = "model.xml"
 time_step_s = 0.002
 control_rate_Hz = 500.0
-
-[time]
-column = "t"
-
-[motion]
-columns = ["motion"]
+time = { column = "t" }
+motion = { columns = ["motion"] }
 
 [conditions.mass_kg]
 column = "mass_g"

@@ -280,9 +280,7 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side):
     2 F, friction has changed sign, and the gear carries F more than the load.
     """
     torque = side * np.array([400.0, 400.0, 300.0, 120.0, 60.0])
-    plant = lab.plant()
-    plant.model.opt.gravity[:] = 0.0
-    plant.place(lab.READY_RAD, 0.0)
+    plant = lab.weightless()
     more = side * 4 * lab.OUTPUT_FRICTION_NM
 
     def apply(loads: lab.Array) -> None:
