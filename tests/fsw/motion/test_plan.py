@@ -185,11 +185,7 @@ def test_a_line_out_of_reach_says_where_it_ends():
     axes = np.repeat(X.R[:, [0]], 3, axis=1)
     result = inverse_kinematics(CONFIG.arm, "apxs", p, axes, MARS_R_m_s2)
     branch = np.nanargmin(np.abs(result.output_rad[..., 0] - pose[:, None]).max(axis=0))
-    assert list(result.verdict[branch]) == [
-        BranchVerdict.VALID,
-        BranchVerdict.VALID,
-        BranchVerdict.OUT_OF_REACH,
-    ]
+    assert list(result.verdict[branch]) == [*[BranchVerdict.VALID] * 2, BranchVerdict.OUT_OF_REACH]
 
 
 @pytest.mark.parametrize("distance_m", [0.61, 4.0, 1e4, 1e9])

@@ -257,11 +257,8 @@ def test_slow_means_follow_or_begin_anew(was, rate, sigmas, side, current, wind_
     now = resistance.FreeMove(
         UPDATE_CYCLES, (), (0.7,) * 5, resistance.NOTHING, resistance.NOTHING, (last,) * 5
     )
-    mean = {
-        "updates": 3,
-        "friction_A": 0.1 + (0.7 - 0.2 - 0.1) / 3,
-        "rate_rad_s": (2 * last.rate_rad_s + rate) / 3,
-    }
+    friction_A, rate_rad_s = 0.1 + (0.7 - 0.2 - 0.1) / 3, (2 * last.rate_rad_s + rate) / 3
+    mean = {"updates": 3, "friction_A": friction_A, "rate_rad_s": rate_rad_s}
     expected = resistance.JointMeans(
         **(mean if current else {}),
         wind_up_updates=wind_up["wind_up_updates"],

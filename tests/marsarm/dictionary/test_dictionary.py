@@ -24,12 +24,8 @@ from tests.marsarm.command import marsarm, marsarm_json
 
 def test_the_document_has_all_sections_and_nothing_else_is_printed(tmp_path):
     whole = marsarm_json(tmp_path, "dictionary")
-    assert {name: bool(entries) for name, entries in whole.items()} == {
-        "commands": True,
-        "evrs": True,
-        "packets": True,
-        "parameters": True,
-    }
+    assert whole.keys() == {"commands", "evrs", "packets", "parameters"}
+    assert all(whole.values())
     elbow = next(one for one in whole["parameters"] if one["name"] == "joints.elbow.speed_rad_s")
     assert (elbow["unit"], elbow["low"], elbow["high"]) == ("rad/s", 1e-3, 0.1)
 

@@ -149,11 +149,8 @@ def test_every_evr_goes_into_a_log(kind, data):
     evr = data.draw(any_record(kind))
     entry = events.evr_entry(7, evr)
     assert type(entry).decode(entry.encode()) == entry
-    assert (entry.name, entry.message, list(entry.fields)) == (
-        kind.__name__,
-        evr.message,
-        [f.name for f in fields(kind)],
-    )
+    assert (entry.name, entry.message) == (kind.__name__, evr.message)
+    assert list(entry.fields) == [f.name for f in fields(kind)]
 
 
 def test_a_field_without_a_json_type_is_refused():

@@ -144,10 +144,8 @@ def test_while_the_arm_is_being_stopped_another_stop_is_only_told_and_a_severer_
     stopping = rig.state.move
     lab.skip(rig)
     assert rig.state.move.plan.paths == stopping.plan.paths
-    assert rig.evrs[-2:] == [
-        faults.CyclesMissed(lab.BOUNDS.missed_cycles + 1, lab.BOUNDS.missed_cycles),
-        lab.STOPPED,
-    ]
+    most = lab.BOUNDS.missed_cycles
+    assert rig.evrs[-2:] == [faults.CyclesMissed(most + 1, most), lab.STOPPED]
     rig.cycle(**lab.closed("drill_1"))
     assert rig.state.mode is Mode.FAULTED
     assert lab.braked(rig)
