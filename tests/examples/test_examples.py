@@ -162,13 +162,8 @@ def test_the_names_in_the_snippets_and_tables_of_the_page_exist():
     import marsarm
 
     trees = [ast.parse(snippet) for snippet in SNIPPETS]
-    imported = {
-        alias.name
-        for tree in trees
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    nodes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    imported = {alias.name for node in nodes for alias in node.names}
     verbs = {
         name for row in re.findall(r"^\| (`.*)\|$", PAGE, re.MULTILINE) for name in re.findall(r"`(\w+)", row)
     }

@@ -9,19 +9,8 @@ import fsw
 
 ROOT = Path(fsw.__file__).parent
 ALLOWED = {
-    "collections.abc",
-    "dataclasses",
-    "enum",
-    "fsw",
-    "functools",
-    "hashlib",
-    "itertools",
-    "math",
-    "numpy",
-    "operator",
-    "ruckig",
-    "types",
-    "typing",
+    *("collections.abc", "dataclasses", "enum", "fsw", "functools", "hashlib", "itertools"),
+    *("math", "numpy", "operator", "ruckig", "types", "typing"),
 }
 FORBIDDEN_CALLS = {"open", "print", "input", "exec", "eval", "compile", "__import__", "globals", "breakpoint"}
 FORBIDDEN_NAMES = {"random", "load", "save", "fromfile", "tofile", "genfromtxt", "loadtxt", "memmap"}

@@ -67,11 +67,8 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
         truth, frames = set_angles(plant, encoder_rad - error).truth(), forward(arm, encoder_rad)
         for tool in TOOLS:
             X_RT = tool_pose(arm, frames, tool)
-            worst = max(
-                worst,
-                np.abs(truth.p_RoTo_R_m[tool_index(tool)] - X_RT.p).max(),
-                np.abs(truth.R_RT[tool_index(tool)] - X_RT.R).max(),
-            )
+            p, R = truth.p_RoTo_R_m[tool_index(tool)], truth.R_RT[tool_index(tool)]
+            worst = max(worst, np.abs(p - X_RT.p).max(), np.abs(R - X_RT.R).max())
     return worst
 
 

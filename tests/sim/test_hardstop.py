@@ -73,10 +73,8 @@ def test_a_joint_repeats_on_other_days_and_with_another_seed():
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "temperature_C"), [(Joint.WRIST, COLD_C), (Joint.AZIMUTH, 20.0)])
 def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
-    ordinary, run = (
-        prepare_homing(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),))
-        for _ in range(2)
-    )
+    arm, effects = arm_named("nominal"), (Ambient(temperature_C),)
+    ordinary, run = (prepare_homing(arm, joint, World(), effects=effects) for _ in range(2))
     for _ in run:
         homing = run.loop.state.move.homing if run.loop.state.move is not None else None
         if homing is not None and homing.stage is HomingStage.RETREAT:

@@ -35,14 +35,7 @@ CONFIG = configure(PARAMS)
 JOINT_PARAMS = dict(zip(Joint, PARAMS.joints.in_order(), strict=True))
 LINKS = PARAMS.links.in_order()
 SPRINGS = ("rover", "link1", "link2", "link3", "link4")
-LUMPS = (
-    ("arm1",),
-    ("link1", "link1_far"),
-    ("link2", "link2_far"),
-    ("link3", "link3_far"),
-    ("link4", "link4_far"),
-    ("link5", "turret"),
-)
+LUMPS = (("arm1",), *((f"link{k}", f"link{k}_far") for k in range(1, 5)), ("link5", "turret"))
 
 
 @pytest.fixture(scope="module")

@@ -50,10 +50,8 @@ def true_gear(gear_rad, motion_rad, load_Nm):
     gear_rad = gear_rad - motion_rad
     carried = torque_Nm(gear_rad)
     left = np.clip(carried, load_Nm - FRICTION, load_Nm + FRICTION)
-    up, down = (
-        left / STIFFNESS + np.where(left > 0, HALF, -HALF),
-        left / STIFFNESS - np.where(left < 0, HALF, -HALF),
-    )
+    up = left / STIFFNESS + np.where(left > 0, HALF, -HALF)
+    down = left / STIFFNESS - np.where(left < 0, HALF, -HALF)
     return np.where(left > carried, up, np.where(left < carried, down, gear_rad))
 
 

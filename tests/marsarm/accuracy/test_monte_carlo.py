@@ -236,11 +236,8 @@ QUICK = ("assembly", "encoder", "rover_stiffness", "distortion_bulk")
 
 
 def effects(name: str) -> list[Effect]:
-    return list(
-        trial.sample_source(
-            MODEL.source[name], LARGER.get(name, 1.0), TOOL, np.random.default_rng([5, len(name)])
-        )
-    )
+    rng = np.random.default_rng([5, len(name)])
+    return list(trial.sample_source(MODEL.source[name], LARGER.get(name, 1.0), TOOL, rng))
 
 
 def here() -> Sensitivity:
@@ -337,10 +334,8 @@ def test_statics_end_where_the_closed_loop_does(case, seed):
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
     reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad
-    statics, loop = (
-        trial.statics_model(arm, believed, backlash)(place),
-        trial.closed_loop_model(arm, reference, backlash)(place),
-    )
+    statics = trial.statics_model(arm, believed, backlash)(place)
+    loop = trial.closed_loop_model(arm, reference, backlash)(place)
     apart = trial.error_in_tool(statics[0], loop[0])
     assert np.linalg.norm(apart[3:]) < 1e-4
     assert np.allclose(statics[1], loop[1], atol=0.01)

@@ -208,10 +208,8 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
 @JOINTS
 def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint):
     here = np.arange(5) == joint
-    gain, bias = (
-        read(effect, current_A=1.5)
-        for effect in (sensors.CurrentGain(joint, 1.3), sensors.CurrentBias(joint, -0.2))
-    )
+    gain = read(sensors.CurrentGain(joint, 1.3), current_A=1.5)
+    bias = read(sensors.CurrentBias(joint, -0.2), current_A=1.5)
     np.testing.assert_allclose(gain.current_A, 1.5 * np.where(here, 1.3, 1.0))
     np.testing.assert_allclose(bias.current_A - 1.5, -0.2 * here, atol=1e-12)
     more = read(ResolverBias(joint, 2e-3), ResolverBias(joint, 1e-3)).resolver_rad - read().resolver_rad

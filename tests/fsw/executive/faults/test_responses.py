@@ -63,15 +63,8 @@ BEYOND = {
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
 """Tested in tests/fsw/protect and in test_touch.py."""
 BY_THE_MOVE = {
-    faults.NoContact,
-    faults.NotSettled,
-    faults.StalledEarly,
-    faults.HardstopMissed,
-    faults.HardstopMoved,
-    faults.HardstopUnclear,
-    faults.HardstopImplausible,
-    faults.MotorStuck,
-    faults.CurrentImplausible,
+    *(faults.NoContact, faults.NotSettled, faults.StalledEarly, faults.MotorStuck, faults.CurrentImplausible),
+    *(faults.HardstopMissed, faults.HardstopMoved, faults.HardstopUnclear, faults.HardstopImplausible),
 }
 """Found by a move about itself; tested with the moves."""
 

@@ -273,11 +273,7 @@ def test_from_the_bad_reading_on_the_set_point_is_frozen_and_moves_are_refused_u
     name = rig.state.move.plan.command
     follow, mode = rig.outputs.drive.setpoint_count, rig.state.mode
     out = rig.cycle(**corrupted("current_A", 2, value))
-    assert out.evrs == (
-        SensorNotFinite("current_A"),
-        evrs.FaultResponse("BRAKE_AND_REFUSE"),
-        evrs.ModeChanged(mode, Mode.FAULTED),
-    )
+    assert out.evrs == (SensorNotFinite("current_A"), lab.REFUSED, evrs.ModeChanged(mode, Mode.FAULTED))
     # held where the motors were last seen: no farther than the cycle just passed
     held, step = out.drive.setpoint_count, np.ceil(lab.CONFIG.speed_rad_s / 64 / lab.CONFIG.rad_per_count)
     assert (np.abs(held - follow) <= step).all()
@@ -315,11 +311,8 @@ def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learn
     rig = on_its_way(kind)
     before, mode = rig.state.joints.gravity_R_m_s2, rig.state.mode
     out = rig.cycle(gravity_R_m_s2=[0.0, 0.0, reads_m_s2])
-    assert out.evrs == (
-        GravityImplausible(reads_m_s2, MIN_m_s2, MAX_m_s2),
-        evrs.FaultResponse("BRAKE_AND_REFUSE"),
-        evrs.ModeChanged(mode, Mode.FAULTED),
-    )
+    implausible = GravityImplausible(reads_m_s2, MIN_m_s2, MAX_m_s2)
+    assert out.evrs == (implausible, lab.REFUSED, evrs.ModeChanged(mode, Mode.FAULTED))
     assert not out.drive.brake_release.any()
     assert not out.drive.setpoint_rate_rad_s.any()
     np.testing.assert_array_equal(rig.state.joints.gravity_R_m_s2, before)
