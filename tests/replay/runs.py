@@ -7,6 +7,7 @@ import numpy as np
 
 from fsw.dictionary import commands
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import joints5
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.faults import MissedCycles, SensorFault
@@ -60,11 +61,9 @@ class ReferenceRun:
     def loop(self) -> ClosedLoop:
         """Make the closed loop of the run, before its first cycle."""
         arm: BuiltArm = arm_named(self.arm)
-        start = (
-            arm.params.poses.ready_rad
-            if self.start_deg is None
-            else tuple(np.radians(self.start_deg).tolist())
-        )
+        start = arm.params.poses.ready_rad
+        if self.start_deg is not None:
+            start = joints5(np.radians(self.start_deg))
         reference = true_reference(arm) if self.known else None
         return ClosedLoop(Setup(arm, self.world, start, self.seed, reference, self.effects))
 

@@ -1,6 +1,7 @@
 """Moves: their phases, how wrist and turret process a sample, and their paths from rest to rest."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -246,14 +247,10 @@ def line_errors(X):
 
 
 CROSSING = [
-    *(
-        (tool, kind, start)
-        for tool in TOOLS
-        for kind in ("guarded", "retract")
-        for start in ("facing", "ready")
-        # in the ready pose the drill is parallel to the pitch axes: no line starts there
-        if (tool, start) != ("drill", "ready")
-    )
+    one
+    for one in product(TOOLS, ("guarded", "retract"), ("facing", "ready"))
+    # in the ready pose the drill is parallel to the pitch axes: no line starts there
+    if (one[0], one[2]) != ("drill", "ready")
 ]
 
 
