@@ -217,13 +217,9 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready, to
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, R_WT.ravel())
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.1, 0.06, 0.06],
-            pos=p_W,
-            quat=quat,
-            contype=2,
-            conaffinity=1,
-        )
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.06, 0.06], pos=p_W, quat=quat,
+            contype=2, conaffinity=1,
+        )  # fmt: skip
 
     pressed = lab.plant(edit=wall)
     pressed.place(lab.READY_RAD, 2.0)
