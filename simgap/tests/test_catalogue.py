@@ -116,11 +116,13 @@ def test_temperature_needs_a_range(range_K, is_offered):
     assert ("temperature-dependent friction" in names(effects)) == is_offered
 
 
-def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(arm_logs):
-    def twisted(j):
-        return Signal(TIME_S, lively()[:, j] + 1e-3 * np.sin(lively()[:, j]))
+def twisted(angle_rad):
+    """Return the second encoders of joints with a wave of one period in a turn."""
+    return lambda j: Signal(TIME_S, angle_rad[:, j] + 1e-3 * np.sin(angle_rad[:, j]))
 
-    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted))
+
+def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(arm_logs):
+    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted(lively())))
     assert "periodic joint error" in names(effects)
     zeros = Signal(TIME_S, np.zeros(N_TICKS))
     without = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=lambda _: zeros))
@@ -132,11 +134,7 @@ def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(
 @pytest.mark.parametrize(("share", "orders"), [(1.0, {1, 2}), (0.6, {2}), (0.2, set())])
 def test_a_wave_is_offered_where_the_joint_turns_through_half_a_period(share, orders):
     command = share * np.pi * (lively() - lively().min(axis=0)) / np.ptp(lively(), axis=0)
-
-    def twisted(j):
-        return Signal(TIME_S, command[:, j] + 1e-3 * np.sin(command[:, j]))
-
-    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted))
+    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted(command)))
     assert {one.order for one in effects if isinstance(one, PeriodicError)} == orders
 
 

@@ -112,8 +112,10 @@ def test_effects_that_resemble_each_other_are_told_as_their_place():
     assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
 
 
-def test_an_effect_of_all_joints_is_named_at_its_body():
+@pytest.mark.parametrize("joints", [NAMES, (*NAMES, "silent")], ids=["all have data", "one has none"])
+def test_an_effect_of_all_joints_is_named_at_its_body(joints):
     model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
+    model.joints = joints
     body = Toy("base", "square of all", np.square)
     chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
     assert [effect.key for effect in chosen.effects] == [body.key]

@@ -29,13 +29,7 @@ from simgap.common.progress import Progress, no_progress
 from simgap.common.report import to_json
 from validation.campaigns import Context, Document
 from validation.cases import sealed
-from validation.cases.arm_score import (
-    CLASSES_FILE,
-    EquivalenceClasses,
-    classes_json,
-    load_classes,
-    score,
-)
+from validation.cases.arm_score import CLASSES_FILE, EquivalenceClasses, classes_json, load_classes, score
 from validation.cases.arm_truth import (
     EFFECTS_FOLDER,
     PlannedCase,

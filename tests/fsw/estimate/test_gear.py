@@ -40,10 +40,6 @@ def bounds(load_Nm):
     return bound_gear(CONFIG, HALF, bound_loads(CONFIG, load_Nm, MARS_R_m_s2))
 
 
-def anywhere():
-    return np.column_stack([-HALF, np.zeros(5), HALF])
-
-
 def torque_Nm(gear_rad):
     """Compute the torque of a spring with a dead band."""
     return STIFFNESS * (gear_rad - np.clip(gear_rad, -HALF, HALF))
@@ -54,16 +50,14 @@ def true_gear(gear_rad, motion_rad, load_Nm):
     gear_rad = gear_rad - motion_rad
     carried = torque_Nm(gear_rad)
     left = np.clip(carried, load_Nm - FRICTION, load_Nm + FRICTION)
-    up, down = (
-        left / STIFFNESS + np.where(left > 0, HALF, -HALF),
-        left / STIFFNESS - np.where(left < 0, HALF, -HALF),
-    )
+    up = left / STIFFNESS + np.where(left > 0, HALF, -HALF)
+    down = left / STIFFNESS - np.where(left < 0, HALF, -HALF)
     return np.where(left > carried, up, np.where(left < carried, down, gear_rad))
 
 
 @given(shares, histories)
 def test_the_true_gear_angle_is_always_inside_and_no_side_is_claimed_that_it_is_not_on(start, history):
-    truth, believed = start * HALF, anywhere()
+    truth, believed = start * HALF, np.column_stack([-HALF, np.zeros(5), HALF])
     for motion, load, error in history:
         truth = true_gear(truth, motion, load + error * ERROR)
         believed = gear_after_motor_turn(believed, motion, bounds(load))

@@ -112,7 +112,6 @@ def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
 
 def test_nothing_is_pressed_without_a_closed_switch_nor_with_another_tool_nor_with_too_much_force():
     rig = guarded_in_contact()
-    rig.evrs.clear()
     rig.cycle(Preload("apxs", 100.0))
     rig.cycle(Preload("drill", 100.0), Preload("apxs", 351.0), **TOUCHED)
     *reasons, too_much = [evr.reason for evr in rig.evrs]

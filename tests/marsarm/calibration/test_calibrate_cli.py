@@ -1,6 +1,5 @@
 """`marsarm calibrate`: parameter file, document and page; with bad input nothing is written."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from marsarm.common.requests import select_arm
 from sim.arms import params_over_nominal
 from simgap.common.errors import BadRequest
 from tests.marsarm.calibration.lab import calibration, campaign
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +32,7 @@ def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_pat
         return calibration()
 
     monkeypatch.setattr(execution, "calibrate", fitted)
-    out = marsarm(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
-    assert out.returncode == 0, out.stderr
-    document = json.loads(out.stdout)
+    document = marsarm_json(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml")
     assert document["arm"] == "as-built:1"
     assert document["rank"]["frames"] == 26
     loaded = params_over_nominal(tmp_path / "arm.toml")
