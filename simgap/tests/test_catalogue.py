@@ -13,7 +13,6 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects import effect as interface
-from simgap.effects.effect import Effect, Family
 from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
@@ -143,12 +142,12 @@ def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height()
     command = np.linspace(1.2, 0.0, N_TICKS)[:, None]
     stopped = np.maximum(command, np.arccos(0.25 / 0.3))
     known = catalogue(robot, logs_of(robot, command, stopped))
-    plane = [one for one in known if one.family is Family.CONTACT]
+    plane = [one for one in known if one.family is interface.Family.CONTACT]
     assert len(plane) == 1
     assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
     assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)
     free = catalogue(robot, logs_of(robot, command, command))
-    assert not [one for one in free if one.family is Family.CONTACT]
+    assert not [one for one in free if one.family is interface.Family.CONTACT]
 
 
 def test_links_that_change_no_torque_are_left_out(arm_logs):
@@ -177,7 +176,7 @@ def test_orders_of_a_smooth_error_have_narrower_priors_the_higher_they_are():
 def kinds():
     """All classes of effects that the catalogue and its parts import."""
     package = f"{interface.__package__}."
-    mine = [kind for kind in set(_below(Effect)) if kind.__module__.startswith(package)]
+    mine = [kind for kind in set(_below(interface.Effect)) if kind.__module__.startswith(package)]
     return {kind for kind in mine if isinstance(kind.name, str)}
 
 

@@ -10,7 +10,6 @@ from scipy.stats import binom
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
 from simgap import assemble
-from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import simulate_models, start_context
@@ -56,17 +55,17 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause():
     selection = select_effects(model, BASE, rest, seed=1)
     sets = find_confidence_sets(selection)
     for one_set in sets:
-        finding = describe_finding(selection.context, selection.chosen, one_set, sets)
+        finding = assemble.describe_finding(selection.context, selection.chosen, one_set, sets)
         assert finding.places == ("far",)
         assert finding.families == finding.effects == ()
     residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
-    (remainder,) = list_remainders(model, residuals, model, residuals)
+    (remainder,) = assemble.list_remainders(model, residuals, model, residuals)
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
 
 
 def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     selection = select_effects(draw_toy(1, {"near: square": 0.1, "far: sine": 0.05}), BASE, CATALOGUE, seed=1)
-    sure, sets, rejected = select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
+    sure, sets, rejected = assemble.select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
     assert [one.effect.key for one in sets] == ["far: sine"]
     assert [effect.key for effect in sure.chosen.effects] == ["far: sine"]
     ((place, name, reason),) = [(one.place, one.effect, one.reason) for one in rejected]
@@ -89,15 +88,15 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     judge.measured[0] += 0.3 * (1.0 - 1.0 / scale) * judge.commands[0] + 0.1 * shapes[held_out](
         judge.commands[0]
     )
-    ((_, (found,), _)) = select_sure(selection, judge)
+    ((_, (found,), _)) = assemble.select_sure(selection, judge)
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
-    assert select_sure(selection, None)[2] == []
+    assert assemble.select_sure(selection, None)[2] == []
     monkeypatch.setattr(assemble, "find_interval", lambda *_: (-1.0, 1.0))
-    sure, sets, (rejected,) = select_sure(selection, None)
+    sure, sets, (rejected,) = assemble.select_sure(selection, None)
     assert (sure.chosen.effects, sets) == ((), [])
     assert rejected.reason == "its 90 % interval holds 0"
 
@@ -108,7 +107,7 @@ def test_effects_that_resemble_each_other_are_told_as_their_place():
     selection = select_effects(model, BASE, (CATALOGUE[0], near_square), seed=1)
     assert len(selection.chosen.effects) == 2
     sets = find_confidence_sets(selection)
-    found = [describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
+    found = [assemble.describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
     assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
 
 
@@ -190,7 +189,7 @@ def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_par
     context, chosen, sets = selection.context, selection.chosen, find_confidence_sets(selection)
     assert {one.key for one in chosen.effects} == {"near: twin", "near: sine"}
     (sine,) = context.union.columns([one for one in chosen.effects if one.key == "near: sine"])
-    (_, alone), (low, high) = (find_interval(context, chosen, one, int(sine)) for one in ([], sets))
+    (_, alone), (low, high) = (assemble.find_interval(context, chosen, one, int(sine)) for one in ([], sets))
     assert alone < 0.1
     assert low < 0.1 < high
 
@@ -200,19 +199,19 @@ def test_a_cause_near_the_noise_is_called_a_cause(seed):
     selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
     assert "near: square" in {one.key for one in selection.chosen.effects}
     (found,) = (one for one in find_confidence_sets(selection) if one.effect.key == "near: square")
-    assert not explains_too_little(selection.context, found)
+    assert not assemble.explains_too_little(selection.context, found)
 
 
 def test_a_finding_that_removes_less_than_half_where_noise_is_known_is_not_called_a_cause():
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
     context, (found,) = selection.context, find_confidence_sets(selection)
     half, less = replace(found, share=0.5), replace(found, share=0.4)
-    assert [explains_too_little(context, one) for one in (half, less)] == [False, True]
-    told, doubted = (describe_finding(context, selection.chosen, one, [one]) for one in (half, less))
+    assert [assemble.explains_too_little(context, one) for one in (half, less)] == [False, True]
+    told, doubted = (assemble.describe_finding(context, selection.chosen, one, [one]) for one in (half, less))
     assert (told.families, told.effects) == ((Toy.family,), ("near: square",))
     assert (doubted.places, doubted.families, doubted.effects) == (("near",), (), ())
     unknown = replace(context, noise_loss=np.zeros_like(context.noise_loss))
-    assert not explains_too_little(unknown, less)
+    assert not assemble.explains_too_little(unknown, less)
 
 
 @pytest.mark.slow

@@ -32,7 +32,6 @@ from sim.setting import WARM_C, Surface, World
 from sim.tolerances import list_frames
 from tests.sim import lab
 from tests.sim.effects import bench
-from tests.sim.effects.bench import set_angles
 from tests.tools import TOOLS, tool_index
 
 PARAMS = nominal_params()
@@ -64,7 +63,7 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
     worst = 0.0
     for seed in range(4):
         encoder_rad = np.random.default_rng([13, seed]).uniform(ARM.soft_min_rad, ARM.soft_max_rad)
-        truth, frames = set_angles(plant, encoder_rad - error).truth(), forward(arm, encoder_rad)
+        truth, frames = bench.set_angles(plant, encoder_rad - error).truth(), forward(arm, encoder_rad)
         for tool in TOOLS:
             X_RT = tool_pose(arm, frames, tool)
             p, R = truth.p_RoTo_R_m[tool_index(tool)], truth.R_RT[tool_index(tool)]
@@ -101,7 +100,7 @@ def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_
 def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint):
     effect = joints.HardstopStiffness(joint, 0.6)
     plant = build(effect)
-    set_angles(plant, plant.stop_rad() - 1e-3)
+    bench.set_angles(plant, plant.stop_rad() - 1e-3)
     believed = np.array([one.hardstop_stiffness_Nm_rad for one in params_with(effect).joints.in_order()])
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
@@ -162,7 +161,7 @@ def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(tempe
 
 def test_an_arm_with_nothing_to_touch_goes_through_the_rover():
     for effects, touches in (((), True), ((NothingToTouch(),), False)):
-        plant = set_angles(build(*effects), np.radians([-170.0, 0.0, 0.0, 0.0, 0.0]))
+        plant = bench.set_angles(build(*effects), np.radians([-170.0, 0.0, 0.0, 0.0, 0.0]))
         assert (plant.data.ncon > 0) is touches
 
 

@@ -40,7 +40,6 @@ from sim.setting import World
 from tests.fsw.rig import content
 from tests.sim import lab
 from tests.sim.effects.test_cycle_rate import EFFECTS, JOINT
-from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
 
 NOW_S = 0.0
@@ -194,11 +193,11 @@ EXPECTED = {
 def test_a_fault_in_the_middle_of_a_move_ends_on_the_brakes_by_the_response_of_the_table(name):
     fault, kind = EXPECTED[name]
     loop = moving().fork((replace(fault, at_s=now_s() + 0.25),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     found = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(found[0], kind)
     assert FaultResponse(RESPONSE_TO[kind]) in evrs
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
     refuses = RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE
     assert (loop.state.fault is not None) is refuses
 
@@ -219,10 +218,10 @@ TOLERATED = {
 @pytest.mark.parametrize("name", slow_but(TOLERATED, *list(TOLERATED)[::2]))
 def test_what_is_tolerated_does_not_end_a_move(name):
     loop = moving().fork((replace(TOLERATED[name], at_s=now_s() + 0.25),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     assert CommandCompleted("MoveJoints") in evrs
     assert not [evr for evr in evrs if isinstance(evr, Fault)]
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
 
 
 @pytest.mark.parametrize("fault", [faults.JointSeized, faults.BrakeStuck])
@@ -233,12 +232,12 @@ def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_nex
     loop = loop.fork((fault(NOW_S, joint),))
     at = loop.plant.motor_rad()[joint]
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.05 * (np.arange(5) == joint))),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     (evr,) = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(evr, MotorStalled)
     assert evr.joint is joint
     assert loop.plant.motor_rad()[joint] == pytest.approx(at, abs=1e-4)
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
 
 
 def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notices():

@@ -16,7 +16,6 @@ from helpers.command import run_python, run_simgap
 from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.serial_synthetic import MAPPING, POSITION_M, write
 from simgap.command import diagnosis
-from simgap.command.diagnosis import GOES_ON, diagnose_robot
 from simgap.command.request import DiagnoseRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.report import print_parts
@@ -223,7 +222,7 @@ def test_an_interrupted_command_goes_on_and_prints_the_same_document(swinging, t
     whole = run_apart(swinging, tmp_path / "other")
     assert whole.returncode == 0, whole.stderr
     ended = run_apart(swinging, tmp_path, "-c", ENDING)
-    assert (ended.returncode, ended.stderr.count(GOES_ON)) == (128 + signal.SIGINT, 1)
+    assert (ended.returncode, ended.stderr.count(diagnosis.GOES_ON)) == (128 + signal.SIGINT, 1)
     assert len(steps(tmp_path)) == 1
     last = run_apart(swinging, tmp_path)
     assert json.loads(last.stdout) == json.loads(whole.stdout)
@@ -317,7 +316,7 @@ def test_a_wrong_request_is_one_sentence_and_writes_nothing(tmp_path, changes, e
     logs = tuple(tmp_path / name for name in changes.pop("logs", ("poses.csv",)))
     paths = {key: tmp_path / value if key == "patch" else value for key, value in changes.items()}
     with pytest.raises(error, match=re.escape(words)):
-        diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", logs, **paths))
+        diagnosis.diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", logs, **paths))
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
@@ -332,4 +331,4 @@ def test_a_wrong_mapping_is_one_sentence(tmp_path, change, words):
     write_robot(tmp_path)
     (tmp_path / "mapping.toml").write_text(MAPPING.replace(*change))
     with pytest.raises(RobotError, match=re.escape(words)):
-        diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "poses.csv",)))
+        diagnosis.diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "poses.csv",)))

@@ -19,7 +19,6 @@ from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from simgap.command import app
 from simgap.command import request as simgap_request
-from simgap.command.request import CheckRequest
 from simgap.common.app import give_address
 from simgap.common.errors import BadRequest
 from simgap.common.options import Option, check_options, option_fields
@@ -40,7 +39,7 @@ VERBS = {
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
     NextRequest: diagnosis.propose,
-    CheckRequest: app.check,
+    simgap_request.CheckRequest: app.check,
     simgap_request.DiagnoseRequest: app.diagnose,
     simgap_request.NextRequest: app.propose,
 }

@@ -9,7 +9,6 @@ import pytest
 
 from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import Command, Stop
-from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from marsarm.dictionary.entries import Dictionary, build_dictionary
@@ -108,7 +107,7 @@ def test_every_entry_and_every_field_has_a_text(whole):
 
 
 def test_every_command_evr_topic_and_fault_is_there(whole):
-    all_kinds = (*Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
+    all_kinds = (*evrs.Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
     kinds = {kind.__name__ for kind in all_kinds if kind.__module__.startswith("fsw.")}
     assert {entry.name for entry in whole.commands} == {kind.__name__ for kind in get_args(Command)}
     assert {entry.name for entry in whole.evrs} == kinds - {"Fault"}

@@ -24,13 +24,12 @@ from fsw.estimate.reference import Reference, no_reference
 from marsarm.telemetry import events, schema
 from marsarm.telemetry.format import SchemaError
 from marsarm.telemetry.log_writer import Packer
-from marsarm.telemetry.schema import ArmNames, Layout, packet_layout, strip_optional
 from sim.arms import arm_named
 
 
 def any_of(hint: Any) -> st.SearchStrategy:
     """Return a strategy for every value of an annotated type."""
-    kind = strip_optional(hint)
+    kind = schema.strip_optional(hint)
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
     if get_origin(kind) is tuple:
@@ -181,7 +180,7 @@ class Packet:
     current_A: Annotated[float, Limits(-2.0, 2.5)]
 
 
-ARM = ArmNames(("drill",), ("drill_1",))
+ARM = schema.ArmNames(("drill",), ("drill_1",))
 NAMES = ("valid", "colour", "switch", "count", "R_RT", "level", "current_A")
 PACKET = Packet(
     valid=True,
@@ -204,7 +203,7 @@ def _shapes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def packed(packet: Packet) -> bytes:
-    return Packer("packet", packet_layout(Packet, NAMES, ARM)).pack(packet)
+    return Packer("packet", schema.packet_layout(Packet, NAMES, ARM)).pack(packet)
 
 
 def test_a_message_is_cdr_as_decoded_by_hand():
@@ -216,7 +215,7 @@ def test_a_message_is_cdr_as_decoded_by_hand():
 
 
 def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments():
-    assert packet_layout(Packet, NAMES, ARM).ros_text.splitlines() == [
+    assert schema.packet_layout(Packet, NAMES, ARM).ros_text.splitlines() == [
         "int64 colour  # Colour: 3 RED, 7 BLUE",
         "float64 current_a  # current_A; [A]; -2 .. 2.5",
         "float64[9] r_rt  # R_RT; row by row, shape (3, 3)",
@@ -231,7 +230,7 @@ def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_doc
 @pytest.mark.parametrize("kind", ["<,f8", "8(f8", "V8", "<f16", "O", "<\u00ff", "<U4"])
 def test_a_layout_of_what_is_no_number_is_refused(kind):
     with pytest.raises(ValueError, match="is no number"):
-        Layout.from_json(json.dumps([["angle_rad", kind, None]]))
+        schema.Layout.from_json(json.dumps([["angle_rad", kind, None]]))
 
 
 def test_an_array_lies_row_by_row_whatever_its_order_in_memory():
@@ -271,4 +270,4 @@ class Odd:
 )
 def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names):
     with pytest.raises(SchemaError, match=rf"Odd\.{names[-1]}:"):
-        packet_layout(Odd, names, ARM)
+        schema.packet_layout(Odd, names, ARM)

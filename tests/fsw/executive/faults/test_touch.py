@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, FaultResponse
 from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
@@ -26,7 +25,7 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         rate = np.abs(rig.outputs.drive.setpoint_rate_rad_s).max()
         rig.cycle(**lab.closed(switch))
         assert rate > 0
-        (evr,) = lab.found(rig, ContactMade)
+        (evr,) = lab.found(rig, evrs.ContactMade)
         assert evr.switch == switch
         assert 0 < evr.travel_m < 0.05
         rig.run(**lab.closed(switch))
@@ -36,9 +35,9 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
             rig.outputs.joint.backlash_rad, abs=1e-5
         )
         assert not rig.outputs.drive.setpoint_rate_rad_s.any()
-        assert CommandCompleted("GuardedMove") in rig.evrs
+        assert evrs.CommandCompleted("GuardedMove") in rig.evrs
         assert rig.state.mode is Mode.GUARDED
-        assert not lab.found(rig, FaultResponse)
+        assert not lab.found(rig, evrs.FaultResponse)
 
 
 def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
@@ -46,7 +45,7 @@ def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
     rig.cycle(**lab.closed("apxs_1"))
     rig.run()
     assert lab.found(rig, faults.ContactLost)
-    assert CommandAborted("GuardedMove") in rig.evrs
+    assert evrs.CommandAborted("GuardedMove") in rig.evrs
 
 
 @made_once
@@ -74,7 +73,7 @@ def test_a_guarded_move_that_touches_before_it_moves_presses_no_further_and_can_
     assert rig.state.joints.motor_rad == pytest.approx(
         motor_rad, abs=lab.CONFIG.params.motion.settle_error_rad
     )
-    assert CommandCompleted("Preload") in rig.run(Preload("apxs", 0.0), **lab.closed("apxs_1"))
+    assert evrs.CommandCompleted("Preload") in rig.run(Preload("apxs", 0.0), **lab.closed("apxs_1"))
     assert rig.state.preload.force_N == 0.0
 
 
@@ -83,7 +82,7 @@ def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
     rig = lab.in_guarded_motion("apxs")
     rig.cycle(**lab.closed("apxs_1"))
     rig.run(**lab.closed("apxs_1"))
-    assert CommandCompleted("GuardedMove") in rig.evrs
+    assert evrs.CommandCompleted("GuardedMove") in rig.evrs
     assert rig.state.preload is None
 
 
@@ -100,7 +99,7 @@ def test_the_travel_at_contact_is_how_far_the_tool_went():
     start = rig.tool_pose("apxs").p
     rig.until_moving(rig.touch("apxs", 0.05), cycles=300)
     rig.cycle(**lab.closed("apxs_2"))
-    (evr,) = lab.found(rig, ContactMade)
+    (evr,) = lab.found(rig, evrs.ContactMade)
     went = np.linalg.norm(rig.tool_pose("apxs").p - start)
     assert evr.travel_m == pytest.approx(went, abs=3e-4)
 
@@ -116,11 +115,11 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     assert lab.REFUSED in rig.evrs
     assert lab.braked(rig)
     rig.run()
-    assert CommandAborted("GuardedMove") in rig.evrs
+    assert evrs.CommandAborted("GuardedMove") in rig.evrs
     assert rig.state.mode is Mode.FAULTED
     assert not rig.outputs.drive.power_on.any()
     rig.run(ClearFault())
-    assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
+    assert evrs.CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
 
 
 LATEST = 40
@@ -209,7 +208,7 @@ def assert_safe(rig):
         for values in (rig.outputs.tool.p_RoTo_R_m, rig.outputs.tool.R_RT, rig.outputs.tool.load_torque_Nm):
             assert np.isfinite(values).all()
     for evr in rig.outputs.evrs:
-        assert isinstance(evr, Evr)
+        assert isinstance(evr, evrs.Evr)
         assert "nan" not in evr.message
 
 
