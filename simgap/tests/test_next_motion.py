@@ -124,6 +124,16 @@ def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
         assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
 
 
+def test_a_motion_is_made_as_cold_or_as_warm_as_the_logs_were():
+    heats = zip(LOGS.fit, (25.0, 40.4, 30.0), strict=True)
+    warming = [with_signals(one, temperature=heat + 0.0 * TIME_s) for one, heat in heats]
+    plans = list_plans(ROBOT, warming, ["swing"], True)
+    assert {one.temperatures_degC["swing"] for one in plans} == {25.0, 30.0, 40.0}
+    made = make_motion(ROBOT, plans[0], warming[0]).joints["swing"].temperature
+    assert {*made.value} == {*plans[0].temperatures_degC.values()}
+    assert f"{made.value[0]:g} degC" in plans[0].describe(ROBOT)
+
+
 @pytest.mark.usefixtures("few")
 def test_a_motion_in_which_a_rival_is_faster_than_the_logs_is_never_proposed():
     slow = 0.3 * np.clip(0.5 * (TIME_s - 0.5), 0.0, 1.0)
@@ -236,7 +246,7 @@ def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_moti
     robot, zeros = Robot.from_toml(write_robot(tmp_path, text=text)), Signal(TIME_s, 0.0 * TIME_s)
     log = JointLog(position=zeros, command=zeros, enabled=zeros)
     logged = Motion("m", {"shoulder": log, "elbow": log}, {"shoulder": 3.0}, conditions={"gain": 3.0})
-    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, 5.0)
+    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, {}, 5.0)
     first, *_, last = csv.DictReader(command_table(robot, make_motion(robot, plan, logged)).splitlines())
     assert (first["on"], last["on"], first["repeat"]) == ("1", "0", "next")
 

@@ -20,7 +20,7 @@ from simgap.selection.joint_fits import TOO_WIDE, add_effects, fit_base
 from simgap.selection.screening import adjust
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
-from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+from simgap.selection.verdict import EXCLUDED, find_confidence_sets, size_intervals, unexplained_dependence
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
@@ -91,6 +91,9 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     )
     ((_, (found,), _)) = select_sure(selection, judge)
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
+    assert all(
+        one.p > EXCLUDED for one in found.alternatives
+    )  # a rival in doubt, so that a motion is proposed
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):

@@ -91,7 +91,7 @@ NEXT_SHARES: Final[dict[Kind, float]] = {"single": 0.5, "pair": 0.5}
 BAR: Final = 18 / 24
 """Least share of the cases that one motion settles."""
 NEXT_NUMBER: Final = 12
-"""Number of the first run of the new motion after those of a case, for its seed and its temperature."""
+"""Number of the first run of the new motion after those of a case, for its seed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,14 +198,15 @@ def make_next(truth: Truth, planned: Motion, run: int) -> Motion:
     ((name, log),) = planned.joints.items()
     assert log.command is not None
     assert log.enabled is not None
-    number, times_s = NEXT_NUMBER + run, log.position.time_s
-    gain, heat_degC = planned.gain[name] * log.enabled.value, robot_draw.temperature_degC(number)
+    assert log.temperature is not None
+    number, times_s, gain = NEXT_NUMBER + run, log.position.time_s, planned.gain[name] * log.enabled.value
+    heat_degC = float(log.temperature.value[0]), float(log.temperature.value[-1])
     shown = plant.simulate(log.command.value[None], PERIOD_S, truth.seed * 100 + number, heat_degC, gain)
     (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, number]))
     joint = JointLog(
         position=Signal(times_s, measured),
         command=log.command,
-        temperature=Signal(times_s, np.linspace(*heat_degC, times_s.size)),
+        temperature=log.temperature,
         enabled=log.enabled,
     )
     return Motion(f"next-{run + 1}", {name: joint}, planned.gain, "next", conditions=planned.conditions)
