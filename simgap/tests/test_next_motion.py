@@ -69,7 +69,7 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
         sigmas = (find_sigma(predictions[k], slopes[k], *one) for one in pairs)
         return float(np.mean([norm.cdf(1.6449 - sigma) for sigma in sigmas]))
 
-    choice = choose_motion(predictions, differentiate)
+    choice = choose_motion(predictions, differentiate, (1.0, 1.0, 1.0))
     assert choice.motions[0] == min(range(60), key=confused)
     assert len(asked) < 60
     assert choice.tells_apart
@@ -77,8 +77,15 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
 
 def test_a_motion_that_a_rival_cannot_make_is_never_proposed():
     predictions = [np.array([[0.0, 0.0], [np.nan, 9.0]]), np.array([[0.0, 0.0], [3.0, 0.0]])]
-    choice = choose_motion(predictions, lambda some: [(np.zeros((2, 0)),) * 2 for _ in some])
+    choice = choose_motion(predictions, lambda some: [(np.zeros((2, 0)),) * 2 for _ in some], (1.0, 1.0))
     assert choice.motions == (1,)
+
+
+def test_the_motion_tells_apart_what_is_in_doubt_not_what_earlier_motions_exclude():
+    nothing = [(np.zeros((1, 0)),) * 3]
+    predictions = [np.array([[0.0], [3.0], [0.0]]), np.array([[0.0], [1.0], [9.0]])]
+    for chances, best in (((1.0, 0.4, 1e-3), 0), ((1.0, 0.4, 0.4), 1)):
+        assert choose_motion(predictions, lambda some: nothing * len(some), chances).motions[0] == best
 
 
 TIME_s = np.arange(0.0, 3.0, 0.01)
