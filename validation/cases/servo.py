@@ -8,7 +8,7 @@ servo makes it, and the case is diagnosed again with its log. The truth takes pa
 does: it makes the motion, and says which cases count.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from marsarm.common.rates import check_rate, clopper_pearson
+from simgap.catalogue.catalogue import catalogue
 from simgap.checks.audit import audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
@@ -115,7 +116,7 @@ class NextCases(ServoCases):
             key = choose_rivals(found.rivals)[0].finding
         except RobotError:
             return before
-        open_as = say_what_is_open(truth, before, key)
+        open_as = say_what_is_open(truth, before, key, {one.name for one in catalogue(robot, logs)})
         if not open_as:
             return before
         proposal, motion = propose_motion(robot, logs, found.rivals, usable)
@@ -163,15 +164,18 @@ def list_accepted(
     return own or [one.accepted for one in pairs]
 
 
-def say_what_is_open(case: SealedCase, result: Document, key: str) -> str:
-    """Return what a finding leaves open: a set, a place, a wrong name; empty if it is rightly named."""
+def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[str]) -> str:
+    """Return what a finding leaves open: a set with the right name, a place, wrong names; empty if nothing.
+
+    Nothing is left open by the right name, or by a place without one if the catalogue knows no right name.
+    """
     finding = next(one for one in result["findings"] if _key(one) == key)
-    if not finding["effects"]:
-        return "place"
     accepted = list_accepted(case, result["findings"], key)
+    if not finding["effects"]:
+        return "place" if known & {name for own in accepted for name, _ in own} else ""
     if any(members(finding) <= one for one in accepted):
         return ""
-    return "set" if len(members(finding)) > 1 else "wrong name"
+    return "set" if any(members(finding) & one for one in accepted) else "wrong name"
 
 
 def is_settled(case: SealedCase, result: Document) -> bool:
@@ -181,7 +185,7 @@ def is_settled(case: SealedCase, result: Document) -> bool:
     if any(one["effects"] and members(one) <= own for one in after for own in accepted):
         return True
     true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
-    wrong = [one for one in after if len(one["effects"]) == 1 and not members(one) & true]
+    wrong = [one for one in after if one["effects"] and not members(one) & true]
     return told["open"] == "wrong name" and not wrong
 
 
