@@ -87,11 +87,12 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
     rows = value, base, base - selection.sensitivities.change(selection.departures)
     sets = find_confidence_sets(selection.engine)
+    findings = tuple(_describe_findings(model, selection, sets, bool(remaining)))
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
         seed=selection.engine.context.seed,
-        findings=tuple(_describe_findings(model, selection, sets, bool(remaining))),
+        findings=findings,
         base=(),
         errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
@@ -102,8 +103,10 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
         rivals=tuple(
             rival
-            for one in sets
-            for rival in list_rivals(selection.engine.context, selection.engine.chosen, one)
+            for one, finding in zip(sets, findings, strict=True)
+            for rival in list_rivals(
+                selection.engine.context, selection.engine.chosen, one, bool(finding.effects)
+            )
         ),
         method=FeatureResiduals.method,
     )

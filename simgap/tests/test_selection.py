@@ -11,6 +11,7 @@ from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
 from simgap import assemble
 from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
+from simgap.next_motion.rivals import list_rivals
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import simulate_models, start_context
@@ -91,9 +92,14 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     )
     ((_, (found,), _)) = select_sure(selection, judge)
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
-    assert all(
-        one.p > EXCLUDED for one in found.alternatives
-    )  # a rival in doubt, so that a motion is proposed
+    # a rival that came back is in doubt, so that a motion is proposed; without a name, all rivals are
+    assert all(one.p > EXCLUDED for one in found.alternatives)
+    named, unnamed = (
+        [one.p for one in list_rivals(selection.context, selection.chosen, found, flag)]
+        for flag in (True, False)
+    )
+    assert named[: len(members)] == [one.p for one in found.alternatives]
+    assert unnamed == [1.0] * len(named)
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):

@@ -30,7 +30,7 @@ from validation.campaigns import Context, Document
 from validation.cases import robot_draw, sealed
 from validation.cases.robot import DIAGNOSIS_SEED, RobotCases, find_robot_file, to_document
 from validation.cases.robot_draw import Kind, Truth
-from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, plain_place
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
 from validation.cases.sealed import CaseScore, score_bars
@@ -93,6 +93,16 @@ BAR: Final = 18 / 24
 """Least share of the cases that one motion settles."""
 NEXT_NUMBER: Final = 12
 """Number of the first run of the new motion after those of a case, for its seed."""
+
+HOLDS: Final = {
+    "constant torque": ("asymmetric friction", "spring"),
+    "asymmetric friction": ("constant torque", "spring"),
+    "position-dependent torque": ("link centre",),
+}
+"""Effects that are a true one exactly, whatever a servo does, where dry friction and armature are fitted.
+
+Friction in one direction is a constant torque beside other dry friction. So is a spring without stiffness. A
+weight beside its line pulls as a torque does that follows the angle, and an armature has its inertia."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,10 +168,16 @@ def _diagnose(robot: Robot, logs: Logs) -> tuple[Diagnosis, Usable]:
 def list_accepted(
     case: SealedCase, findings: Sequence[Mapping[str, Any]], key: str
 ) -> list[frozenset[tuple[str, str]]]:
-    """Return the equivalence class of the effect that a finding stands for; those of all if of none."""
+    """Return the equivalence class of the effect that a finding stands for; those of all if of none.
+
+    A class also has what `HOLDS` one of it.
+    """
     pairs, _ = pair_up(case, list(findings))
     own = [one.accepted for one in pairs if one.finding and _key(one.finding) == key]
-    return own or [one.accepted for one in pairs]
+    return [
+        one | {(other, place) for name, place in one for other in HOLDS.get(name, ())}
+        for one in own or [one.accepted for one in pairs]
+    ]
 
 
 def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[str]) -> str:
@@ -184,7 +200,7 @@ def is_settled(case: SealedCase, result: Document) -> bool:
     accepted = list_accepted(case, result["findings"], told["finding"])
     if any(one["effects"] and members(one) <= own for one in after for own in accepted):
         return True
-    true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
+    true = frozenset().union(*list_accepted(case, (), ""))
     wrong = [one for one in after if one["effects"] and not members(one) & true]
     return told["open"] == "wrong name" and not wrong
 

@@ -24,8 +24,10 @@ def can_be_settled(found: ConfidenceSet) -> bool:
     return has_rivals and not isinstance(found.effect, Dependent)
 
 
-def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> list[Rival]:
+def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet, is_named: bool) -> list[Rival]:
     """List the finding and the effects that may stand in its place, then those that hardly may.
+
+    All are alike in doubt if the finding is not named: a model that lacks something excluded the others.
 
     With an effect that no catalogue has, the best of those that were excluded may be wrong as the finding is.
     """
@@ -45,7 +47,7 @@ def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> 
             Rival(
                 finding=found.effect.key,
                 effect=one.effect.key,
-                p=one.p,
+                p=one.p if is_named else 1.0,
                 kind=context.model.kind,
                 effects=tuple(effect for effect, _ in (*fitted, *beside)),
                 sizes=tuple(tuple(sizes[columns].tolist()) for _, columns in (*fitted, *beside)),
