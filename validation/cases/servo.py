@@ -168,16 +168,18 @@ def _diagnose(robot: Robot, logs: Logs) -> tuple[Diagnosis, Usable]:
 def list_accepted(
     case: SealedCase, findings: Sequence[Mapping[str, Any]], key: str
 ) -> list[frozenset[tuple[str, str]]]:
-    """Return the equivalence class of the effect that a finding stands for; those of all if of none.
+    """Return the class of the effect that a finding names first; of none, those that no finding names first.
 
-    A class also has what `HOLDS` one of it.
+    An equivalence class also has what `HOLDS` one of it.
     """
-    pairs, _ = pair_up(case, list(findings))
-    own = [one.accepted for one in pairs if one.finding and _key(one.finding) == key]
-    return [
-        one | {(other, place) for name, place in one for other in HOLDS.get(name, ())}
-        for one in own or [one.accepted for one in pairs]
-    ]
+    classes = tuple(
+        (*one, *((other, place) for name, place in one for other in HOLDS.get(name, ())))
+        for one in case.equivalents
+    )
+    pairs, _ = pair_up(replace(case, equivalents=classes), list(findings))
+    right = [one for one in pairs if one.finding and first_choice(one.finding) in one.accepted]
+    own = [one for one in right if one.finding and _key(one.finding) == key]
+    return [one.accepted for one in own or pairs if own or one not in right]
 
 
 def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[str]) -> str:
@@ -191,7 +193,7 @@ def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[st
         return "place" if known & {name for own in accepted for name, _ in own} else ""
     if any(members(finding) <= one for one in accepted):
         return ""
-    return "set" if any(members(finding) & one for one in accepted) else "wrong name"
+    return "set" if members(finding) & frozenset().union(*list_accepted(case, (), "")) else "wrong name"
 
 
 def is_settled(case: SealedCase, result: Document) -> bool:
