@@ -32,6 +32,7 @@ from simgap.patch.text import read_rivals
 from simgap.report.next_motion import next_document, next_lines, save_next_page
 from simgap.result import Rival
 from simgap.robot import ControlMode, Robot
+from simgap.selection.fit import STEP
 
 RANDOM = np.random.default_rng(5)
 NOTHING: Slopes = (np.zeros((3, 0)), np.zeros((3, 0)))
@@ -51,8 +52,15 @@ def test_the_separation_is_that_of_a_fit_of_both_motions():
     slopes = scale_slopes(new, old, prior)
     every = np.vstack([old, new, np.diag(1.0 / prior)])
     wanted = np.concatenate([np.zeros(30), values[0] - values[1], np.zeros(3)])
-    _, (left,), *_ = np.linalg.lstsq(every, wanted)
-    assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left))
+    sizes, (left,), *_ = np.linalg.lstsq(every, wanted)
+    error = STEP * np.linalg.norm(new @ sizes)  # of the derivatives
+    assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left - error**2))
+
+
+def test_a_small_rest_of_what_sizes_imitate_separates_nothing():
+    values, column = RANDOM.normal(size=(2, 50)), RANDOM.normal(size=(50, 1))
+    values[1] = values[0] + 500.0 * column[:, 0] + np.eye(50)[0] * 10.0
+    assert find_sigma(values, (1e6 * column, 1e6 * column), 0, 1) == 0.0
 
 
 def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_for():

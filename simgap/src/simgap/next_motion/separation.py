@@ -20,6 +20,7 @@ from scipy.stats import norm
 
 from simgap.arrays import Array
 from simgap.selection.chance import FALSE_ALARM
+from simgap.selection.fit import STEP
 
 LEAST_POWER: Final = 0.5
 """Probability from which on a motion tells two rivals apart: more often than not."""
@@ -93,14 +94,17 @@ def count_confused(sigmas: Array, weights: Array) -> Array:
 def find_sigma(values: Array, slopes: Slopes, i: int, j: int) -> float:
     """Return the separation of two rivals, whichever is the cause, in standard deviations.
 
+    Derivatives are known to about STEP: as much of what sizes imitate counts as an error of them.
+
     Args:
         values: Predictions of all rivals, (n_rivals, n), in units of the noise.
     """
     d, least = values[i] - values[j], np.inf
     for own in (slopes[i], slopes[j]):
         along = own.T @ d
-        gram = own.T @ own + np.eye(own.shape[1])
-        least = min(least, float(d @ d - along @ np.linalg.solve(gram, along)))
+        delta = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), along)
+        error = STEP * np.linalg.norm(own @ delta)
+        least = min(least, float(d @ d - along @ delta - error**2))
     return float(np.sqrt(max(least, 0.0)))
 
 
