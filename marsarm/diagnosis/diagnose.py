@@ -101,13 +101,7 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         judged_motions=(),
         effects=tuple(selection.departures),
         sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
-        rivals=tuple(
-            rival
-            for one, finding in zip(sets, findings, strict=True)
-            for rival in list_rivals(
-                selection.engine.context, selection.engine.chosen, one, bool(finding.effects)
-            )
-        ),
+        rivals=list_rivals(selection.engine.context, selection.engine.chosen, sets, findings),
         method=FeatureResiduals.method,
     )
     covariance = fit.covariance[:q, :q] * np.outer(unit, unit)

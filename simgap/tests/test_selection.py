@@ -9,6 +9,7 @@ from scipy.stats import binom
 
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
+from helpers.verdicts import finding
 from simgap import assemble
 from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
 from simgap.next_motion.rivals import list_rivals
@@ -94,9 +95,9 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
     # a rival that came back is in doubt, so that a motion is proposed; without a name, all rivals are
     assert all(one.p > EXCLUDED for one in found.alternatives)
+    inputs = selection.context, selection.chosen, [found]
     named, unnamed = (
-        [one.p for one in list_rivals(selection.context, selection.chosen, found, flag)]
-        for flag in (True, False)
+        [one.p for one in list_rivals(*inputs, [finding(effects=own)])] for own in (("near: square",), ())
     )
     assert named[: len(members)] == [one.p for one in found.alternatives]
     assert unnamed == [1.0] * len(named)

@@ -89,11 +89,7 @@ def assemble(
         sizes=sizes,
         method=context.model.method,
         effect_kinds=(context.model.kind,) * len(effects),
-        rivals=tuple(
-            rival
-            for one, finding in zip(sets, findings, strict=True)
-            for rival in list_rivals(context, chosen, one, bool(finding.effects))
-        ),
+        rivals=list_rivals(context, chosen, sets, findings),
     )
 
 
