@@ -87,11 +87,12 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     base = value - sensitivities.nuisance[:, shared] @ nuisance
     rows = value, base, base - selection.sensitivities.change(selection.departures)
     engine, sets = selection.engine, find_confidence_sets(selection.engine)
+    findings = tuple(_describe_findings(model, selection, sets, bool(remaining)))
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
         seed=engine.context.seed,
-        findings=tuple(_describe_findings(model, selection, sets, bool(remaining))),
+        findings=findings,
         base=(),
         errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
@@ -100,7 +101,7 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
         judged_motions=(),
         effects=tuple(selection.departures),
         sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
-        rivals=tuple(each for one in sets for each in list_rivals(engine.context, engine.chosen, one)),
+        rivals=list_rivals(engine.context, engine.chosen, sets, findings),
         method=FeatureResiduals.method,
     )
     covariance = fit.covariance[:q, :q] * np.outer(unit, unit)

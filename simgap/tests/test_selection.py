@@ -9,7 +9,9 @@ from scipy.stats import binom
 
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
+from helpers.verdicts import finding
 from simgap import assemble
+from simgap.next_motion.rivals import list_rivals
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import simulate_models, start_context
@@ -19,7 +21,7 @@ from simgap.selection.joint_fits import TOO_WIDE, add_effects, fit_base
 from simgap.selection.screening import adjust
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
-from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+from simgap.selection.verdict import EXCLUDED, find_confidence_sets, size_intervals, unexplained_dependence
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
@@ -90,6 +92,14 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     )
     ((_, (found,), _)) = assemble.select_sure(selection, judge)
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
+    # a rival that came back is in doubt, so that a motion is proposed; without a name, all rivals are
+    assert all(one.p > EXCLUDED for one in found.alternatives)
+    inputs = selection.context, selection.chosen, [found]
+    named, unnamed = (
+        [one.p for one in list_rivals(*inputs, [finding(effects=own)])] for own in (("near: square",), ())
+    )
+    assert named[: len(members)] == [one.p for one in found.alternatives]
+    assert unnamed == [1.0] * len(named)
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):

@@ -105,7 +105,7 @@ def propose_motion(
     def differentiate(some: Sequence[int]) -> list[Slopes]:
         return [[scale_slopes(new[k][rows[m]], old[k], priors[k]) for k in range(len(group))] for m in some]
 
-    choice = choose_motion([white[:, own] for own in rows], differentiate)
+    choice = choose_motion([white[:, own] for own in rows], differentiate, [one.p for one in group])
     named = tuple(words[block] for block in blocks)
     curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
     keys = tuple(one.effect for one in group)
