@@ -30,7 +30,7 @@ from validation.campaigns import Context, Document
 from validation.cases import robot_draw, sealed
 from validation.cases.robot import DIAGNOSIS_SEED, RobotCases, find_robot_file, to_document
 from validation.cases.robot_draw import Kind, Truth
-from validation.cases.robot_score import SealedCase, first_choice, members, pair_up
+from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, plain_place
 from validation.cases.robot_setup import PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
 from validation.cases.sealed import CaseScore, score_bars
@@ -170,7 +170,7 @@ def list_accepted(
 ) -> list[frozenset[tuple[str, str]]]:
     """Return the class of the effect that a finding names first; of none, those that no finding names first.
 
-    An equivalence class also has what `HOLDS` one of it.
+    An equivalence class also has what `HOLDS` one of it: no motion takes that out of a set.
     """
     classes = tuple(
         (*one, *((other, place) for name, place in one for other in HOLDS.get(name, ())))
@@ -191,7 +191,7 @@ def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[st
     accepted = list_accepted(case, result["findings"], key)
     if not finding["effects"]:
         return "place" if known & {name for own in accepted for name, _ in own} else ""
-    if any(members(finding) <= one for one in accepted):
+    if any(is_named(case, finding, one) for one in accepted):
         return ""
     return "set" if members(finding) & frozenset().union(*list_accepted(case, (), "")) else "wrong name"
 
@@ -200,11 +200,17 @@ def is_settled(case: SealedCase, result: Document) -> bool:
     """Return whether the right effect is named after the motion, or a wrong name is withdrawn."""
     told, after = result["next"], result["after"]["findings"]
     accepted = list_accepted(case, result["findings"], told["finding"])
-    if any(one["effects"] and members(one) <= own for one in after for own in accepted):
+    if any(is_named(case, one, own) for one in after for own in accepted):
         return True
     true = frozenset().union(*list_accepted(case, (), ""))
     wrong = [one for one in after if one["effects"] and not members(one) & true]
     return told["open"] == "wrong name" and not wrong
+
+
+def is_named(case: SealedCase, finding: Mapping[str, Any], accepted: Set[tuple[str, str]]) -> bool:
+    """Return whether a set holds an effect that is sealed, and nothing that is not accepted."""
+    true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
+    return not members(finding).isdisjoint(true) and members(finding) <= accepted
 
 
 def _key(finding: Mapping[str, Any]) -> str:
