@@ -170,11 +170,11 @@ def list_accepted(
 ) -> list[frozenset[tuple[str, str]]]:
     """Return the class of the effect that a finding names first; of none, those that no finding names first.
 
-    An equivalence class also has what `HOLDS` one of it: no motion takes that out of a set.
+    An equivalence class also has what `HOLDS` the true effect: no motion takes that out of a set.
     """
     classes = tuple(
-        (*one, *((other, place) for name, place in one for other in HOLDS.get(name, ())))
-        for one in case.equivalents
+        (*same, *((other, one.place) for other in HOLDS.get(one.name, ())))
+        for one, same in zip(case.truth.effects, case.equivalents, strict=True)
     )
     pairs, _ = pair_up(replace(case, equivalents=classes), list(findings))
     right = [one for one in pairs if one.finding and first_choice(one.finding) in one.accepted]
