@@ -218,6 +218,18 @@ def test_a_load_that_lifts_the_output_off_its_stop_hides_the_gap():
     assert result.stop_rad == pytest.approx(STOP_RAD, abs=0.05e-3)
 
 
+def test_a_run_without_the_way_before_the_stop_or_a_part_of_the_gap_measures_nothing():
+    joint, load, gap = Joint.ELEVATION, -5.0, 4e-3
+    towards, away = run(joint, load, gap, 1.7e5, 3e5, 60.0, 1)
+    press = fit_contact_line(CONFIG, joint, load, towards)
+    assert measure_backlash(CONFIG, joint, load, press, away) == pytest.approx(gap, abs=0.12e-3)
+    late = Readings(towards.motor_rad[-110:], towards.torque_Nm[-110:])
+    assert fit_contact_line(CONFIG, joint, load, late) is None
+    for part in (slice(100), slice(300, None)):
+        some = Readings(away.motor_rad[part], away.torque_Nm[part])
+        assert measure_backlash(CONFIG, joint, load, press, some) is None
+
+
 @pytest.mark.parametrize("width", [None, 1e-4, 2e-2, -1e-3])
 def test_a_width_that_is_no_gap_leaves_the_drawing_s(width):
     towards, _ = run(Joint.WRIST, 0.0, 4e-3, 5e4, 2e5, 40.0, 4)

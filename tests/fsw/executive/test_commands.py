@@ -32,6 +32,7 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import HardstopMissed
 from fsw.kinematics.closed_form import BRANCHES
+from fsw.state import Hold, Sequence
 from helpers.marks import slow_but
 from tests.fsw.executive import lab
 from tests.fsw.rig import Rig, floats, with_params
@@ -277,6 +278,14 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
         rig.cycle(**readings)
     assert CommandCompleted("Retract") in rig.run()
     assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_a_step_that_is_refused_when_its_turn_comes_aborts_its_sequence():
+    rig = lab.deployed()
+    rig.state = replace(rig.state, sequence=Sequence("Process", (Hold(1.0, vibrate=True),)))
+    rig.cycle(winding_C=[lab.NAN] * 5)
+    assert rig.evrs[:2] == [CommandRefused("Hold", "a reading is unusable"), CommandAborted("Process")]
+    assert rig.state.sequence is None
 
 
 def test_only_the_first_of_two_moves_in_one_cycle_begins():

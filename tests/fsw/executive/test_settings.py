@@ -69,6 +69,7 @@ def test_a_joint_whose_zero_rests_on_a_parameter_is_to_be_calibrated_again(name)
         ("joints.elbow.speed_rad_s", float("nan"), "value: nan is outside -1e+09 .. 1e+09"),
         ("motion.load_period_cycles", 2.5, "motion.load_period_cycles: must be a whole number, is 2.5"),
         ("joints.elbow.soft_max_rad", 1.0, "poses.ready_rad"),
+        ("joints.elevation.hardstop_press_Nm", 301.0, "301.0 is above 300, 0.5 of hardstop_rated_Nm"),
     ],
 )
 def test_what_is_no_parameter_or_no_believable_value_is_refused(name, value, reason):

@@ -60,13 +60,16 @@ def test_a_tool_that_points_the_other_way_is_no_root():
 
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
-def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
+def test_a_target_out_of_reach_or_a_start_that_is_not_finite_does_not_converge_and_raises_nothing(
+    name, gravity
+):
     config = config_of(name)
     q, p, a = deflected_targets(config, "apxs", 20, MARS_R_m_s2)
     for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
         found = refine_roots(config.arm, "apxs", far, a, gravity, q)
         assert not found.converged.any()
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
+    assert not refine_roots(config.arm, "apxs", p, a, gravity, np.full_like(q, np.nan)).converged.any()
 
 
 def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():

@@ -14,7 +14,7 @@ from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle
-from fsw.motion.plan import Compensation, Plan, Refusal, plan_poses, worst_limit_excess
+from fsw.motion.plan import TOO_SOFT, Compensation, Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from helpers.marks import slow_but
 from tests.fsw.motion.lab import gear_at_end
@@ -259,9 +259,19 @@ def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
 
 def test_a_line_of_no_length_is_refused():
     rig = Rig(CONFIG)
-    X = rig.tool_pose("apxs")
-    command = GuardedMove("apxs", floats(X.p), floats(X.R[:, 0]))
-    assert plan_guarded(CONFIG, rig.state.joints, command) == Refusal("the straight move has no length")
+    touch, back = rig.touch("apxs", 0.0), Retract("apxs", 0.0)
+    for plan in (plan_guarded(CONFIG, rig.state.joints, touch), plan_retract(CONFIG, rig.state.joints, back)):
+        assert plan == Refusal("the straight move has no length")
+
+
+def test_no_move_is_planned_for_an_arm_too_soft_to_come_to_rest():
+    joints, soft = (
+        joints_at(),
+        replace(CONFIG, arm=replace(CONFIG.arm, compliance=100 * CONFIG.arm.compliance)),
+    )
+    pose = joints.output_rad
+    one = plan_joint(soft, joints, Joint.WRIST, pose[Joint.WRIST], Compensation())
+    assert one == plan_poses(soft, joints, [pose], Compensation()) == Refusal(TOO_SOFT)
 
 
 def test_a_target_with_its_approach_along_the_pitch_axes_is_refused_with_the_nearest_regular_approach():
