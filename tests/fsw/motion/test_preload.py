@@ -55,9 +55,9 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
 
 @pytest.mark.slow
 def test_a_press_that_no_current_shows_is_reported_also_when_it_is_lowered_but_not_when_it_is_released():
-    rig = pressed_with(300.0)
-    rig.run(Preload("apxs", 150.0), **TOUCHED)
-    rig.run(Preload("apxs", 0.0), **TOUCHED)
+    rig = guarded_in_contact()
+    for force_N in (300.0, 150.0, 0.0):
+        rig.run(Preload("apxs", force_N), **TOUCHED)
     missed = [evr for evr in rig.evrs if isinstance(evr, PreloadMissed)]
     assert [evr.commanded_N for evr in missed] == [300.0, 150.0]
     assert [evr.reason for evr in missed] == [
