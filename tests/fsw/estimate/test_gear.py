@@ -225,7 +225,7 @@ def test_a_run_without_the_way_before_the_stop_or_a_part_of_the_gap_measures_not
     assert measure_backlash(CONFIG, joint, load, press, away) == pytest.approx(gap, abs=0.12e-3)
     late = Readings(towards.motor_rad[-110:], towards.torque_Nm[-110:])
     assert fit_contact_line(CONFIG, joint, load, late) is None
-    for part in (slice(100), slice(200), slice(300, None)):
+    for part in (slice(100), slice(150), slice(300, None)):
         some = Readings(away.motor_rad[part], away.torque_Nm[part])
         assert measure_backlash(CONFIG, joint, load, press, some) is None
 
