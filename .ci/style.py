@@ -25,6 +25,11 @@ NUMERIC: Final = (
 """Folders whose public functions say shapes and units."""
 SAID_ONCE: Final = (
     *(f"fsw/kinematics/{name}.py" for name in ("transforms", "closed_form", "roots")),
+    *(f"marsarm/diagnosis/{name}.py" for name in ("diagnose", "model", "problem", "selection")),
+    *(
+        f"marsarm/diagnosis/arm/{name}.py"
+        for name in ("case", "case_simulator", "feature_set", "features", "finite_differences", "rest_poses")
+    ),
     *(
         f"marsarm/calibration/{name}.py"
         for name in (

@@ -48,11 +48,8 @@ def commands_in(text: str) -> list[list[str]]:
     """Return the words of each command of `marsarm` or `simgap`, in blocks and lines of a page."""
     in_blocks = [line for block in CODE.findall(text) for line in block.splitlines()]
     in_lines = re.findall(r"`([^`\n]+)`", CODE.sub("", text))
-    return [
-        shlex.split(line.replace("\\|", "|"), comments=True)
-        for line in (*in_blocks, *in_lines)
-        if line.partition(" ")[0] in PRODUCTS
-    ]
+    lines = (line for line in (*in_blocks, *in_lines) if line.partition(" ")[0] in PRODUCTS)
+    return [shlex.split(line.replace("\\|", "|"), comments=True) for line in lines]
 
 
 def find_unknown(words: list[str]) -> list[str]:

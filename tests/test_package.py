@@ -110,14 +110,9 @@ class Installed:
         """Run a program of the environment in a folder outside of the repository."""
         outside = {name: os.environ[name] for name in ("PATH", "OPENBLAS_NUM_THREADS") if name in os.environ}
         return subprocess.run(
-            [str(self.bin / words[0]), *words[1:]],
-            cwd=self.work,
-            env=outside | {"HOME": str(self.home)},
-            capture_output=True,
-            text=True,
-            timeout=3000,
-            check=False,
-        )
+            [str(self.bin / words[0]), *words[1:]], cwd=self.work, env=outside | {"HOME": str(self.home)},
+            capture_output=True, text=True, timeout=3000, check=False,
+        )  # fmt: skip
 
     def run_json(self, *words: str) -> dict:
         """Run `marsarm` with these words, and return its document."""

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.arm_folder import write_arm
 from helpers.command import run_simgap
-from helpers.verdicts import ARMATURE, FRICTION, GAIN, REFUSED, REST, Drawn, diagnosis, finding
+from helpers.verdicts import FOUND, Drawn
 from simgap.report.page import save_diagnosis_page
 from simgap.report.traces import Trace, make_traces
 from validation.browser import CONTRAST, LEAST_CONTRAST, LOADED
@@ -18,12 +18,6 @@ TRACKS = """
   new Set([...figure.querySelectorAll(".track")].map((one) => one.getBoundingClientRect().width)).size)
 """
 """Number of different widths of the bars' tracks in each figure of errors."""
-FOUND = diagnosis(
-    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
-    base=(GAIN, ARMATURE),
-    remaining=(REST,),
-    refused=REFUSED,
-)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ SWITCHES = tuple(switch.name for switch in _PARAMS.switches)
 TOOL_SWITCHES = {
     tool: tuple(switch.name for switch in _PARAMS.switches if switch.tool == tool) for tool in TOOLS
 }
+WITH_SWITCHES = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 
 
 def tool_index(tool: str) -> int:

@@ -169,6 +169,8 @@ def measure_backlash(
             return None
         crossing = float(push[flat].mean())
     beyond = angle > start + PLATEAU[1] * nominal
+    if not beyond.any():
+        return None
     angle, excess = angle[beyond], push[beyond] - 0.5 * (crossing + final)
     half_way = float(angle[int(np.argmin(np.cumsum(excess)))])
     gear_compliance = compliance if -load_Nm > friction else 1.0 / params.gear_stiffness_Nm_rad

@@ -10,16 +10,21 @@ For the model y = N v + S a + e with A = [N S], the fit leaves M y, which has th
 For directions Q, the projection Q'M y is tested by a chi-square with covariance Q'M Q. The directions are a
 constant and the conditions, in every channel and each of its regimes. The energy of the channel in that
 regime is a second test. A last test takes all directions of all channels together.
+
+In all functions, `value` are measured minus nominal features, and `rows` are residuals as in
+`Explanation.residuals`, in the units of the channels, (m,) each; `sigma` is their noise, (m,). The whitened
+features are `y`, (m,).
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import (
+    KINDS_OF_TEST,
     MIN_DIRECTION_SHARE,
     DiagnosisModel,
     FeatureGroup,
@@ -28,7 +33,7 @@ from marsarm.diagnosis.model import (
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Hypothesis
+from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -41,6 +46,7 @@ from simgap import (
 )
 from simgap.next_motion.rivals import list_rivals
 from simgap.report.sentences import join_words
+from simgap.selection.chance import FALSE_ALARM
 
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
@@ -48,9 +54,6 @@ NEXT_MOTION: Final = "the motion that `marsarm gap next` proposes"
 """What to record where several effects are left."""
 REGIMES: Final = {"rest": "at rest", "pose": "at rest", "reversal": "after a reversal"}
 """Regimes of features in words, where they are not those of any robot."""
-
-Finest = Literal["effect", "place", "none"]
-"""Finest level at which effects may be told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,11 +73,7 @@ class Explanation:
 
 
 def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -> Explanation:
-    """Diagnose one case whose effects are selected.
-
-    Args:
-        value: Measured minus nominal features in the units of the channels, (m,).
-    """
+    """Diagnose one case whose effects are selected."""
     sensitivities = selection.sensitivities
     for h, a in zip(selection.chosen, selection.departures.values(), strict=True):
         sensitivities = sensitivities.linearised(h, a)
@@ -82,29 +81,27 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
     y, q = equations.whiten(value), equations.q
     fit = fit_linear(equations, y, selection.chosen)
     remaining = tuple(find_lack_of_fit(model, fit, y))
-    unit = equations.nuisance_sigma
+    shared = sensitivities.shared_nuisances
+    unit = sensitivities.sigma[shared]
     nuisance = fit.theta[:q] * unit
-    base = value - sensitivities.nuisance[:, sensitivities.shared_nuisances] @ nuisance
+    base = value - sensitivities.nuisance[:, shared] @ nuisance
     rows = value, base, base - selection.sensitivities.change(selection.departures)
-    sets = find_confidence_sets(selection.engine)
+    engine, sets = selection.engine, find_confidence_sets(selection.engine)
+    findings = tuple(_describe_findings(model, selection, sets, bool(remaining)))
     diagnosis = Diagnosis(
         robot="",
         kind=FeatureResiduals.kind,
-        seed=selection.engine.context.seed,
-        findings=tuple(_describe_findings(model, selection, sets, bool(remaining))),
+        seed=engine.context.seed,
+        findings=findings,
         base=(),
         errors=tuple(list_errors(model.sensitivities.layout, rows, model.sensitivities.layout.sigma)),
         remaining=remaining,
         refused=(),
-        fitted_motions=selection.engine.context.model.motions,
+        fitted_motions=engine.context.model.motions,
         judged_motions=(),
         effects=tuple(selection.departures),
         sizes=tuple(tuple(a.tolist()) for a in selection.departures.values()),
-        rivals=tuple(
-            rival
-            for one in sets
-            for rival in list_rivals(selection.engine.context, selection.engine.chosen, one)
-        ),
+        rivals=list_rivals(engine.context, engine.chosen, sets, findings),
         method=FeatureResiduals.method,
     )
     covariance = fit.covariance[:q, :q] * np.outer(unit, unit)
@@ -112,13 +109,7 @@ def diagnose(model: DiagnosisModel, value: Array, selection: FeatureSelection) -
 
 
 def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> Iterator[JointError]:
-    """Yield the mean errors of each channel that has features.
-
-    Args:
-        layout: Layout of m features.
-        rows: Residuals as in `Explanation.residuals`, in the units of the channels, shape (m,) each.
-        sigma: Standard deviation of the noise in the same units, shape (m,).
-    """
+    """Yield the mean errors of each channel that has features."""
     for channel in dict.fromkeys(layout.channel.tolist()):
         own = layout.channel == channel
         nominal, base, explained = (float(np.mean(np.abs(one[own]))) for one in rows)
@@ -130,66 +121,52 @@ def list_errors(layout: FeatureLayout, rows: Sequence[Array], sigma: Array) -> I
 def _describe_findings(
     model: DiagnosisModel, selection: FeatureSelection, sets: Sequence[ConfidenceSet], has_remainder: bool
 ) -> Iterator[Finding]:
-    places = [hypothesis.location for hypothesis in selection.departures]
-    for one, hypothesis, place in zip(sets, selection.departures, places, strict=True):
-        # several effects at one place, or one beside which something remains, may be a single unknown one;
-        # if something remains beside effects at several places, it may be at another place
-        finest: Finest = "place" if has_remainder or places.count(place) > 1 else "effect"
-        finest = "none" if has_remainder and len(set(places)) > 1 else finest
-        yield _describe_finding(model, one, hypothesis, selection, finest)
-
-
-def _describe_finding(
-    model: DiagnosisModel,
-    found: ConfidenceSet,
-    hypothesis: Hypothesis,
-    selection: FeatureSelection,
-    finest: Finest,
-) -> Finding:
-    """Describe a finding: the sets of a level that is too fine are empty, and without one all places stay."""
-    (own, *_), every = found.alternatives, model.sensitivities.hypotheses
-    index, size = model.sensitivities.index(hypothesis.key), selection.departures[hypothesis]
-    columns = selection.engine.context.union.columns([hypothesis])
-    intervals = own.intervals[[int(np.flatnonzero(own.columns == c)[0]) for c in columns]]
-    ends = np.sort([hypothesis.values(end) for end in (*intervals.T,)], axis=0)
-    bounds = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
-    members = [
-        every[k]
-        for one in found.alternatives
-        for k in model.equivalence_class(model.sensitivities.index(one.effect.key))
-    ]
-    places = [one.location for one in (every if finest == "none" else members)]
-    is_named = finest == "effect"
-    alike = [f"{every[k].effect} at {every[k].place}" for k in model.equivalence_class(index) if k != index]
-    return Finding(
-        place=hypothesis.place,
-        family=hypothesis.family,
-        effect=hypothesis.effect,
-        size=tuple(hypothesis.values(size).tolist()),
-        size_names=tuple(
-            f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
-        ),
-        interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
-        text=hypothesis.describe(size) + (f"; the same here as {join_words(alike, 'and')}" if alike else ""),
-        share=found.share,
-        places=tuple(dict.fromkeys(places)),
-        families=tuple(dict.fromkeys(one.family for one in members)) if is_named else (),
-        effects=tuple(one.effect.key for one in found.alternatives) if is_named else (),
-        next_motion=NEXT_MOTION if len(found.alternatives) > 1 or not is_named else "",
-    )
+    """Describe findings: the sets of a level that is too fine are empty, and without one all places stay."""
+    every, union = model.sensitivities.hypotheses, selection.engine.context.union
+    found_at = [hypothesis.location for hypothesis in selection.departures]
+    is_anywhere = has_remainder and len(set(found_at)) > 1  # what remains may be at another place
+    for found, (hypothesis, size) in zip(sets, selection.departures.items(), strict=True):
+        # several effects at one place, or one beside which something remains, may be a single unknown one
+        is_named = not has_remainder and found_at.count(hypothesis.location) == 1
+        own, index = found.alternatives[0], model.sensitivities.index(hypothesis.key)
+        columns = [int(np.flatnonzero(own.columns == c)[0]) for c in union.columns([hypothesis])]
+        ends = np.sort([hypothesis.values(end) for end in own.intervals[columns].T], axis=0)
+        bounds = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
+        members = [
+            every[k]
+            for one in found.alternatives
+            for k in model.equivalence_class(model.sensitivities.index(one.effect.key))
+        ]
+        alike = [f"{every[k].name} at {every[k].place}" for k in model.equivalence_class(index) if k != index]
+        same = f"; the same here as {join_words(alike, 'and')}" if alike else ""
+        yield Finding(
+            place=hypothesis.place,
+            family=hypothesis.family,
+            effect=hypothesis.name,
+            size=tuple(hypothesis.values(size).tolist()),
+            size_names=tuple(
+                f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
+            ),
+            interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
+            text=hypothesis.describe(size) + same,
+            share=found.share,
+            places=tuple(dict.fromkeys(one.location for one in (every if is_anywhere else members))),
+            families=tuple(dict.fromkeys(one.family for one in members)) if is_named else (),
+            effects=tuple(one.effect.key for one in found.alternatives) if is_named else (),
+            next_motion=NEXT_MOTION if len(found.alternatives) > 1 or not is_named else "",
+        )
 
 
 def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterator[Remainder]:
     """Test every group, and all groups together, for structure.
 
-    The greater -log10 p of both tests of a group counts. Of each channel the most significant group is
-    yielded, the most significant first; all channels together only if none is by itself.
-
-    Args:
-        y: Whitened features, shape (m,).
+    All tests together have their part of the probability of a false alarm (Bonferroni). The lesser p of both
+    tests of a group counts. Of each channel the most significant group is yielded, the most significant
+    first; all channels together only if none is by itself.
     """
     rest = np.asarray(y - fit.A @ fit.theta)
     total, freedom, found = 0.0, 0, []
+    limit = np.log(FALSE_ALARM / KINDS_OF_TEST / (2 * len(model.groups) + 1))
     for group in model.groups:
         statistic, d = _chi_square(group, fit, rest)
         whole = group.regime is None
@@ -197,22 +174,18 @@ def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterato
         A = fit.A[group.rows]
         energy = float(np.sum(rest[group.rows] ** 2))
         n = max(group.rows.size - float(np.sum((A @ fit.covariance) * A)), 1.0)  # the energy that is expected
-        of_direction, of_energy = _neg_log10_p(statistic, d), _neg_log10_p(energy, n)
-        remainder = _describe(model.sensitivities.layout, group, rest, of_direction >= of_energy)
-        found.append((max(of_direction, of_energy), remainder))
+        of_direction, of_energy = chi_square_log_p(statistic, d), chi_square_log_p(energy, n)
+        remainder = _describe(model.sensitivities.layout, group, rest, of_direction <= of_energy)
+        found.append((min(of_direction, of_energy), remainder))
     mean = float(np.mean(np.abs(rest)))
     everywhere = Remainder("all channels together", "all motion", mean, FeatureResiduals.units[0], "", 0.0)
-    found = [(p, one) for p, one in found if p >= model.lack_of_fit_limit]
-    if not found and _neg_log10_p(total, max(freedom, 1)) >= model.lack_of_fit_limit:
+    found = [(log_p, one) for log_p, one in found if log_p <= limit]
+    if not found and chi_square_log_p(total, max(freedom, 1)) <= limit:
         yield everywhere
     largest: dict[str, Remainder] = {}
-    for _, one in sorted(found, key=lambda pair: -pair[0]):
+    for _, one in sorted(found, key=lambda pair: pair[0]):
         largest.setdefault(one.joint, one)
     yield from largest.values()
-
-
-def _neg_log10_p(statistic: float, freedom: float) -> float:
-    return -chi_square_log_p(statistic, freedom) / float(np.log(10.0))
 
 
 def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:

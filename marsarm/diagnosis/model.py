@@ -8,7 +8,8 @@ sigma, so that their prior has unit covariance too. They are eliminated by the S
 
     R = S'S - S'N (N'N + 1)^-1 N'S
 
-Shapes use m features, q shared nuisances and k columns of h hypotheses.
+Shapes use m features, q shared nuisances and k columns of h hypotheses. In all functions, `rows` are indices
+of features, `y` are whitened features, (m,), and `label` are the equivalence classes of the hypotheses, (h,).
 """
 
 from collections.abc import Collection
@@ -29,25 +30,18 @@ from simgap.selection.chance import FALSE_ALARM
 
 ALIAS_COSINE: Final = 0.99
 """Absolute cosine of projected sensitivities above which two hypotheses cannot be distinguished."""
-
 RANK_TOLERANCE: Final = 1e-9
 """Eigenvalues below this share of the greatest count as 0."""
-
 KINDS_OF_TEST: Final = 2
 """Effects and the test of what remains share the probability of a false alarm."""
-
 POWER: Final = 0.9
 """Probability that an effect at the detection limit passes the test."""
-
 MIN_DIRECTION_SHARE: Final = 1e-6
 """Directions below this share of the largest are not tested."""
-
 MIN_GROUP_FEATURES: Final = 4
 """Least number of features in a group."""
-
 ABSORBED_SHARE: Final = 1e-6
 """A column counts as not identifiable if the nuisances leave less than this share of its square."""
-
 
 BlockCovariance = tuple[Ints, Array, Array]
 """Low-rank covariance by nuisances: of the features of a block, if random per block, or of all.
@@ -75,23 +69,16 @@ class Whitener:
 def build_whitener(sensitivities: Sensitivities) -> Whitener:
     """Build the whitener from the noise floor and the nuisances that are random per block."""
     layout = sensitivities.layout
-    drawn = [index for index, nuisance in enumerate(sensitivities.nuisances) if nuisance.random_per_block]
-    if not drawn:
-        return Whitener(layout.sigma, ())
-    sigma = np.array([sensitivities.nuisances[index].sigma for index in drawn])
-    L = sensitivities.nuisance[:, drawn] * sigma / layout.sigma[:, None]
-    scatter = []
-    for block in dict.fromkeys(layout.block.tolist()):
-        rows = np.flatnonzero(layout.block == block)
-        if np.any(L[rows]):
-            scatter.append(_block_covariance(rows, L[rows]))
-    return Whitener(layout.sigma, tuple(scatter))
+    drawn = [one.random_per_block for one in sensitivities.nuisances]
+    L = sensitivities.nuisance[:, drawn] * sensitivities.sigma[drawn] / layout.sigma[:, None]
+    blocks = [np.flatnonzero(layout.block == block) for block in dict.fromkeys(layout.block.tolist())]
+    return Whitener(layout.sigma, tuple(_block_covariance(rows, L[rows]) for rows in blocks if L[rows].any()))
 
 
 def build_full_whitener(sensitivities: Sensitivities) -> Whitener:
     """Build the whitener from the noise floor and all nuisances with their priors."""
     first = build_whitener(sensitivities)
-    N = _nuisance_columns(sensitivities, first)
+    N = whiten_nuisances(sensitivities, first)
     shared = _block_covariance(np.arange(len(N)), N)
     return Whitener(first.sigma, (*first.scatter, shared))
 
@@ -116,8 +103,6 @@ class NormalEquations:
     """Whitened nuisances, shape (m, q)."""
     S: Array
     """Whitened columns, shape (m, k)."""
-    nuisance_sigma: Array
-    """Sigma of each shared nuisance in its own unit, shape (q,)."""
     R: Array
     """Information of the columns with nuisances eliminated, shape (k, k)."""
     scale: Array
@@ -126,7 +111,7 @@ class NormalEquations:
     @property
     def q(self) -> int:
         """Number of shared nuisances."""
-        return self.nuisance_sigma.size
+        return int(self.N.shape[1])
 
     @property
     def identifiable(self) -> Flags:
@@ -139,7 +124,7 @@ class NormalEquations:
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses; columns that are not identifiable become 0."""
     whiten = build_whitener(sensitivities)
-    N, S = _nuisance_columns(sensitivities, whiten), whiten(sensitivities.effect)
+    N, S = whiten_nuisances(sensitivities, whiten), whiten(sensitivities.effect)
     across = N.T @ S
     R = S.T @ S - across.T @ np.linalg.solve(N.T @ N + np.eye(N.shape[1]), across)
     information = np.diagonal(R)
@@ -147,17 +132,13 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     scale = np.sqrt(np.where(is_seen, information, 0.0))
     by = np.where(is_seen, 1.0 / np.where(is_seen, scale, 1.0), 0.0)
     R = (R + R.T) / 2.0 * np.outer(by, by)
-    sigma = _shared_sigma(sensitivities)
-    return NormalEquations(sensitivities.owner, whiten, N, S * by, sigma, R, scale)
+    return NormalEquations(sensitivities.owner, whiten, N, S * by, R, scale)
 
 
-def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> Array:
+def whiten_nuisances(sensitivities: Sensitivities, whiten: Whitener) -> Array:
     """Whiten the columns of the shared nuisances, in units of their sigma, (m, q)."""
-    return whiten(sensitivities.nuisance[:, sensitivities.shared_nuisances]) * _shared_sigma(sensitivities)
-
-
-def _shared_sigma(sensitivities: Sensitivities) -> Array:
-    return np.array([sensitivities.nuisances[index].sigma for index in sensitivities.shared_nuisances])
+    shared = sensitivities.shared_nuisances
+    return whiten(sensitivities.nuisance[:, shared]) * sensitivities.sigma[shared]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,12 +154,7 @@ class LinearFit:
 
 
 def fit_linear(equations: NormalEquations, y: Array, chosen: Collection[int]) -> LinearFit:
-    """Fit nuisances and chosen hypotheses by maximum posterior; singular combinations stay at 0.
-
-    Args:
-        y: Whitened features, without a unit, shape (m,).
-        chosen: Indices of hypotheses.
-    """
+    """Fit nuisances and chosen hypotheses by maximum posterior; singular combinations stay at 0."""
     A = np.hstack([equations.N, equations.S[:, np.isin(equations.owner, list(chosen))]])
     prior = np.where(np.arange(A.shape[1]) < equations.q, 1.0, 0.0)
     covariance = np.linalg.pinv(A.T @ A + np.diag(prior), rcond=1e-13, hermitian=True)
@@ -215,19 +191,10 @@ class DiagnosisModel:
     """Effect that does not compete, to see what takes the place of one that no catalogue has; "" for none."""
 
     @property
-    def lack_of_fit_limit(self) -> float:
-        """The -log10 p from which on structure counts.
-
-        All tests together have their part of the probability of a false alarm (Bonferroni).
-        """
-        tests = 2 * len(self.groups) + 1
-        return float(-np.log10(FALSE_ALARM / KINDS_OF_TEST / tests))
-
-    @property
     def left_out(self) -> frozenset[int]:
         """Hypotheses of the left-out effect at all places, and those that these motions show alike."""
         named = zip(self.label, self.sensitivities.hypotheses, strict=True)
-        gone = {int(k) for k, one in named if one.effect == self.left_out_effect}
+        gone = {int(k) for k, one in named if one.name == self.left_out_effect}
         return frozenset(k for k, label in enumerate(self.label) if int(label) in gone)
 
     def equivalence_class(self, hypothesis: int) -> tuple[int, ...]:
@@ -272,10 +239,7 @@ def equivalence_classes(equations: NormalEquations) -> Ints:
     Classes are connected components: two members may have a smaller cosine than ALIAS_COSINE.
     """
     _, label = connected_components(csr_array(alias_cosines(equations) > ALIAS_COSINE), directed=False)
-    _, first = np.unique(label, return_index=True)
-    order = np.empty(first.size, np.intp)
-    order[np.argsort(first)] = np.arange(first.size)
-    return np.asarray(order[label])
+    return np.asarray(label, np.intp)
 
 
 def _inverse_root(R: Array) -> Array:
@@ -299,9 +263,6 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Ar
     chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
     In the selection from all hypotheses, each class has its share of half of that (Bonferroni); the test of
     what remains has the other half.
-
-    Args:
-        label: Equivalence class of every hypothesis, without a unit, shape (h,).
     """
     n_classes = np.unique(label[equations.identifiable]).size
     false_alarms = FALSE_ALARM, FALSE_ALARM / KINDS_OF_TEST / max(n_classes, 1)
@@ -331,12 +292,7 @@ def group_features(layout: FeatureLayout) -> tuple[FeatureGroup, ...]:
 
 
 def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
-    """Compute directions (n, d) of norm 1 or 0: a constant, and the centred conditions.
-
-    Args:
-        layout: Layout of the features with c conditions.
-        rows: Indices of n features.
-    """
+    """Compute directions (n, d) of norm 1 or 0 for n features: a constant, and the centred conditions."""
     centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
     all_of = np.column_stack([np.ones(rows.size), centred])
     norm = np.linalg.norm(all_of, axis=0)

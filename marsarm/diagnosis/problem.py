@@ -8,6 +8,9 @@ nominal state the residual (measured minus simulated) follows a linear model:
 Here y is the whitened residual, v the nuisances, a the amplitudes of the effects, and e noise of unit
 variance. N and S are the sensitivities, which are computed once for a campaign, and cached. The diagnosis
 finds the few hypotheses whose amplitudes are not 0.
+
+In all functions, features and their changes are arrays (m,) in the units of their channels. Departures are
+from neutral, without a unit (typical sizes), (k,).
 """
 
 import zlib
@@ -30,7 +33,6 @@ from simgap.common.files import atomic_write
 
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
-
 _READ_ERRORS: Final = (OSError, EOFError, BadZipFile, zlib.error, RuntimeError, ValueError, KeyError)
 """Errors of a damaged archive; zipfile raises RuntimeError for unknown compression."""
 BOUND_SHARE: Final = 0.9
@@ -69,27 +71,16 @@ class Hypothesis(Effect):
     What sets its shape alone keeps the default of the catalogue.
     """
 
-    effect: str
+    name: str = field()  # a field, as the base has a property of this name
     place: str
     parameters: tuple[Parameter, ...]
-    kind: StrEnum
-    """Family."""
+    family: StrEnum = field()
     location: str
     """Place without axis or direction."""
     entry: EffectHypothesis | None = field(default=None, compare=False)
     """Entry of the catalogue, which makes the effect of the plant."""
     start: float = field(default=1.0, compare=False)
     """Departure in typical sizes from which a fit starts, if the bounds leave room."""
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.effect
-
-    @property
-    def family(self) -> StrEnum:
-        """Family of the effect."""
-        return self.kind
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -100,21 +91,19 @@ class Hypothesis(Effect):
             for name, least, most in ranges
         )
 
-    def values(self, departures: Array) -> Array:
-        """Return the values of the parameters in their units, shape (n,).
+    @property
+    def common_range(self) -> tuple[float, float]:
+        """Least and greatest departure of all amplitudes together, in typical sizes."""
+        least, most = zip(*(one.departure_range for one in self.parameters), strict=True)
+        return max(least), min(most)
 
-        Args:
-            departures: Departures from neutral, without a unit (typical sizes), shape (n,).
-        """
+    def values(self, departures: Array) -> Array:
+        """Return the values of the parameters in their units, (k,)."""
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
         return np.asarray(neutral + typical * departures)
 
     def describe(self, size: Array) -> str:
-        """Return the amplitudes in their units; a factor as its change in percent.
-
-        Args:
-            size: Departures in typical sizes, without a unit, (n_sizes,).
-        """
+        """Return departures in the units of the parameters; a factor as its change in percent."""
         return ", ".join(
             f"{one.name} {100.0 * np.expm1(value):+.3g} %"
             if one.unit == LOG_UNIT
@@ -123,11 +112,7 @@ class Hypothesis(Effect):
         )
 
     def switch_on(self, departures: Array) -> PlantEffect:
-        """Return the effect of the plant; a factor is given by its logarithm.
-
-        Args:
-            departures: Departures from neutral, without a unit (typical sizes), shape (n,).
-        """
+        """Return the effect of the plant; a factor is given by its logarithm."""
         assert self.entry is not None, "a hypothesis of the catalogue"
         values: dict[str, float] = {}
         for one, value in zip(self.parameters, self.values(departures).tolist(), strict=True):
@@ -230,6 +215,11 @@ class Sensitivities:
         """Indices of the nuisances with one value in all blocks."""
         return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
 
+    @property
+    def sigma(self) -> Array:
+        """Prior standard deviation of each nuisance in its own unit, shape (q,)."""
+        return np.array([one.sigma for one in self.nuisances])
+
     def index(self, key: str) -> int:
         """Return the index of the hypothesis with this key."""
         return next(k for k, one in enumerate(self.hypotheses) if one.key == key)
@@ -238,21 +228,16 @@ class Sensitivities:
         """Compute the change (m,) by effects: parabolas, linear beyond the simulated departures."""
         total = np.zeros(self.layout.size)
         for hypothesis, a in departures.items():
-            total += self._change(np.flatnonzero(self.owner == self.hypotheses.index(hypothesis)), a)
+            own = self.owner == self.hypotheses.index(hypothesis)
+            total += continue_parabola(self.effect[:, own], self.curve[:, own], self.reach[own], a)
         return total
-
-    def _change(self, columns: Ints, a: Array) -> Array:
-        return continue_parabola(self.effect[:, columns], self.curve[:, columns], self.reach[columns], a)
 
     def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
         """Return the sensitivities with the parabola of one hypothesis through a simulated change.
 
         The slopes stay. The curvature of its largest amplitude takes what they miss. A nuisance of the same
-        parameter, whose column is parallel, gets the slope of the parabola there.
-
-        Args:
-            a: Departures in typical sizes, without a unit, shape (n,), not all 0.
-            change: Simulated change there in the units of the channels, shape (m,).
+        parameter, whose column is parallel, gets the slope of the parabola there. The departures `a` are not
+        all 0.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         curve, reach = self.curve.copy(), self.reach.copy()
@@ -272,15 +257,13 @@ class Sensitivities:
     def linearised(self, hypothesis: int, a: Array) -> "Sensitivities":
         """Return the sensitivities with those of one hypothesis linearised at an estimate.
 
-        The column of its largest amplitude makes the whole change there, beside the slopes of the others.
-
-        Args:
-            a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
+        The column of its largest amplitude makes the whole change there, beside the slopes of the others. The
+        departures `a` are not all 0.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         inside = np.clip(a, -self.reach[columns], self.reach[columns])
         effect, curve = self.effect.copy(), self.curve.copy()
-        change = self._change(columns, a)
+        change = self.change({self.hypotheses[hypothesis]: a})
         effect[:, columns] += 2.0 * curve[:, columns] * inside
         largest = int(np.argmax(np.abs(a)))
         others = np.delete(np.arange(columns.size), largest)
@@ -326,25 +309,17 @@ def load_sensitivities(
 
 
 def continue_parabola(effect: Array, curve: Array, reach: Array, a: Array) -> Array:
-    """Compute changes (m,) or (n, m): parabolas up to their reach, and straight on beyond.
+    """Compute changes: parabolas up to their reach, and straight on beyond.
 
-    Args:
-        effect: First derivatives of the features, shape (m, k).
-        curve: Second-order coefficients, shape (m, k).
-        reach: Largest simulated departures, without a unit (typical sizes), shape (k,).
-        a: Departures, without a unit (typical sizes), shape (k,), or of n candidates, shape (n, k).
+    Columns are as in `Sensitivities`. Departures `a` may be those of n candidates, (n, k); changes then are
+    (n, m).
     """
     inside = np.clip(a, -reach, reach)
     return np.asarray(a @ effect.T + (inside * (2.0 * a - inside)) @ curve.T)
 
 
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
-    """Fit slope and curvature (m,) at 0 through 0 and two points; through one point, a line.
-
-    Args:
-        ends: One or two simulated changes of the features in the units of their channels, shape (m,),
-            each with its step.
-    """
+    """Fit slope and curvature (m,) at 0 through 0 and one or two changes with their steps; one is a line."""
     (high, up), (low, down) = ends[0], ends[-1]
     curvature = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
     return high / up - curvature * up, curvature

@@ -8,6 +8,9 @@ nuisances with their priors:
 
 so that no nuisance is fitted. All features count as one joint: most nuisances, and many effects, move them
 all. The change by an effect is the parabola of the sensitivities.
+
+In all functions, `value` are measured minus nominal features in the units of the channels, (m,), `whiten` is
+the `build_full_whitener` of the sensitivities, and `excluded` are indices of hypotheses that do not compete.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -27,10 +30,8 @@ MAX_SIMULATIONS: Final = 3
 MOVED: Final = 0.1
 """Share of a simulated departure by which another may differ without a simulation of its own: up to there, a
 parabola that is continued as a line misses a hundredth of its curvature."""
-
 LIMITS: Final = 2.0
 """Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
-
 MORE_ROOM: Final = 1.1
 """Ratio from which on one range of sizes is wider than another; members of a class differ by their cosine."""
 
@@ -55,9 +56,7 @@ def select_simulated(
 ) -> FeatureSelection:
     """Select effects, simulate those beyond the reach of their sensitivities, and select again.
 
-    Args:
-        value: Measured minus nominal features in the units of the channels, (m,).
-        simulate: Simulator of the case; None to extrapolate.
+    Without a simulator they are extrapolated.
     """
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
     simulated: dict[int, tuple[Array, Array]] = {}
@@ -99,13 +98,7 @@ def select(
     seed: int,
     excluded: Collection[int] = (),
 ) -> FeatureSelection:
-    """Select the effects that a case needs.
-
-    Args:
-        whiten: Whitener of the sensitivities by noise and nuisances.
-        value: Measured minus nominal features in the units of the channels, (m,).
-        excluded: Hypotheses that do not compete.
-    """
+    """Select the effects that a case needs."""
     residuals = FeatureResiduals(sensitivities, whiten, value)
     effects = list_competitors(model, excluded)
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
@@ -119,9 +112,6 @@ def list_competitors(model: DiagnosisModel, excluded: Collection[int] = ()) -> t
 
     A class is represented by its first member whose bounds are not within those of another: a link that heat
     makes longer cannot stand for one that was built too long.
-
-    Args:
-        excluded: Indices of hypotheses that do not compete.
     """
     absent = {*excluded, *model.left_out}
     members: dict[int, list[int]] = {}
@@ -141,19 +131,14 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 
     Where both act in opposite directions, the bounds of the other change sides.
     """
-    (least, most), (other_least, other_most) = (_room(model, k) for k in (one, other))
+    hypotheses, limits = model.sensitivities.hypotheses, model.limits
+    least, most = np.array(hypotheses[one].common_range) / limits[one]
+    other_least, other_most = np.array(hypotheses[other].common_range) / limits[other]
     a, b = (np.flatnonzero(model.equations.owner == k)[0] for k in (one, other))
     if model.equations.R[a, b] < 0.0:
         other_least, other_most = -other_most, -other_least
     is_wider = most - least > MORE_ROOM * (other_most - other_least)
-    return is_wider and least <= other_least and most >= other_most
-
-
-def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
-    """Return least and greatest common departure of all amplitudes, in detection limits."""
-    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].parameters])
-    limit = model.limits[k]
-    return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
+    return bool(is_wider and least <= other_least and most >= other_most)
 
 
 class FeatureResiduals:
@@ -168,12 +153,6 @@ class FeatureResiduals:
     by_motion = False
 
     def __init__(self, sensitivities: Sensitivities, whiten: Whitener, value: Array) -> None:
-        """Whiten features and sensitivities.
-
-        Args:
-            whiten: Their `build_full_whitener`.
-            value: Measured minus nominal features in the units of the channels, (m,).
-        """
         layout = sensitivities.layout
         self._y = whiten(value)
         self._effect = whiten(sensitivities.effect)
@@ -191,12 +170,7 @@ class FeatureResiduals:
         self._condition = dict(zip(layout.conditions.tolist(), layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates in noise floors, (n_candidates, m).
-
-        Args:
-            sizes: Departures from neutral in typical sizes, without a unit, one effect after the other,
-                (n_candidates, n_sizes).
-        """
+        """Return the residuals of candidates in noise floors, (n_candidates, m)."""
         own = [self._columns[one.key] for one in effects]
         columns = np.concatenate([np.zeros(0, np.intp), *own])
         parts = self._effect[:, columns], self._curve[:, columns], self._reach[columns]

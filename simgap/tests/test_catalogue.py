@@ -13,7 +13,6 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects import effect as interface
-from simgap.effects.effect import Effect, Family
 from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
@@ -116,11 +115,13 @@ def test_temperature_needs_a_range(range_K, is_offered):
     assert ("temperature-dependent friction" in names(effects)) == is_offered
 
 
-def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(arm_logs):
-    def twisted(j):
-        return Signal(TIME_S, lively()[:, j] + 1e-3 * np.sin(lively()[:, j]))
+def twisted(angle_rad):
+    """Return the second encoders of joints with a wave of one period in a turn."""
+    return lambda j: Signal(TIME_S, angle_rad[:, j] + 1e-3 * np.sin(angle_rad[:, j]))
 
-    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted))
+
+def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(arm_logs):
+    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted(lively())))
     assert "periodic joint error" in names(effects)
     zeros = Signal(TIME_S, np.zeros(N_TICKS))
     without = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=lambda _: zeros))
@@ -132,11 +133,7 @@ def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(
 @pytest.mark.parametrize(("share", "orders"), [(1.0, {1, 2}), (0.6, {2}), (0.2, set())])
 def test_a_wave_is_offered_where_the_joint_turns_through_half_a_period(share, orders):
     command = share * np.pi * (lively() - lively().min(axis=0)) / np.ptp(lively(), axis=0)
-
-    def twisted(j):
-        return Signal(TIME_S, command[:, j] + 1e-3 * np.sin(command[:, j]))
-
-    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted))
+    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted(command)))
     assert {one.order for one in effects if isinstance(one, PeriodicError)} == orders
 
 
@@ -145,12 +142,12 @@ def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height()
     command = np.linspace(1.2, 0.0, N_TICKS)[:, None]
     stopped = np.maximum(command, np.arccos(0.25 / 0.3))
     known = catalogue(robot, logs_of(robot, command, stopped))
-    plane = [one for one in known if one.family is Family.CONTACT]
+    plane = [one for one in known if one.family is interface.Family.CONTACT]
     assert len(plane) == 1
     assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
     assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)
     free = catalogue(robot, logs_of(robot, command, command))
-    assert not [one for one in free if one.family is Family.CONTACT]
+    assert not [one for one in free if one.family is interface.Family.CONTACT]
 
 
 def test_links_that_change_no_torque_are_left_out(arm_logs):
@@ -179,7 +176,7 @@ def test_orders_of_a_smooth_error_have_narrower_priors_the_higher_they_are():
 def kinds():
     """All classes of effects that the catalogue and its parts import."""
     package = f"{interface.__package__}."
-    mine = [kind for kind in set(_below(Effect)) if kind.__module__.startswith(package)]
+    mine = [kind for kind in set(_below(interface.Effect)) if kind.__module__.startswith(package)]
     return {kind for kind in mine if isinstance(kind.name, str)}
 
 

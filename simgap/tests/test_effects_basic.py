@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers import pendulum
-from helpers.pendulum import motion, simulated, waves
 from simgap.common.errors import RobotError
 from simgap.effects import forces
 from simgap.effects.actuation import (
@@ -290,8 +289,8 @@ def test_the_engine_moves_as_the_motor_of_mujoco(attributes, mode, scale, expect
     joint = robot.joints[0]
     assert (joint.kp_Nm_rad, joint.kd_Nms_rad) == pytest.approx(expected)
     time_s = STEP_S * np.arange(4000)
-    command = waves(time_s, 3)
-    engine = simulated(robot, motion(time_s, 0.0 * time_s, command))
+    command = pendulum.waves(time_s, 3)
+    engine = pendulum.simulated(robot, pendulum.motion(time_s, 0.0 * time_s, command))
     native = by_mujoco(robot.model_xml, command, scale)
     assert np.ptp(native) > 0.2
     assert engine == pytest.approx(native, abs=2e-3)  # half a step of the command, and of the damping

@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.effect_lab import ARM_XML, PENDULUM_XML, changed, inverse_Nm, robot_of, simulate
+from simgap.effects import transmission
 from simgap.effects.forces import PlaneContact
 from simgap.effects.inertia import (
     GravityDirection,
@@ -15,15 +16,6 @@ from simgap.effects.inertia import (
     LinkMass,
     Payload,
     level_axes,
-)
-from simgap.effects.transmission import (
-    DAMPING_RATIO,
-    Backlash,
-    JointCompliance,
-    JointCoupling,
-    PeriodicError,
-    SmoothPeriodicError,
-    gear_inertia_kgm2,
 )
 
 ARM = robot_of(ARM_XML)
@@ -174,16 +166,18 @@ def flywheel(damping=DAMPING, dry=0.0):
 
 
 def backlash(place="turn", index=0, encoder_is_at_output=True):
-    return Backlash(place, index, encoder_is_at_output, typical=0.01, highest=0.1)
+    return transmission.Backlash(place, index, encoder_is_at_output, typical=0.01, highest=0.1)
 
 
 def compliance(place="turn", index=0, encoder_is_at_output=True):
-    return JointCompliance(place, index, encoder_is_at_output, typical=0.02, highest=0.2)
+    return transmission.JointCompliance(place, index, encoder_is_at_output, typical=0.02, highest=0.2)
 
 
 def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):
     """Integrate rotor and wheel with a spring between, and a loop that closes at one of them."""
-    spring_damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * gear_inertia_kgm2(flywheel(), 0))
+    spring_damping = (
+        2 * transmission.DAMPING_RATIO * np.sqrt(stiffness * transmission.gear_inertia_kgm2(flywheel(), 0))
+    )
 
     def slope(t, x):
         rotor, wheel, rotor_speed, wheel_speed = x
@@ -234,7 +228,7 @@ def test_at_rest_the_output_under_a_motor_encoder_is_lower_by_what_the_load_does
     data.qpos[:] = motor_rad
     data.qpos[1] -= lower(size, load_Nm)
     mujoco.mj_forward(robot.model, data)
-    near = 1e-4 if isinstance(effect, JointCompliance) else 1e-3
+    near = 1e-4 if isinstance(effect, transmission.JointCompliance) else 1e-3
     assert data.qfrc_bias[1] == pytest.approx(load_Nm, abs=near)
 
 
@@ -268,7 +262,7 @@ def test_a_gear_stiffer_than_the_time_step_resolves_still_moves_as_a_rigid_one()
 
 def test_a_coupled_joint_relieves_the_motor_of_its_neighbour_of_a_part_of_its_load():
     robot = robot_of(ARM_XML.replace('frictionloss="0.05"', "").replace('frictionloss="0.04"', ""))
-    coupling = JointCoupling("elbow", 2, "lift", 1, typical_ratio=0.05)
+    coupling = transmission.JointCoupling("elbow", 2, "lift", 1, typical_ratio=0.05)
     command = np.tile((0.0, 0.3, 0.0), (2000, 1))
     alone, coupled = simulate(robot, (coupling,), [[0.0], [0.1]], command, [0.0, 0.3, 0.0])[:, :, -1]
     data_load_Nm = 10 * (0.0 - alone[2])  # torque with which the loop of the elbow carries the elbow
@@ -279,13 +273,13 @@ ANGLES_RAD = np.linspace(-4, 4, 401)[None, :]
 
 
 def smooth_size(seed):
-    effect = SmoothPeriodicError("a", 2e-3)
+    effect = transmission.SmoothPeriodicError("a", 2e-3)
     widths = np.array([size.prior_std for size in effect.sizes])
     return effect, np.random.default_rng(seed).normal(0, widths)[None, :]
 
 
 def test_an_error_of_one_order_repeats_that_often_in_a_turn():
-    effect = PeriodicError("a", 5, 1e-3)
+    effect = transmission.PeriodicError("a", 5, 1e-3)
     size = np.array([[3e-3, -4e-3]])
     error_rad = effect.encode(size, ANGLES_RAD) - ANGLES_RAD
     later_rad = effect.encode(size, ANGLES_RAD + 2 * np.pi / 5) - ANGLES_RAD - 2 * np.pi / 5
@@ -296,7 +290,7 @@ def test_an_error_of_one_order_repeats_that_often_in_a_turn():
 
 @pytest.mark.parametrize("order", [1, 2, 48, 256])
 def test_decode_inverts_encode_at_the_bound(order):
-    effect = PeriodicError("a", order, 1e-3)
+    effect = transmission.PeriodicError("a", order, 1e-3)
     size = np.array([[one.high for one in effect.sizes]])
     shown_rad = effect.encode(size, ANGLES_RAD)
     np.testing.assert_allclose(effect.decode(size, shown_rad), ANGLES_RAD, atol=1e-9)
@@ -311,12 +305,14 @@ def test_decode_inverts_encode_of_many_orders(seed):
 
 def test_many_orders_are_the_sum_of_single_ones():
     effect, size = smooth_size(4)
-    orders = ((PeriodicError("a", k + 1, 1e-3), size[:, 2 * k : 2 * k + 2]) for k in range(48))
+    orders = ((transmission.PeriodicError("a", k + 1, 1e-3), size[:, 2 * k : 2 * k + 2]) for k in range(48))
     single = sum(one.encode(own, ANGLES_RAD) - ANGLES_RAD for one, own in orders)
     np.testing.assert_allclose(effect.encode(size, ANGLES_RAD) - ANGLES_RAD, single, atol=1e-14)
 
 
-@pytest.mark.parametrize("effect", [PeriodicError("a", 3, 1e-3), SmoothPeriodicError("a", 1e-3)])
+@pytest.mark.parametrize(
+    "effect", [transmission.PeriodicError("a", 3, 1e-3), transmission.SmoothPeriodicError("a", 1e-3)]
+)
 def test_a_size_of_zero_changes_no_bit(effect):
     size = np.zeros((1, len(effect.sizes)))
     for job in (effect.encode, effect.decode):

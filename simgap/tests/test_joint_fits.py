@@ -97,14 +97,6 @@ def test_an_effect_at_a_body_has_an_interval_that_holds_its_size():
     assert held >= 7  # 99 % of a binomial around 9
 
 
-def test_a_joint_without_data_does_not_hide_an_effect_at_a_body():
-    model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
-    model.joints = (*NAMES, "silent")
-    body = Toy("base", "square of all", np.square)
-    chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
-    assert [effect.key for effect in chosen.effects] == [body.key]
-
-
 def test_the_noise_of_all_repeats_counts_in_any_order():
     model = draw_toy(1, {})
     rng = np.random.default_rng(2)

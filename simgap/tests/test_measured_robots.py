@@ -97,12 +97,8 @@ AXIS_3 = pytest.mark.xfail(
 
 @pytest.mark.parametrize("axis", ["a2", pytest.param("a3", marks=AXIS_3)])
 def test_the_batches_agree_on_the_compliance_of_axes_2_and_3(axis, fitted_a, fitted_b):
-    pair = [
-        one.interval[0]
-        for _, result, _ in (fitted_a, fitted_b)
-        for one in result.findings
-        if (one.place, one.effect) == (axis, "joint compliance")
-    ]
+    found = [one for _, result, _ in (fitted_a, fitted_b) for one in result.findings]
+    pair = [one.interval[0] for one in found if (one.place, one.effect) == (axis, "joint compliance")]
     assert max(low for low, _ in pair) < min(high for _, high in pair)
 
 

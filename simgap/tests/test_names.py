@@ -1,18 +1,12 @@
 """The names that `import simgap` gives: each exists, none is loaded before it is used."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import simgap
-from helpers.command import run_simgap
+from helpers.command import run_python, run_simgap
 from simgap.common.names import list_names
-
-
-def run_python(*words):
-    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def test_every_name_exists_and_comes_from_the_module_that_defines_it():
@@ -29,7 +23,7 @@ def test_no_name_is_that_of_a_module_which_would_hide_it():
 
 def test_an_import_loads_nothing_before_a_name_is_used():
     ask = "import sys, simgap; print([name for name in ('numpy', 'mujoco', 'scipy') if name in sys.modules])"
-    assert run_python("-c", ask) == "[]"
+    assert run_python(None, "-c", ask).stdout == "[]\n"
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error():

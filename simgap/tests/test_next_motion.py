@@ -32,6 +32,7 @@ from simgap.patch.text import read_rivals
 from simgap.report.next_motion import next_document, next_lines, save_next_page
 from simgap.result import Rival
 from simgap.robot import ControlMode, Robot
+from simgap.selection.fit import STEP
 
 RANDOM = np.random.default_rng(5)
 NOTHING: Slopes = (np.zeros((3, 0)), np.zeros((3, 0)))
@@ -51,8 +52,15 @@ def test_the_separation_is_that_of_a_fit_of_both_motions():
     slopes = scale_slopes(new, old, prior)
     every = np.vstack([old, new, np.diag(1.0 / prior)])
     wanted = np.concatenate([np.zeros(30), values[0] - values[1], np.zeros(3)])
-    _, (left,), *_ = np.linalg.lstsq(every, wanted)
-    assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left))
+    sizes, (left,), *_ = np.linalg.lstsq(every, wanted)
+    error = STEP * np.linalg.norm(new @ sizes)  # of the derivatives
+    assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left - error**2))
+
+
+def test_a_small_rest_of_what_sizes_imitate_separates_nothing():
+    values, column = RANDOM.normal(size=(2, 50)), RANDOM.normal(size=(50, 1))
+    values[1] = values[0] + 500.0 * column[:, 0] + np.eye(50)[0] * 10.0
+    assert find_sigma(values, (1e6 * column, 1e6 * column), 0, 1) == 0.0
 
 
 def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_for():
@@ -69,7 +77,7 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
         sigmas = (find_sigma(predictions[k], slopes[k], *one) for one in pairs)
         return float(np.mean([norm.cdf(1.6449 - sigma) for sigma in sigmas]))
 
-    choice = choose_motion(predictions, differentiate)
+    choice = choose_motion(predictions, differentiate, (1.0, 1.0, 1.0))
     assert choice.motions[0] == min(range(60), key=confused)
     assert len(asked) < 60
     assert choice.tells_apart
@@ -77,8 +85,15 @@ def test_the_choice_is_that_of_all_motions_though_derivatives_of_few_are_asked_f
 
 def test_a_motion_that_a_rival_cannot_make_is_never_proposed():
     predictions = [np.array([[0.0, 0.0], [np.nan, 9.0]]), np.array([[0.0, 0.0], [3.0, 0.0]])]
-    choice = choose_motion(predictions, lambda some: [(np.zeros((2, 0)),) * 2 for _ in some])
+    choice = choose_motion(predictions, lambda some: [(np.zeros((2, 0)),) * 2 for _ in some], (1.0, 1.0))
     assert choice.motions == (1,)
+
+
+def test_the_motion_tells_apart_what_is_in_doubt_not_what_earlier_motions_exclude():
+    nothing = [(np.zeros((1, 0)),) * 3]
+    predictions = [np.array([[0.0], [3.0], [0.0]]), np.array([[0.0], [1.0], [9.0]])]
+    for chances, best in (((1.0, 0.4, 1e-3), 0), ((1.0, 0.4, 0.4), 1)):
+        assert choose_motion(predictions, lambda some: nothing * len(some), chances).motions[0] == best
 
 
 TIME_s = np.arange(0.0, 3.0, 0.01)
@@ -122,6 +137,16 @@ def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
     for logged in (off[0], LOGS.fit[0]):  # the first log may lack the column
         enabled = make_motion(ROBOT, plan, logged).joints["swing"].enabled
         assert [*enabled.value[[0, 499, 500, -1]]] == [1.0, 1.0, 0.0, 0.0]
+
+
+def test_a_motion_is_made_as_cold_or_as_warm_as_the_logs_were():
+    heats = zip(LOGS.fit, (25.0, 40.4, 30.0), strict=True)
+    warming = [with_signals(one, temperature=heat + 0.0 * TIME_s) for one, heat in heats]
+    plans = list_plans(ROBOT, warming, ["swing"], True)
+    assert {one.temperatures_degC["swing"] for one in plans} == {25.0, 30.0, 40.0}
+    made = make_motion(ROBOT, plans[0], warming[0]).joints["swing"].temperature
+    assert {*made.value} == {*plans[0].temperatures_degC.values()}
+    assert f"{made.value[0]:g} degC" in plans[0].describe(ROBOT)
 
 
 @pytest.mark.usefixtures("few")
@@ -236,7 +261,7 @@ def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_moti
     robot, zeros = Robot.from_toml(write_robot(tmp_path, text=text)), Signal(TIME_s, 0.0 * TIME_s)
     log = JointLog(position=zeros, command=zeros, enabled=zeros)
     logged = Motion("m", {"shoulder": log, "elbow": log}, {"shoulder": 3.0}, conditions={"gain": 3.0})
-    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, 5.0)
+    plan = Plan("shoulder", (0.0, 1.0), 1.0, 0.5, {"elbow": 0.0}, logged.gain, logged.conditions, {}, 5.0)
     first, *_, last = csv.DictReader(command_table(robot, make_motion(robot, plan, logged)).splitlines())
     assert (first["on"], last["on"], first["repeat"]) == ("1", "0", "next")
 

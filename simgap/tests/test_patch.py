@@ -9,7 +9,6 @@ import pytest
 
 from helpers import pendulum as lab
 from helpers.effect_lab import own_effect, play
-from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
 from simgap.catalogue.own_effects import load_effects
@@ -31,27 +30,27 @@ from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch, save_patch
 from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
 
-ROBOT = pendulum(limit_Nm=1.5)
+ROBOT = lab.pendulum(limit_Nm=1.5)
 IN_MODEL = {ViscousFriction: 0.01, CoulombFriction: 0.05, GainError: -0.3, Armature: 0.001}
 AT_RUN_TIME = {StribeckFriction: (0.05, 0.4), LoadFriction: 0.1, CommandDelay: 0.013, ClampHigh: 0.3}
 AT_RUN_TIME |= {MeasurementDelay: 0.0123, EncoderScale: 0.02, JointZero: 0.03, BackEmf: 0.2, DeadZone: 0.02}
 AT_RUN_TIME |= {LeakyIntegral: (1.0, 2.0), VelocityLimit: 2.0, AccelerationLimit: 0.5}
 TIME_s = np.arange(0.0, 1.5, 0.01)
-COMMAND = waves(TIME_s, seed=5)
+COMMAND = lab.waves(TIME_s, seed=5)
 
 
 def made(sizes):
     """Return effects at the pendulum, and their sizes as tuples."""
-    effects = [at_swing(kind, ROBOT) for kind in sizes]
+    effects = [lab.at_swing(kind, ROBOT) for kind in sizes]
     return effects, [size if isinstance(size, tuple) else (size,) for size in sizes.values()]
 
 
 def by_engine(effects, sizes, robot=ROBOT, early_s=0.0):
     """Return what the encoder shows in a motion by the engine, (n,); commands may have early stamps."""
-    log = motion(TIME_s, np.zeros(TIME_s.size), COMMAND)
+    log = lab.motion(TIME_s, np.zeros(TIME_s.size), COMMAND)
     command = Signal(TIME_s - early_s, COMMAND)
     log = replace(log, joints={"swing": replace(log.joints["swing"], command=command)})
-    return simulated(robot, log, *zip(effects, sizes, strict=True))
+    return lab.simulated(robot, log, *zip(effects, sizes, strict=True))
 
 
 def by_patch(effects, sizes, folder):
@@ -79,7 +78,7 @@ def test_each_effect_at_run_time_is_that_of_the_engine_and_is_seen(kind, tmp_pat
 
 @pytest.mark.parametrize(("share_of_last", "early_s"), [(0.0, 0.001), (0.1, 0.0)])
 def test_a_loop_without_the_wrapper_is_half_a_step_early_unless_it_mixes_commands(share_of_last, early_s):
-    robot = pendulum(step_s=0.002, period_s=0.01)
+    robot = lab.pendulum(step_s=0.002, period_s=0.01)
     effects, sizes = made(IN_MODEL)
     model = mujoco.MjModel.from_xml_string(make_patch(robot, effects, sizes).model_xml)
     data, shown, last = mujoco.MjData(model), [0.0], COMMAND[0]
@@ -139,7 +138,7 @@ def test_added_actuators_have_the_order_of_the_joints():
 
 def read(folder, actuator, mode="position", of_joint="", more=""):
     """Read the pendulum with an actuator of its own."""
-    xml = pendulum().model_xml.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
+    xml = lab.pendulum().model_xml.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
     return lab.read(folder, xml.replace('name="swing"', f'name="swing" {of_joint}'), mode, more=more)
 
 
@@ -192,7 +191,7 @@ def test_a_limit_that_differs_by_direction_is_refused(of_joint, range_, said, tm
         read(tmp_path, actuator, of_joint=of_joint)
 
 
-PLAIN = pendulum()
+PLAIN = lab.pendulum()
 FINE_s = np.arange(0.0, 3.0, 0.002)
 COMMANDS = {CommandDelay: 0.0123, VelocityLimit: 2.0, AccelerationLimit: 0.3, ClampLow: 1.2, ClampHigh: 0.4}
 
@@ -204,7 +203,7 @@ def read_runtime(tmp_path, text, model_xml):
 
 @pytest.mark.parametrize("kind", COMMANDS, ids=lambda kind: kind.__name__)
 def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
-    effect, command = at_swing(kind, PLAIN), waves(FINE_s, seed=3)
+    effect, command = lab.at_swing(kind, PLAIN), lab.waves(FINE_s, seed=3)
     size, memory = np.array([[COMMANDS[kind]]]), {}
     whole = effect.shape_command(size, command[None, :], 0.002)[0]
     single = [effect.next_command(size, np.array([one]), 0.002, memory)[0] for one in command]
@@ -214,7 +213,7 @@ def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
 
 def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
     (tmp_path / "own.py").write_text(own_effect())
-    logs = Logs((motion(FINE_s, waves(FINE_s, 1), waves(FINE_s, 1)),))
+    logs = Logs((lab.motion(FINE_s, lab.waves(FINE_s, 1), lab.waves(FINE_s, 1)),))
     (pull,) = load_effects(tmp_path / "own.py", PLAIN, logs)
     patch = make_patch(PLAIN, [pull], [(0.2,)])
     assert f'file = "{tmp_path / "own.py"}"' in patch.runtime
@@ -255,13 +254,13 @@ def test_a_runtime_file_of_another_format_effect_or_model_is_refused(tmp_path, o
 
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
-    robot = pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
+    robot = lab.pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
     effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
-    command = np.repeat(waves(FINE_s[::5], seed=5), 5)
+    command = np.repeat(lab.waves(FINE_s[::5], seed=5), 5)
     off = np.repeat(abs(FINE_s[::5] - 1.3) < 0.3, 5)
     enabled = Signal(FINE_s, np.where(off, 0.0, 1.0))
-    log = motion(FINE_s, 0.0 * FINE_s, command, gain={"swing": 0.6}, enabled=enabled)
-    engine = simulated(robot, log, *zip(effects, sizes, strict=True))
+    log = lab.motion(FINE_s, 0.0 * FINE_s, command, gain={"swing": 0.6}, enabled=enabled)
+    engine = lab.simulated(robot, log, *zip(effects, sizes, strict=True))
     patch = make_patch(robot, effects, sizes)
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
     runtime, data = read_runtime(tmp_path, patch.runtime, patch.model_xml), mujoco.MjData(model)

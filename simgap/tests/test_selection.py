@@ -9,8 +9,9 @@ from scipy.stats import binom
 
 from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResiduals, draw_toy
+from helpers.verdicts import finding
 from simgap import assemble
-from simgap.assemble import describe_finding, explains_too_little, find_interval, list_remainders, select_sure
+from simgap.next_motion.rivals import list_rivals
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import simulate_models, start_context
@@ -20,7 +21,7 @@ from simgap.selection.joint_fits import TOO_WIDE, add_effects, fit_base
 from simgap.selection.screening import adjust
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
-from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+from simgap.selection.verdict import EXCLUDED, find_confidence_sets, size_intervals, unexplained_dependence
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
@@ -56,17 +57,17 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause():
     selection = select_effects(model, BASE, rest, seed=1)
     sets = find_confidence_sets(selection)
     for one_set in sets:
-        finding = describe_finding(selection.context, selection.chosen, one_set, sets)
+        finding = assemble.describe_finding(selection.context, selection.chosen, one_set, sets)
         assert finding.places == ("far",)
         assert finding.families == finding.effects == ()
     residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
-    (remainder,) = list_remainders(model, residuals, model, residuals)
+    (remainder,) = assemble.list_remainders(model, residuals, model, residuals)
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
 
 
 def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     selection = select_effects(draw_toy(1, {"near: square": 0.1, "far: sine": 0.05}), BASE, CATALOGUE, seed=1)
-    sure, sets, rejected = select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
+    sure, sets, rejected = assemble.select_sure(selection, draw_toy(2, {"far: sine": 0.05}))
     assert [one.effect.key for one in sets] == ["far: sine"]
     assert [effect.key for effect in sure.chosen.effects] == ["far: sine"]
     ((place, name, reason),) = [(one.place, one.effect, one.reason) for one in rejected]
@@ -89,15 +90,23 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     judge.measured[0] += 0.3 * (1.0 - 1.0 / scale) * judge.commands[0] + 0.1 * shapes[held_out](
         judge.commands[0]
     )
-    ((_, (found,), _)) = select_sure(selection, judge)
+    ((_, (found,), _)) = assemble.select_sure(selection, judge)
     assert [one.effect.key for one in found.alternatives] == [f"near: {one}" for one in members]
+    # a rival that came back is in doubt, so that a motion is proposed; without a name, all rivals are
+    assert all(one.p > EXCLUDED for one in found.alternatives)
+    inputs = selection.context, selection.chosen, [found]
+    named, unnamed = (
+        [one.p for one in list_rivals(*inputs, [finding(effects=own)])] for own in (("near: square",), ())
+    )
+    assert named[: len(members)] == [one.p for one in found.alternatives]
+    assert unnamed == [1.0] * len(named)
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
-    assert select_sure(selection, None)[2] == []
+    assert assemble.select_sure(selection, None)[2] == []
     monkeypatch.setattr(assemble, "find_interval", lambda *_: (-1.0, 1.0))
-    sure, sets, (rejected,) = select_sure(selection, None)
+    sure, sets, (rejected,) = assemble.select_sure(selection, None)
     assert (sure.chosen.effects, sets) == ((), [])
     assert rejected.reason == "its 90 % interval holds 0"
 
@@ -108,12 +117,14 @@ def test_effects_that_resemble_each_other_are_told_as_their_place():
     selection = select_effects(model, BASE, (CATALOGUE[0], near_square), seed=1)
     assert len(selection.chosen.effects) == 2
     sets = find_confidence_sets(selection)
-    found = [describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
+    found = [assemble.describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
     assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
 
 
-def test_an_effect_of_all_joints_is_named_at_its_body():
+@pytest.mark.parametrize("joints", [NAMES, (*NAMES, "silent")], ids=["all have data", "one has none"])
+def test_an_effect_of_all_joints_is_named_at_its_body(joints):
     model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
+    model.joints = joints
     body = Toy("base", "square of all", np.square)
     chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
     assert [effect.key for effect in chosen.effects] == [body.key]
@@ -188,7 +199,7 @@ def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_par
     context, chosen, sets = selection.context, selection.chosen, find_confidence_sets(selection)
     assert {one.key for one in chosen.effects} == {"near: twin", "near: sine"}
     (sine,) = context.union.columns([one for one in chosen.effects if one.key == "near: sine"])
-    (_, alone), (low, high) = (find_interval(context, chosen, one, int(sine)) for one in ([], sets))
+    (_, alone), (low, high) = (assemble.find_interval(context, chosen, one, int(sine)) for one in ([], sets))
     assert alone < 0.1
     assert low < 0.1 < high
 
@@ -198,19 +209,19 @@ def test_a_cause_near_the_noise_is_called_a_cause(seed):
     selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
     assert "near: square" in {one.key for one in selection.chosen.effects}
     (found,) = (one for one in find_confidence_sets(selection) if one.effect.key == "near: square")
-    assert not explains_too_little(selection.context, found)
+    assert not assemble.explains_too_little(selection.context, found)
 
 
 def test_a_finding_that_removes_less_than_half_where_noise_is_known_is_not_called_a_cause():
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
     context, (found,) = selection.context, find_confidence_sets(selection)
     half, less = replace(found, share=0.5), replace(found, share=0.4)
-    assert [explains_too_little(context, one) for one in (half, less)] == [False, True]
-    told, doubted = (describe_finding(context, selection.chosen, one, [one]) for one in (half, less))
+    assert [assemble.explains_too_little(context, one) for one in (half, less)] == [False, True]
+    told, doubted = (assemble.describe_finding(context, selection.chosen, one, [one]) for one in (half, less))
     assert (told.families, told.effects) == ((Toy.family,), ("near: square",))
     assert (doubted.places, doubted.families, doubted.effects) == (("near",), (), ())
     unknown = replace(context, noise_loss=np.zeros_like(context.noise_loss))
-    assert not explains_too_little(unknown, less)
+    assert not assemble.explains_too_little(unknown, less)
 
 
 @pytest.mark.slow

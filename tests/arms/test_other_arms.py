@@ -166,14 +166,14 @@ def scaled(text: str) -> str:
     return re.sub(rf"({names})(\[[^\]]*\]|-?\d+\.\d+)", of, text)
 
 
-def small_arm(folder: Path, front_m: float) -> Path:
-    """Write the arm on a rover whose front is at this x."""
+def small_arm(folder: Path, front_m: float, old: str = "", new: str = "") -> Path:
+    """Write the arm on a rover whose front is at this x, with another text in place of one."""
     text = scaled((ARMS / default_arm().name / "arm.toml").read_text())
     text = text.replace(f'name = "{default_arm().name}"', 'name = "small"', 1)
     text = re.sub(r"\[links\.arm1\].*?(?=\[links\.arm2\])", BASE, text, flags=re.DOTALL)
     text += ROVER.format(origin=list(V_m), middle=front_m - 0.4)
     folder.mkdir(exist_ok=True)
-    (folder / "arm.toml").write_text(text)
+    (folder / "arm.toml").write_text(text.replace(old, new))
     return folder
 
 
@@ -208,8 +208,7 @@ def test_a_stowed_pose_in_the_rover_is_refused(tmp_path):
 
 
 def test_a_workspace_out_of_its_reach_is_refused(tmp_path):
-    path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
-    path.write_text(path.read_text().replace("centre_x_m = 0.95", "centre_x_m = 2.1"))
+    small_arm(tmp_path, CLEAR_m, "centre_x_m = 0.95", "centre_x_m = 2.1")
     with pytest.raises(BadArm, match=r"tool APXS reaches none of 300 .* around 2\.1 -0\.15 -0\.3"):
         check_arm(load_arm(str(tmp_path)))
 
@@ -238,8 +237,7 @@ def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path):
 
 @pytest.mark.parametrize("name", ["ground", "surface", "rock_face", "terrace", "probe"])
 def test_a_part_of_its_rover_with_the_name_of_a_shape_of_the_scene_is_refused(tmp_path, name):
-    path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
-    path.write_text(path.read_text().replace("\nbody = [", f"\n{name} = ["))
+    small_arm(tmp_path, CLEAR_m, "\nbody = [", f"\n{name} = [")
     with pytest.raises(BadArm, match=f"rover.hull.{name}: is no name, or that of another part"):
         load_arm(str(tmp_path))
 

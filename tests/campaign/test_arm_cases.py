@@ -228,13 +228,7 @@ def test_what_is_named_without_the_true_effect_is_counted_in_any_order(solved):
 GOOD = said(finding(*HIP))
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("[]", "object"),
-        ('{"verdict": "none"', "JSON"),
-    ],
-)
+@pytest.mark.parametrize(("text", "why"), [("[]", "object"), ('{"verdict": "none"', "JSON")])
 def test_what_is_no_solved_case_is_refused(tmp_path, text, why):
     sealed.write_json(tmp_path / sealed.SOLVED_FOLDER / "case-000.json", GOOD)
     assert sealed.load_results(tmp_path) == {"case-000": GOOD}

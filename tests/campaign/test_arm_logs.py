@@ -10,7 +10,6 @@ import pytest
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses
-from marsarm.diagnosis.arm.demo import DetectableEffect, sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
 from marsarm.telemetry.read import read_log
@@ -27,25 +26,24 @@ from sim.scenario.effects import effect_text
 from sim.tolerances import draw_calibration_errors
 from tests.tools import TOOLS
 from validation.cases import arm, arm_truth
-from validation.cases.arm import ArmCases, choose_sessions, draw_truth
 from validation.cases.sealed import CASES_FOLDER, record_case
 
 pytestmark = pytest.mark.slow
 
-MAKER = ArmCases(("cold",))
-SESSIONS = choose_sessions(MAKER.sessions)
+MAKER = arm.ArmCases(("cold",))
+SESSIONS = arm.choose_sessions(MAKER.sessions)
 
 
 def cases(kinds=("single", "out-of-catalogue")):
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
-        DetectableEffect(one, 0.4, number)
+        demo.DetectableEffect(one, 0.4, number)
         for number, one in enumerate(list_hypotheses())
         if one.key in ("elbow: coulomb-friction", "wrist: backlash-width")
     ]
     unknown = [one for (name, _), one in arm_truth.list_uncatalogued().items() if name == "drifting-current"]
-    outside = [DetectableEffect(one, 0.4, None) for one in unknown]
-    truth = draw_truth(10, 1, catalogue, outside)
+    outside = [demo.DetectableEffect(one, 0.4, None) for one in unknown]
+    truth = arm.draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth if case.kind == kind) for kind in kinds}
 
 
@@ -60,7 +58,7 @@ def recorded(request, tmp_path_factory):
 
 
 def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise():
-    one, again, other = (sample_background(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    one, again, other = (demo.sample_background(np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
     assert any(isinstance(effect, Numerics) for effect in one)

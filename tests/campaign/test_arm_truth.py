@@ -59,7 +59,7 @@ def test_sizes_are_even_in_their_logarithm_and_as_far_from_neutral_as_they_say()
 def test_effects_outside_the_catalogue_come_equally_often():
     outside = [seen(f"o{k}", f"p{j}", label=None) for k in range(22) for j in range(2)]
     cases = plan_cases(400, CATALOGUE, outside, np.random.default_rng(1))
-    names = [one.source.hypothesis.effect for case in cases for one in case.effects if case.kind[0] == "o"]
+    names = [one.source.hypothesis.name for case in cases for one in case.effects if case.kind[0] == "o"]
     assert {names.count(name) for name in set(names)} == {5, 6}
     assert len(names) == 127
 

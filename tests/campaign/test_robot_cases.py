@@ -18,33 +18,13 @@ from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
-from validation.cases.robot import (
-    CHANGES,
-    INDEX_FILE,
-    PAIR_SHARES,
-    RobotCases,
-    RobotPairs,
-    SealedPair,
-    plan_robot_cases,
-    score_pairs,
-    write_logs,
-)
+from validation.cases import sealed
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
 from validation.cases.robot_score import SealedCase, score_cases
 from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot, sample_times, write_robot
 from validation.cases.robot_table import list_hypotheses
-from validation.cases.sealed import (
-    LEVELS,
-    SealedTruth,
-    case_path,
-    load_truth,
-    result_path,
-    seal,
-    solve_cases,
-    write_json,
-)
 
-MAKER = RobotCases(("pendulum",))
+MAKER = robot_cases.RobotCases(("pendulum",))
 DELAY = DrawnEffect("command delay", "swing", "sensing and timing", 0.004, 0.5, 2.0, ("sensing and timing",))
 CREEP = DrawnEffect("creeping link", "swing", "transmission", 0.01, 0.5, 2.0, ("geometry", "transmission"))
 
@@ -69,12 +49,12 @@ FRICTION = finding("Stribeck friction", "friction")
 
 
 def test_what_was_sealed_comes_back(tmp_path):
-    digest = seal(tmp_path, SealedTruth("salt", (case("single", DELAY),)))
-    assert load_truth(tmp_path, MAKER).digest() == digest
+    digest = sealed.seal(tmp_path, sealed.SealedTruth("salt", (case("single", DELAY),)))
+    assert sealed.load_truth(tmp_path, MAKER).digest() == digest
 
 
 def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts():
-    plans = plan_robot_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
+    plans = robot_cases.plan_robot_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
     assert Counter(one.kind for one in plans) == {"none": 36, "single": 36, "pair": 24, "outside": 24}
     assert set(Counter((one.kind, one.model) for one in plans).values()) == {12, 8}
     assert min(one.seed for one in plans) >= 1000
@@ -82,11 +62,13 @@ def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts()
 
 def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     (tmp_path / "cases").mkdir()
-    (tmp_path / INDEX_FILE).write_text(json.dumps({"case-000": "pendulum", "case-001": "pendulum"}))
+    (tmp_path / robot_cases.INDEX_FILE).write_text(
+        json.dumps({"case-000": "pendulum", "case-001": "pendulum"})
+    )
     for name in ("case-000", "case-001"):
-        case_path(tmp_path, MAKER, name).touch()
+        sealed.case_path(tmp_path, MAKER, name).touch()
     (tmp_path / "digest.txt").write_text("00")
-    write_json(result_path(tmp_path, "case-000"), result())
+    sealed.write_json(sealed.result_path(tmp_path, "case-000"), result())
 
     class Nothing:
         findings = remaining = errors = refused = ()
@@ -94,7 +76,7 @@ def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(tmp
     seen: list[Path] = []
     diagnosed = lambda *paths: seen.extend(paths[:2]) or Nothing()  # noqa: E731
     monkeypatch.setattr(robot_cases, "diagnose_files", diagnosed)
-    assert solve_cases(tmp_path, MAKER, run_here, no_progress) == (1, 2)
+    assert sealed.solve_cases(tmp_path, MAKER, run_here, no_progress) == (1, 2)
     names = [path.relative_to(tmp_path).as_posix() for path in seen]
     assert names == ["robots/pendulum/robot.toml", "cases/case-001.parquet"]
 
@@ -112,14 +94,14 @@ def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives():
     only_place = {**FRICTION, "families": [], "effects": []}
     for found, wrong in ((FRICTION, [0, 1, 1]), (only_place, [0, 0, 0])):
         bars = score_cases([(case("outside", CREEP), result(found))]).document["bars"]
-        assert [bars[f"outside, wrong {level}"]["hits"] for level in LEVELS] == wrong
+        assert [bars[f"outside, wrong {level}"]["hits"] for level in sealed.LEVELS] == wrong
 
 
 def test_effects_below_the_limit_are_not_counted_as_missed():
     small = replace(DELAY, times_limit=0.9)
     truth = Truth("pendulum", "single", 1000, (small,), {})
-    sealed = SealedCase("case-000", truth, ((("command delay", "swing"),),))
-    assert score_cases([(sealed, result())]).document["bars"]["reported"]["of"] == 0
+    secret = SealedCase("case-000", truth, ((("command delay", "swing"),),))
+    assert score_cases([(secret, result())]).document["bars"]["reported"]["of"] == 0
 
 
 @pytest.mark.parametrize(("of", "rate", "most"), [(36, 0.05, 4), (24, 0.05, 3), (24, 0.10, 5), (24, 0.15, 7)])
@@ -135,7 +117,7 @@ def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path
     joint = JointLog(position=signal, command=signal, temperature=signal)
     motions = tuple(Motion(name, {"swing": joint}, {"swing": 1.0}) for name, _ in PLAN)
     robot_file = write_robot(tmp_path / "robot", "pendulum")
-    write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
+    robot_cases.write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
     table = pq.read_table(tmp_path / "log.parquet")
     columns = "motion repeat t_s command_swing position_swing temperature_swing"
     assert table.column_names == columns.split()
@@ -167,7 +149,9 @@ CLAMP = DrawnEffect("command clamp, high", "swing", "actuation", 0.3, 0.5, 4.0, 
 
 def pair(*changes, is_gone=False):
     truth = Truth("pendulum", "single" if changes else "none", 11, changes, {})
-    return SealedPair("case-000", truth, tuple(((one.name, one.place),) for one in changes), (), is_gone)
+    return robot_cases.SealedPair(
+        "case-000", truth, tuple(((one.name, one.place),) for one in changes), (), is_gone
+    )
 
 
 def changes_of(*effects):
@@ -177,17 +161,19 @@ def changes_of(*effects):
 
 
 def count_hits(*solved):
-    return [one["hits"] for one in score_pairs(solved).document["bars"].values()]
+    return [one["hits"] for one in robot_cases.score_pairs(solved).document["bars"].values()]
 
 
 def test_of_forty_pairs_sixteen_have_no_change():
-    plans = plan_robot_cases(40, 7, tuple(ARMS), PAIR_SHARES)
+    plans = robot_cases.plan_robot_cases(40, 7, tuple(ARMS), robot_cases.PAIR_SHARES)
     assert Counter(one.kind for one in plans) == {"none": 16, "single": 24}
 
 
 def test_the_numbers_of_every_joint_may_change():
-    changing = {one.place for one in list_hypotheses(load_robot("four_joint"), CHANGES)}
-    friction = [one for one in list_hypotheses(load_robot("four_joint"), CHANGES) if "Coulomb" in one.key]
+    changing = {one.place for one in list_hypotheses(load_robot("four_joint"), robot_cases.CHANGES)}
+    friction = [
+        one for one in list_hypotheses(load_robot("four_joint"), robot_cases.CHANGES) if "Coulomb" in one.key
+    ]
     assert {one.place for one in friction} == {joint.name for joint in load_robot("four_joint").joints}
     assert "supply" in changing
 
@@ -195,7 +181,7 @@ def test_the_numbers_of_every_joint_may_change():
 @pytest.mark.slow
 @pytest.mark.parametrize("is_gone", [False, True])
 def test_both_logs_have_the_same_commands_and_one_of_them_the_change(tmp_path, is_gone):
-    RobotPairs(("pendulum",)).record(tmp_path / "case-000", pair(CLAMP, is_gone=is_gone))
+    robot_cases.RobotPairs(("pendulum",)).record(tmp_path / "case-000", pair(CLAMP, is_gone=is_gone))
     paths = (tmp_path / "case-000" / f"{name}.parquet" for name in ("before", "after"))
     before, after = (pq.read_table(path).to_pydict() for path in paths)
     assert set(before["motion"]) == {name for name, _ in PLAN} - HELD_OUT

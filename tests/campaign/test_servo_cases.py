@@ -14,7 +14,7 @@ from validation.cases.robot_draw import DrawnEffect, Truth, record_logs
 from validation.cases.robot_score import SealedCase
 from validation.cases.robot_setup import PERIOD_S, SERVOS, load_robot, sample_times, write_robot
 from validation.cases.robot_truth import Nuisances
-from validation.cases.servo import KIND_SHARES, score_cases
+from validation.cases.servo import KIND_SHARES, is_settled, say_what_is_open, score_cases
 from validation.cases.servo_truth import ServoPlant
 
 MODEL = "servo_200g_100mm"
@@ -62,16 +62,49 @@ def test_sixty_cases_have_their_kinds():
     assert Counter(one.kind for one in plans) == {"none": 20, "single": 14, "pair": 13, "triple": 13}
 
 
-def test_only_a_single_wrong_effect_is_sure_and_wrong():
-    truth = Truth(MODEL, "single", 1000, (FRICTION,), {})
-    sealed = SealedCase("case-000", truth, ((("Stribeck friction", "servo"),),))
+TRUTH = Truth(MODEL, "single", 1000, (FRICTION,), {})
+SEALED = SealedCase("case-000", TRUTH, ((("Stribeck friction", "servo"),),))
 
+
+def found(*effects, first=""):
+    return {
+        "place": "servo", "family": "friction", "effect": first or effects[0], "places": ["servo"],
+        "families": ["friction"], "effects": [f"servo: {one}" for one in effects],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("effects", "known", "open_as", "settling"),
+    [
+        (["Stribeck friction"], True, "", []),
+        (["spring", "Stribeck friction"], True, "set", [["Stribeck friction"]]),
+        (
+            ["spring", "dead zone"],
+            True,
+            "wrong name",
+            [["Stribeck friction"], ["spring", "Stribeck friction"], []],
+        ),
+        ([], True, "place", [["Stribeck friction"]]),
+        ([], False, "", []),
+    ],
+)
+def test_a_motion_settles_what_was_open_by_the_right_name_or_without_a_wrong_one(
+    effects, known, open_as, settling
+):
+    before = {"findings": [found(*effects, first="spring")]}
+    told = {"finding": "servo: spring", "open": open_as}
+    assert (
+        say_what_is_open(SEALED, before, "servo: spring", {"Stribeck friction"} if known else set())
+        == open_as
+    )
+    for after in (["Stribeck friction"], ["spring", "Stribeck friction"], ["spring", "dead zone"], []):
+        result = {**before, "next": told, "after": {"findings": [found(*after, first="spring")]}}
+        assert not open_as or is_settled(SEALED, result) == (after in settling)
+
+
+def test_only_a_single_wrong_effect_is_sure_and_wrong():
     def bars(*effects):
-        found = {
-            "place": "servo", "family": "friction", "effect": effects[0], "places": ["servo"],
-            "families": ["friction"], "effects": [f"servo: {one}" for one in effects],
-        }  # fmt: skip
-        solved = [(sealed, {"findings": [found], "seconds": 1.0})]
+        solved = [(SEALED, {"findings": [found(*effects)], "seconds": 1.0})]
         return {name: one["hits"] for name, one in score_cases(solved).document["bars"].items()}
 
     assert bars("Stribeck friction") == {
@@ -79,5 +112,5 @@ def test_only_a_single_wrong_effect_is_sure_and_wrong():
     }  # fmt: skip
     assert bars("integral leak")["sure and wrong"] == 1
     assert bars("integral leak", "Stribeck friction")["sure and wrong"] == 0
-    below = replace(sealed, truth=replace(sealed.truth, effects=(replace(FRICTION, times_limit=1.9),)))
+    below = replace(SEALED, truth=replace(TRUTH, effects=(replace(FRICTION, times_limit=1.9),)))
     assert score_cases([(below, {"findings": [], "seconds": 1.0})]).document["bars"]["reported"]["of"] == 0

@@ -2,15 +2,14 @@
 
 import ast
 import json
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import matplotlib.image
 import pytest
 
+from helpers.command import run_python
 from validation.documents import read_steps
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,18 +21,9 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 ALLOWED = {"simgap", "marsarm", "matplotlib", "mujoco", "numpy"}
 
 
-def run_python(words: list[str], folder: Path, backend: str) -> str:
+def print_of(words: list[str], folder: Path, backend: str) -> str:
     """Run Python in a folder, without a display, and return what it prints."""
-    env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": backend}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", *words],
-        cwd=folder,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=1200,
-        check=False,
-    )
+    done = run_python(folder, "-W", "error", *words, PYTHONPATH=str(ROOT), MPLBACKEND=backend)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -41,7 +31,7 @@ def run_python(words: list[str], folder: Path, backend: str) -> str:
 def run_example(name: str, folder: Path) -> str:
     """Run a script in a folder that is empty or has a shorter copy of it, and return what it prints."""
     copy = folder / f"{name}.py"
-    printed = run_python([str(copy if copy.exists() else ROOT / "examples" / copy.name)], folder, "agg")
+    printed = print_of([str(copy if copy.exists() else ROOT / "examples" / copy.name)], folder, "agg")
     picture = matplotlib.image.imread(folder / f"{name}.png")
     assert picture.shape[1] == 800
     assert picture[..., :3].std() > 0.01
@@ -125,7 +115,7 @@ def run_notebook(name: str, folder: Path, before: str = "", *after: str) -> str:
     place = folder / "docs" / "notebooks"
     place.mkdir(parents=True)
     program = "\n".join([before, *cells_of(name), *after])
-    return run_python(["-c", program], place, "template")  # which shows no figure
+    return print_of(["-c", program], place, "template")  # which shows no figure
 
 
 @pytest.mark.slow
@@ -172,13 +162,8 @@ def test_the_names_in_the_snippets_and_tables_of_the_page_exist():
     import marsarm
 
     trees = [ast.parse(snippet) for snippet in SNIPPETS]
-    imported = {
-        alias.name
-        for tree in trees
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    nodes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    imported = {alias.name for node in nodes for alias in node.names}
     verbs = {
         name for row in re.findall(r"^\| (`.*)\|$", PAGE, re.MULTILINE) for name in re.findall(r"`(\w+)", row)
     }

@@ -67,23 +67,26 @@ def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 
     return rng.uniform(low + shrink, high - shrink, (n, 5)).T.copy()
 
 
-def facing(config: Config, tool: str) -> np.ndarray:
-    """The ready pose with the turret turned so that the tool looks well away from the pitch axis."""
-    pose = np.array(config.params.poses.ready_rad)
+def facing(config: Config, tool: str, angle_rad: float = 0.3, pose_rad=None) -> np.ndarray:
+    """The ready or another pose with the turret turned so that the tool looks this far from the wrist's x."""
+    pose = np.array(config.params.poses.ready_rad if pose_rad is None else pose_rad)
     boresight = config.arm.X_FT[tool].R[:, 0]
-    pose[Joint.TURRET] = (0.3 - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
+    pose[Joint.TURRET] = (angle_rad - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
     return pose
+
+
+def pose_of(arm: Arm, output_rad: np.ndarray, tool: str, gravity_R_m_s2=None) -> Pose:
+    """Compute X_RT of the rigid arm, or of the arm at rest that gravity deflects."""
+    if gravity_R_m_s2 is None:
+        return tool_pose(arm, forward(arm, output_rad), tool)
+    return tool_pose(arm, settle_output(arm, output_rad, gravity_R_m_s2).frames, tool)
 
 
 def levers_m(arm: Arm, tool: str, output_rad: np.ndarray, gravity_R_m_s2=None) -> np.ndarray:
     """Compute by finite differences how far a radian of each joint moves a tool back along its axis."""
-
-    def pose(q: np.ndarray) -> Pose:
-        frames = forward(arm, q) if gravity_R_m_s2 is None else settle_output(arm, q, gravity_R_m_s2).frames
-        return tool_pose(arm, frames, tool)
-
-    axis, step = pose(output_rad).R[:, 0], 1e-5 * np.eye(5)
-    return np.array([(pose(output_rad - e).p - pose(output_rad + e).p) @ axis for e in step]) / 2e-5
+    steps = output_rad[:, None] + 1e-5 * np.column_stack([np.zeros(5), np.eye(5), -np.eye(5)])
+    X = pose_of(arm, steps, tool, gravity_R_m_s2)
+    return X.R[:, 0, 0] @ (X.p[:, 6:] - X.p[:, 1:6]) / 2e-5
 
 
 def matrix(X: Pose) -> np.ndarray:
@@ -146,9 +149,9 @@ class Rig:
             self.cycle()
 
     def fork(self) -> "Rig":
-        """Return a rig that goes on from here; the state of flight software is never changed in place."""
+        """Return a rig that goes on from here, without events so far; no state is changed in place."""
         rig = copy(self)
-        rig.count, rig.evrs = self.count.copy(), list(self.evrs)
+        rig.count, rig.evrs = self.count.copy(), []
         return rig
 
     def resolver_rad(self) -> np.ndarray:
@@ -198,8 +201,7 @@ class Rig:
     def tool_pose(self, tool: str) -> Pose:
         """X_RT as flight software believes it, at rest."""
         joints = self.state.joints
-        here = settle_output(self.config.arm, joints.output_rad, joints.gravity_R_m_s2)
-        return tool_pose(self.config.arm, here.frames, tool)
+        return pose_of(self.config.arm, joints.output_rad, tool, joints.gravity_R_m_s2)
 
     def here(self, tool: str, ahead_m: float = 0.0, **fields) -> MoveTool:
         """A tool move that keeps the approach, some way ahead along it."""

@@ -1,10 +1,12 @@
 """Helpers that run the command line: in this process, or in one of its own as a user does."""
 
+import json
 import resource
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from helpers.command import Ran, call
 from marsarm.__main__ import start
@@ -29,6 +31,13 @@ type = "done"
 def marsarm(folder: Path, *words: str) -> Ran:
     """Run the command line in this process, without the second that a new one takes to import."""
     return call(start, folder, *words)
+
+
+def marsarm_json(folder: Path, *words: str, status: int = 0) -> Any:
+    """Return the document of a command line that must end with this status."""
+    done = marsarm(folder, *words, "--json")
+    assert done.returncode == status, done.stderr
+    return json.loads(done.stdout)
 
 
 @contextmanager

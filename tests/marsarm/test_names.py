@@ -1,10 +1,9 @@
 """The names that `import marsarm` gives: each exists, none is loaded before it is used."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import marsarm
+from helpers.command import run_python
 from simgap.common.names import list_names
 from tests.marsarm.command import ROOT
 
@@ -23,5 +22,4 @@ def test_no_name_is_that_of_a_module_which_would_hide_it():
 
 def test_an_import_loads_nothing_before_a_name_is_used():
     ask = "import sys, marsarm; print([name for name in ('numpy', 'mujoco', 'fsw') if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", ask], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"
+    assert run_python(ROOT, "-c", ask).stdout == "[]\n"

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.tools import TOOL_SWITCHES, TOOLS
+from tests.tools import TOOL_SWITCHES, WITH_SWITCHES
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -14,7 +14,6 @@ pytestmark = pytest.mark.filterwarnings("error")
 MJCF = Path(__file__).resolve().parents[2] / "models" / "mjcf"
 ARM = MJCF.parent / "arms" / "msl"
 SCENES = {"mars.xml": 3.711, "earth.xml": 9.81}
-TOUCHING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 
 JOINTS = ("azimuth", "elevation", "elbow", "wrist", "turret")
 STOWED_DEG = (89.86, -15.91, -161.89, 178.57, 34.01)
@@ -44,7 +43,7 @@ def test_a_scene_changes_only_the_gravity_of_the_arm(scene, gravity_m_s2):
     assert model.body_mass.sum() == pytest.approx(arm.body_mass.sum(), abs=1e-12)
 
 
-@pytest.mark.parametrize("tool", TOUCHING)
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
 def test_the_pads_of_a_tool_end_in_the_plane_of_its_frame_and_balance_about_its_axis(tool):
     model, balance = load("arm.xml"), np.zeros(2)
     for switch in TOOL_SWITCHES[tool]:
@@ -60,7 +59,7 @@ def test_the_pads_of_a_tool_end_in_the_plane_of_its_frame_and_balance_about_its_
     np.testing.assert_allclose(balance, 0.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("tool", TOUCHING)
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
 def test_what_is_behind_the_pads_stands_back(tool):
     model = load("arm.xml")
     data = set_pose(model, (0.0,) * 5)

@@ -5,27 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.dictionary.commands import (
-    Calibrate,
-    ClearFault,
-    Command,
-    GuardedMove,
-    MoveJoint,
-    MoveJoints,
-    MoveTeachPoint,
-    MoveTool,
-    PlaceTool,
-    Preload,
-    Process,
-    Retract,
-    SetParam,
-    SetTilt,
-    Stop,
-    Stow,
-    ToolChange,
-    Unstow,
-)
+from fsw.dictionary import commands
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import joints5
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.faults import MissedCycles, SensorFault
@@ -65,7 +47,7 @@ class ReferenceRun:
     name: str
     start_deg: tuple[float, ...] | None
     """Start pose; None for the ready pose."""
-    asks: tuple[tuple[Command, int], ...]
+    asks: tuple[tuple[commands.Command, int], ...]
     """Commands, each with the number of cycles after which the next one is sent at the latest."""
     ends_with: str
     """Name of the event that shows that the run has reached its purpose."""
@@ -79,11 +61,9 @@ class ReferenceRun:
     def loop(self) -> ClosedLoop:
         """Make the closed loop of the run, before its first cycle."""
         arm: BuiltArm = arm_named(self.arm)
-        start = (
-            arm.params.poses.ready_rad
-            if self.start_deg is None
-            else tuple(np.radians(self.start_deg).tolist())
-        )
+        start = arm.params.poses.ready_rad
+        if self.start_deg is not None:
+            start = joints5(np.radians(self.start_deg))
         reference = true_reference(arm) if self.known else None
         return ClosedLoop(Setup(arm, self.world, start, self.seed, reference, self.effects))
 
@@ -104,9 +84,9 @@ RUNS = (
         "joints",
         None,
         (
-            (MoveJoint(Joint.TURRET, np.radians(90.7).item()), LONG),
-            (MoveJoints((0.1, 0.0, -0.1, 0.0, 0.2), backlash="off", relative=True), 60),
-            (Stop(), LONG),
+            (commands.MoveJoint(Joint.TURRET, np.radians(90.7).item()), LONG),
+            (commands.MoveJoints((0.1, 0.0, -0.1, 0.0, 0.2), backlash="off", relative=True), 60),
+            (commands.Stop(), LONG),
         ),
         "CommandCompleted",
         arm="as-built:3",
@@ -114,7 +94,7 @@ RUNS = (
     ReferenceRun(
         "contact",
         APXS_THERE,
-        ((GuardedMove("apxs", beyond(0.04), IN), LONG),),
+        ((commands.GuardedMove("apxs", beyond(0.04), IN), LONG),),
         "ContactMade",
         arm="calibrated:7",
         world=World(surface=NEAR_ROCK),
@@ -122,7 +102,7 @@ RUNS = (
     ReferenceRun(
         "press",
         DRILL_THERE,
-        ((GuardedMove("drill", beyond(0.06), IN), LONG), (Preload("drill", 24.0), LONG)),
+        ((commands.GuardedMove("drill", beyond(0.06), IN), LONG), (commands.Preload("drill", 24.0), LONG)),
         "Preloaded",
         world=World(surface=APXS_ROCK),
     ),
@@ -130,9 +110,9 @@ RUNS = (
         "tool-change",
         APXS_THERE,
         (
-            (GuardedMove("apxs", beyond(0.04), IN), LONG),
-            (ToolChange("drt", standoff_m=0.02, overtravel_m=0.01), 130),
-            (Stop(), LONG),
+            (commands.GuardedMove("apxs", beyond(0.04), IN), LONG),
+            (commands.ToolChange("drt", standoff_m=0.02, overtravel_m=0.01), 130),
+            (commands.Stop(), LONG),
         ),
         "SpotSet",
         world=World("mars", 0.1, -0.05, APXS_ROCK),
@@ -141,9 +121,9 @@ RUNS = (
         "hardstop",
         TURRET_AT_ITS_STOP,
         (
-            (SetParam("hardstop.retreat_rad", 0.005), LONG),
-            (SetParam("hardstop.fine_speed_rad_s", 0.002), LONG),
-            (Calibrate(Joint.TURRET), LONG),
+            (commands.SetParam("hardstop.retreat_rad", 0.005), LONG),
+            (commands.SetParam("hardstop.fine_speed_rad_s", 0.002), LONG),
+            (commands.Calibrate(Joint.TURRET), LONG),
         ),
         "JointCalibrated",
         arm="as-built:5",
@@ -153,10 +133,10 @@ RUNS = (
         "fault",
         None,
         (
-            (MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),
-            (MoveJoint(Joint.TURRET, 1.6), LONG),
-            (ClearFault(), LONG),
-            (MoveJoint(Joint.WRIST, 2.25), LONG),
+            (commands.MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),
+            (commands.MoveJoint(Joint.TURRET, 1.6), LONG),
+            (commands.ClearFault(), LONG),
+            (commands.MoveJoint(Joint.WRIST, 2.25), LONG),
         ),
         "FaultCleared",
         effects=(SensorFault(1.0, "resolver_rad", "biased", int(Joint.ELBOW), 0.02), MissedCycles(0.5, 2)),
@@ -164,7 +144,7 @@ RUNS = (
     ReferenceRun(
         "no-number",
         None,
-        ((MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),),
+        ((commands.MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),),
         "FaultResponse",
         effects=(SensorFault(1.0, "current_A", "nan", int(Joint.WRIST)),),
     ),
@@ -172,23 +152,23 @@ RUNS = (
         "refused",
         None,
         (
-            (MoveJoint(Joint.TURRET, 7.0), 1),
-            (MoveJoints((float("nan"), 0.0, 0.0, 0.0, 0.0)), 1),
-            (MoveTool("apxs", (9.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1),
-            (MoveTool("apxs", (1.5, 0.0, 0.5), (0.0, 0.0, 1.0), branch="upside-down"), 1),
-            (PlaceTool("drill", (0.1, 0.0, -2.0), (0.0, 0.0, 1.0)), 1),
-            (Preload("drill", 100.0), 1),
-            (MoveTeachPoint("nowhere"), 1),
-            (Retract("apxs", float("inf")), 1),
-            (SetParam("joints.turret.speed", 1.0), 1),
-            (SetParam("joints.turret.speed_rad_s", 9.0), 1),
-            (SetTilt(1.0, 0.0), 1),
-            (Unstow(), 1),
-            (ToolChange("apxs"), 1),
-            (Stow(), 10),
-            (MoveJoint(Joint.WRIST, 2.0), 1),
-            (SetParam("motion.load_period_cycles", 8.0), 1),
-            (Stop(), LONG),
+            (commands.MoveJoint(Joint.TURRET, 7.0), 1),
+            (commands.MoveJoints((float("nan"), 0.0, 0.0, 0.0, 0.0)), 1),
+            (commands.MoveTool("apxs", (9.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1),
+            (commands.MoveTool("apxs", (1.5, 0.0, 0.5), (0.0, 0.0, 1.0), branch="upside-down"), 1),
+            (commands.PlaceTool("drill", (0.1, 0.0, -2.0), (0.0, 0.0, 1.0)), 1),
+            (commands.Preload("drill", 100.0), 1),
+            (commands.MoveTeachPoint("nowhere"), 1),
+            (commands.Retract("apxs", float("inf")), 1),
+            (commands.SetParam("joints.turret.speed", 1.0), 1),
+            (commands.SetParam("joints.turret.speed_rad_s", 9.0), 1),
+            (commands.SetTilt(1.0, 0.0), 1),
+            (commands.Unstow(), 1),
+            (commands.ToolChange("apxs"), 1),
+            (commands.Stow(), 10),
+            (commands.MoveJoint(Joint.WRIST, 2.0), 1),
+            (commands.SetParam("motion.load_period_cycles", 8.0), 1),
+            (commands.Stop(), LONG),
         ),
         "CommandRefused",
     ),
@@ -196,10 +176,10 @@ RUNS = (
         "settings",
         None,
         (
-            (SetParam("joints.wrist.speed_rad_s", 0.02), LONG),
-            (SetTilt(0.02, -0.03), LONG),
-            (Process("portion", (1.0, 0.3, 0.0), 0.5), 60),
-            (Stop(), LONG),
+            (commands.SetParam("joints.wrist.speed_rad_s", 0.02), LONG),
+            (commands.SetTilt(0.02, -0.03), LONG),
+            (commands.Process("portion", (1.0, 0.3, 0.0), 0.5), 60),
+            (commands.Stop(), LONG),
         ),
         "ParamSet",
         world=World("mars", 0.02, -0.03),

@@ -7,12 +7,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from marsarm.replaying.replay import (
-    OTHER_PROCESSOR_TOLERANCE,
-    ReplayRequest,
-    replay,
-    verdict_line,
-)
+from marsarm.replaying.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, replay, verdict_line
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import cpu_features
 from tests.replay.remake import FOLDER, make, path_of, tell

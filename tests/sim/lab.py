@@ -51,6 +51,14 @@ def _unedited(world: World, time_step_s: float | None) -> mujoco.MjModel:
     return _spec(world, time_step_s).compile()
 
 
+def weightless() -> Plant:
+    """Return the nominal arm in the ready pose without gravity, on its brakes."""
+    placed = plant()
+    placed.model.opt.gravity[:] = 0.0
+    placed.place(READY_RAD, 0.0)
+    return placed
+
+
 def tilted_world(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
     """Return a world with a tilted rover."""
     return World(scene, float(np.radians(roll_deg)), float(np.radians(pitch_deg)))

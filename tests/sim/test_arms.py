@@ -148,11 +148,8 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found():
     for seed in range(40):
         perfect = params_with_effects(draw_tolerances(default_arm(), seed), nominal_params())
         for kind in ("as-built", "calibrated"):
-            believed = build_arm(arm_named(f"{kind}:{seed}").params)
-            p = [
-                tool_pose(arm, forward(arm, lab.READY_RAD), "apxs").p
-                for arm in (build_arm(perfect), believed)
-            ]
+            pair = (build_arm(perfect), build_arm(arm_named(f"{kind}:{seed}").params))
+            p = [tool_pose(arm, forward(arm, lab.READY_RAD), "apxs").p for arm in pair]
             miss[kind].append(float(np.linalg.norm(p[1] - p[0])))
     rms = {kind: np.sqrt(np.mean(np.square(values))) for kind, values in miss.items()}
     assert 8e-3 < rms["as-built"] < 20e-3

@@ -17,7 +17,8 @@ from sim.frames import FLIP
 from sim.plant import Plant
 from sim.setting import World
 from tests.sim import lab
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, switch_index, tool_index
+from tests.sim.effects.bench import set_angles
+from tests.tools import SWITCHES, TOOL_SWITCHES, WITH_SWITCHES, switch_index, tool_index
 
 PARAMS = nominal_params()
 CONFIG = configure(PARAMS)
@@ -204,12 +205,10 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready, switch):
     np.testing.assert_array_equal(np.flatnonzero(sensors.sense().switch_closed), [switch_index(switch)])
 
 
-@pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
 def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready, tool):
     """The wall is half a millimetre in front of the tool, and gravity pulls towards it."""
-    mujoco.mj_resetData(ready.model, ready.data)
-    ready.data.qpos[ready.at.motor] = lab.READY_RAD
-    mujoco.mj_kinematics(ready.model, ready.data)
+    set_angles(ready, lab.READY_RAD)
     R_WT = ready.data.site_xmat[ready.at.tools[tool_index(tool)]].reshape(3, 3)
     p_W = ready.data.site_xpos[ready.at.tools[tool_index(tool)]] + (0.1 + 0.0005) * R_WT[:, 0]
 
@@ -218,13 +217,9 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready, to
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, R_WT.ravel())
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.1, 0.06, 0.06],
-            pos=p_W,
-            quat=quat,
-            contype=2,
-            conaffinity=1,
-        )
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.06, 0.06], pos=p_W, quat=quat,
+            contype=2, conaffinity=1,
+        )  # fmt: skip
 
     pressed = lab.plant(edit=wall)
     pressed.place(lab.READY_RAD, 2.0)

@@ -36,10 +36,10 @@ from sim.placement import (
 from sim.sequence import Outcome, run_sequence
 from sim.setting import Surface, World
 from sim.world import build
-from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats, levers_m
+from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats, levers_m, pose_of
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, load, plant, run, run_to_rest, settle_fast, tilted_world
-from tests.tools import TOOL_SWITCHES, TOOLS, switch_index, tool_index
+from tests.tools import TOOL_SWITCHES, TOOLS, WITH_SWITCHES, switch_index, tool_index
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -48,7 +48,7 @@ NOW_S = 0.0
 def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0, pose_rad=None):
     """Return the arm at a pose, with a rock at a distance in front of the tool."""
     arm, pose = arm_named("nominal"), facing(CONFIG, tool) if pose_rad is None else pose_rad
-    X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
+    X_RT = pose_of(CONFIG.arm, pose, tool, MARS_R_m_s2)
     p_N = X_RT.p + ahead_m * X_RT.R[:, 0] + P_NR_M
     world = World(surface=Surface(floats(p_N), floats(-X_RT.R[:, 0])))
     setup = Setup(arm, world, joints5(motor_rad), reference=lab.true_reference(arm), effects=effects)
@@ -71,12 +71,9 @@ def peak_force_N(loop, command) -> tuple[float, list]:
     return peak, evrs
 
 
-TOUCHING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
-
-
 DEAD = [
-    *((tool, TOOL_SWITCHES[tool][:1], 50.0) for tool in TOUCHING),
-    *((tool, TOOL_SWITCHES[tool], 100.0) for tool in TOUCHING),
+    *((tool, TOOL_SWITCHES[tool][:1], 50.0) for tool in WITH_SWITCHES),
+    *((tool, TOOL_SWITCHES[tool], 100.0) for tool in WITH_SWITCHES),
 ]
 
 

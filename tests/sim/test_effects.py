@@ -17,18 +17,10 @@ from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from marsarm.accuracy.trial import configure_true
 from sim.arms import arm_named, nominal_params
+from sim.effects import joints
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import COLD_C, COULOMB_COLD, VISCOUS_COLD, Ambient, CurrentNoise, NothingToTouch
 from sim.effects.geometry import Expansion, FrameError, FramePlay
-from sim.effects.joints import (
-    BacklashWidth,
-    GearFriction,
-    GearStiffness,
-    HardstopAngle,
-    HardstopStiffness,
-    ServoError,
-    Windup,
-)
 from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import true_reference
@@ -71,16 +63,11 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
     worst = 0.0
     for seed in range(4):
         encoder_rad = np.random.default_rng([13, seed]).uniform(ARM.soft_min_rad, ARM.soft_max_rad)
-        mujoco.mj_resetData(plant.model, plant.data)
-        plant.data.qpos[plant.at.motor] = encoder_rad - error
-        truth, frames = plant.truth(), forward(arm, encoder_rad)
+        truth, frames = bench.set_angles(plant, encoder_rad - error).truth(), forward(arm, encoder_rad)
         for tool in TOOLS:
             X_RT = tool_pose(arm, frames, tool)
-            worst = max(
-                worst,
-                np.abs(truth.p_RoTo_R_m[tool_index(tool)] - X_RT.p).max(),
-                np.abs(truth.R_RT[tool_index(tool)] - X_RT.R).max(),
-            )
+            p, R = truth.p_RoTo_R_m[tool_index(tool)], truth.R_RT[tool_index(tool)]
+            worst = max(worst, np.abs(p - X_RT.p).max(), np.abs(R - X_RT.R).max())
     return worst
 
 
@@ -99,7 +86,7 @@ def drawn_stops(params: Params) -> lab.Array:
 @pytest.mark.parametrize("joint", Joint)
 def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_knows_it(joint):
     """Homing sets the zero so that the output meets its assumed hardstop: the error shows in the tool."""
-    effect = HardstopAngle(joint, 0.02)
+    effect = joints.HardstopAngle(joint, 0.02)
     plant = build(effect)
     shift = plant.stop_rad() - drawn_stops(PARAMS)
     np.testing.assert_allclose(shift, 0.02 * (np.arange(5) == joint), atol=1e-12)
@@ -111,10 +98,9 @@ def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_
 
 @pytest.mark.parametrize("joint", Joint)
 def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint):
-    effect = HardstopStiffness(joint, 0.6)
+    effect = joints.HardstopStiffness(joint, 0.6)
     plant = build(effect)
-    mujoco.mj_resetData(plant.model, plant.data)
-    plant.data.qpos[plant.at.motor] = plant.stop_rad() - 1e-3
+    bench.set_angles(plant, plant.stop_rad() - 1e-3)
     believed = np.array([one.hardstop_stiffness_Nm_rad for one in params_with(effect).joints.in_order()])
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
@@ -122,7 +108,7 @@ def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
-@pytest.mark.parametrize("kind", [BacklashWidth, GearStiffness])
+@pytest.mark.parametrize("kind", [joints.BacklashWidth, joints.GearStiffness])
 def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_software_then_says(joint, kind):
     effect = kind(joint, 0.6)
     plant = build(effect, world=TILTED_EARTH)
@@ -140,7 +126,7 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
 
 @pytest.mark.parametrize("joint", Joint)
 def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(joint):
-    effect = GearFriction(joint, 1.5)
+    effect = joints.GearFriction(joint, 1.5)
     for one, drawn in zip(motor_friction(build(effect)), motor_friction(build()), strict=True):
         np.testing.assert_allclose(one / drawn, np.where(np.arange(5) == joint, 1.5, 1.0))
     assert params_with(effect) == PARAMS
@@ -155,8 +141,7 @@ def test_effects_add_up_in_any_order_of_different_places():
 
 
 def motor_friction(plant: Plant) -> tuple[lab.Array, lab.Array]:
-    dofs = [plant.model.joint(f"{name}_motor").dofadr[0] for name in lab.JOINT_NAMES]
-    return plant.model.dof_frictionloss[dofs], plant.model.dof_damping[dofs]
+    return plant.model.dof_frictionloss[plant.at.motor], plant.model.dof_damping[plant.at.motor]
 
 
 @pytest.mark.parametrize(
@@ -176,10 +161,7 @@ def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(tempe
 
 def test_an_arm_with_nothing_to_touch_goes_through_the_rover():
     for effects, touches in (((), True), ((NothingToTouch(),), False)):
-        plant = build(*effects)
-        mujoco.mj_resetData(plant.model, plant.data)
-        plant.data.qpos[plant.at.motor] = np.radians([-170.0, 0.0, 0.0, 0.0, 0.0])
-        mujoco.mj_forward(plant.model, plant.data)
+        plant = bench.set_angles(build(*effects), np.radians([-170.0, 0.0, 0.0, 0.0, 0.0]))
         assert (plant.data.ncon > 0) is touches
 
 
@@ -189,8 +171,8 @@ BODIES = (*LINK_BODIES, *(frame_body(Frame.TOOL, tool) for tool in TOOLS))
 BY_CHANCE = (
     FramePlay(Frame.ARM3, PLAY),
     FramePlay(Frame.TOOL, PLAY, "drill"),
-    Windup(Joint.ELBOW, 2e-4),
-    ServoError(Joint.WRIST, 6e-5),
+    joints.Windup(Joint.ELBOW, 2e-4),
+    joints.ServoError(Joint.WRIST, 6e-5),
 )
 
 

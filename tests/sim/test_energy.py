@@ -131,18 +131,10 @@ CREEP_RAD = 1e-6
 """Limit for 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
 
 
-def weightless() -> Plant:
-    """Return the ready pose without gravity, on its brakes."""
-    plant = lab.plant()
-    plant.model.opt.gravity[:] = 0.0
-    plant.place(lab.READY_RAD, 0.0)
-    return plant
-
-
 @pytest.mark.parametrize("direction", [1, -1])
 def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction):
     """The motors drag the outputs at a steady rate, so that the gear torque is the friction."""
-    plant, setpoint_rad, transmitted = weightless(), lab.READY_RAD.copy(), []
+    plant, setpoint_rad, transmitted = lab.weightless(), lab.READY_RAD.copy(), []
     lab.hold_by_motors(plant)
     for _ in range(9 * lab.CYCLE_HZ):
         setpoint_rad += direction * SLOW_RAD_S / lab.CYCLE_HZ
@@ -155,9 +147,8 @@ def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(dire
 
 def pulled(share: float) -> Plant:
     """Return the weightless arm with a share of their friction on all outputs."""
-    plant = weightless()
-    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
-    plant.data.qfrc_applied[gears] = share * lab.OUTPUT_FRICTION_NM
+    plant = lab.weightless()
+    plant.data.qfrc_applied[plant.at.gear] = share * lab.OUTPUT_FRICTION_NM
     return plant
 
 

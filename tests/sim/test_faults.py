@@ -29,18 +29,9 @@ from fsw.protect.responses import RESPONSE_TO, Response
 from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.avionics import VIBRATION_N, Avionics
+from sim.effects import faults
 from sim.effects.effect import Effect, Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
-from sim.effects.faults import (
-    BrakeStuck,
-    HotMotor,
-    JointSeized,
-    MissedCycles,
-    SensorFault,
-    TiltStep,
-    Timed,
-    WeakMotor,
-)
 from sim.effects.gears import ColdFriction
 from sim.effects.joints import BusSag, CommandDelay
 from sim.frames import FLIP, gravity_in_rover
@@ -49,7 +40,6 @@ from sim.setting import World
 from tests.fsw.rig import content
 from tests.sim import lab
 from tests.sim.effects.test_cycle_rate import EFFECTS, JOINT
-from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
 
 NOW_S = 0.0
@@ -57,11 +47,11 @@ READINGS = {"encoder_count": 5, "resolver_rad": 5, "current_A": 5, "winding_C": 
 ALL, NONE = np.ones(5, bool), np.zeros(5, bool)
 
 
-def avionics_with(*faults, plant=None) -> Avionics:
+def avionics_with(*troubles, plant=None) -> Avionics:
     hardware: Hardware = replace(
         nominal_hardware(), resolver_noise_rad=0.0, current_noise_A=0.0, gravity_noise_m_s2=0.0
     )
-    for fault in faults:
+    for fault in troubles:
         hardware = fault.on_hardware(hardware)
     if plant is None:
         plant = lab.plant()
@@ -81,7 +71,7 @@ def quiet() -> Sensors:
 @pytest.mark.parametrize("index", [None, 1])
 @pytest.mark.parametrize("name", READINGS)
 def test_a_biased_sensor_reads_too_much_by_its_bias_and_no_other_does(quiet, name, index):
-    biased = avionics_with(SensorFault(NOW_S, name, "biased", index, 40.0)).sense()
+    biased = avionics_with(faults.SensorFault(NOW_S, name, "biased", index, 40.0)).sense()
     for other in READINGS:
         there = (index is None) | (np.arange(READINGS[other]) == index)
         np.testing.assert_allclose(
@@ -91,13 +81,13 @@ def test_a_biased_sensor_reads_too_much_by_its_bias_and_no_other_does(quiet, nam
 
 @pytest.mark.parametrize("name", [name for name in READINGS if name != "encoder_count"])
 def test_a_sensor_that_reads_no_number_does_so_where_it_is_told(quiet, name):
-    readings = avionics_with(SensorFault(NOW_S, name, "nan", 2)).sense()
+    readings = avionics_with(faults.SensorFault(NOW_S, name, "nan", 2)).sense()
     np.testing.assert_array_equal(np.isnan(read(readings, name)), np.arange(READINGS[name]) == 2)
 
 
 @pytest.mark.parametrize("name", READINGS)
 def test_a_noisy_sensor_scatters_by_its_size(quiet, name):
-    sensors = avionics_with(SensorFault(NOW_S, name, "noisy", 0, 30.0))
+    sensors = avionics_with(faults.SensorFault(NOW_S, name, "noisy", 0, 30.0))
     scatter = np.array([read(sensors.sense(), name) for _ in range(400)]) - read(quiet, name)
     assert scatter[:, 0].std() == pytest.approx(30.0, rel=0.15)
     assert not scatter[:, 1:].any()
@@ -106,7 +96,7 @@ def test_a_noisy_sensor_scatters_by_its_size(quiet, name):
 def test_a_frozen_sensor_keeps_what_it_read_when_its_time_came():
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.5)
-    sensors = avionics_with(SensorFault(0.5, "resolver_rad", "frozen", Joint.ELBOW), plant=plant)
+    sensors = avionics_with(faults.SensorFault(0.5, "resolver_rad", "frozen", Joint.ELBOW), plant=plant)
     resolver_rad = []
     for cycle in range(64):
         plant.data.qpos[plant.at.gear] = 1e-3 * cycle
@@ -120,7 +110,7 @@ def test_a_frozen_sensor_keeps_what_it_read_when_its_time_came():
 
 @pytest.mark.parametrize(("size", "closed"), [(1.0, True), (-1.0, False)])
 def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
-    sensors = avionics_with(SensorFault(NOW_S, "switch_closed", "biased", switch_index("drt_1"), size))
+    sensors = avionics_with(faults.SensorFault(NOW_S, "switch_closed", "biased", switch_index("drt_1"), size))
     plant = sensors._plant
     for force_N in (0.0, 50.0):
         plant.data.sensordata[:] = force_N
@@ -128,11 +118,11 @@ def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
         np.testing.assert_array_equal(sensors.sense().switch_closed, expected)
 
 
-def begin_move(faults: tuple[Timed, ...] = (), effects: tuple[Effect, ...] = ()) -> ClosedLoop:
+def begin_move(troubles: tuple[faults.Timed, ...] = (), effects: tuple[Effect, ...] = ()) -> ClosedLoop:
     """Return a run at the start of a move of all joints."""
     arm = arm_named("nominal").with_effects(effects)
     setup = Setup(arm, World(), joints5(lab.READY_RAD), seed=4, reference=lab.true_reference(arm))
-    loop = ClosedLoop(setup, with_truth=True).fork(faults)
+    loop = ClosedLoop(setup, with_truth=True).fork(troubles)
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.1)),))
     return loop
 
@@ -161,7 +151,7 @@ def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
     assert abs(first.state.joints.motor_rate_rad_s).min() > 1e-3
     snapshot = first.fork()
     now = float(first.plant.data.time)
-    troubled = first.fork((JointSeized(now, Joint.ELBOW), TiltStep(now, 0.3, 0.0)))
+    troubled = first.fork((faults.JointSeized(now, Joint.ELBOW), faults.TiltStep(now, 0.3, 0.0)))
     for _ in range(100):
         troubled.cycle()
     ahead = [content(first.cycle()) for _ in range(200)]
@@ -171,31 +161,31 @@ def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
 
 
 def test_nothing_happens_before_its_time():
-    calm, waiting = moving().fork(), moving().fork((WeakMotor(now_s() + 1.0, Joint.ELBOW, 0.1),))
+    calm, waiting = moving().fork(), moving().fork((faults.WeakMotor(now_s() + 1.0, Joint.ELBOW, 0.1),))
     same = [content(calm.cycle()) == content(waiting.cycle()) for _ in range(100)]
     assert all(same[:64])
     assert not any(same[70:])
 
 
 EXPECTED = {
-    "resolver frozen": (SensorFault(NOW_S, "resolver_rad", "frozen", 2), SensorFrozen),
-    "resolver biased": (SensorFault(NOW_S, "resolver_rad", "biased", 2, 0.02), ResolverDisagrees),
-    "resolver no number": (SensorFault(NOW_S, "resolver_rad", "nan", 2), SensorNotFinite),
-    "encoder frozen": (SensorFault(NOW_S, "encoder_count", "frozen", 2), MotorStalled),
-    "encoder biased": (SensorFault(NOW_S, "encoder_count", "biased", 2, 2000.0), FollowingErrorHigh),
-    "current frozen": (SensorFault(NOW_S, "current_A", "frozen", 0), SensorFrozen),
-    "current no number": (SensorFault(NOW_S, "current_A", "nan", 0), SensorNotFinite),
-    "winding no number": (SensorFault(NOW_S, "winding_C", "nan", 0), SensorNotFinite),
-    "winding reads hot": (SensorFault(NOW_S, "winding_C", "biased", 4, 100.0), OverTemperature),
-    "winding reads cold": (SensorFault(NOW_S, "winding_C", "biased", 4, -100.0), UnderTemperature),
-    "gravity frozen": (SensorFault(NOW_S, "gravity_R_m_s2", "frozen"), SensorFrozen),
-    "gravity biased": (SensorFault(NOW_S, "gravity_R_m_s2", "biased", 0, 0.5), TiltChanged),
-    "gravity no number": (SensorFault(NOW_S, "gravity_R_m_s2", "nan", 1), SensorNotFinite),
-    "seized": (JointSeized(NOW_S, Joint.ELBOW), MotorStalled),
-    "a tenth of the torque": (WeakMotor(NOW_S, Joint.WRIST, 0.1), OverCurrent),
-    "hot": (HotMotor(NOW_S, Joint.WRIST, 130.0), OverTemperature),
-    "tilted": (TiltStep(NOW_S, 0.05, 0.0), TiltChanged),
-    "cycles missed": (MissedCycles(NOW_S, 20), CyclesMissed),
+    "resolver frozen": (faults.SensorFault(NOW_S, "resolver_rad", "frozen", 2), SensorFrozen),
+    "resolver biased": (faults.SensorFault(NOW_S, "resolver_rad", "biased", 2, 0.02), ResolverDisagrees),
+    "resolver no number": (faults.SensorFault(NOW_S, "resolver_rad", "nan", 2), SensorNotFinite),
+    "encoder frozen": (faults.SensorFault(NOW_S, "encoder_count", "frozen", 2), MotorStalled),
+    "encoder biased": (faults.SensorFault(NOW_S, "encoder_count", "biased", 2, 2000.0), FollowingErrorHigh),
+    "current frozen": (faults.SensorFault(NOW_S, "current_A", "frozen", 0), SensorFrozen),
+    "current no number": (faults.SensorFault(NOW_S, "current_A", "nan", 0), SensorNotFinite),
+    "winding no number": (faults.SensorFault(NOW_S, "winding_C", "nan", 0), SensorNotFinite),
+    "winding reads hot": (faults.SensorFault(NOW_S, "winding_C", "biased", 4, 100.0), OverTemperature),
+    "winding reads cold": (faults.SensorFault(NOW_S, "winding_C", "biased", 4, -100.0), UnderTemperature),
+    "gravity frozen": (faults.SensorFault(NOW_S, "gravity_R_m_s2", "frozen"), SensorFrozen),
+    "gravity biased": (faults.SensorFault(NOW_S, "gravity_R_m_s2", "biased", 0, 0.5), TiltChanged),
+    "gravity no number": (faults.SensorFault(NOW_S, "gravity_R_m_s2", "nan", 1), SensorNotFinite),
+    "seized": (faults.JointSeized(NOW_S, Joint.ELBOW), MotorStalled),
+    "a tenth of the torque": (faults.WeakMotor(NOW_S, Joint.WRIST, 0.1), OverCurrent),
+    "hot": (faults.HotMotor(NOW_S, Joint.WRIST, 130.0), OverTemperature),
+    "tilted": (faults.TiltStep(NOW_S, 0.05, 0.0), TiltChanged),
+    "cycles missed": (faults.MissedCycles(NOW_S, 20), CyclesMissed),
 }
 
 
@@ -203,38 +193,38 @@ EXPECTED = {
 def test_a_fault_in_the_middle_of_a_move_ends_on_the_brakes_by_the_response_of_the_table(name):
     fault, kind = EXPECTED[name]
     loop = moving().fork((replace(fault, at_s=now_s() + 0.25),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     found = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(found[0], kind)
     assert FaultResponse(RESPONSE_TO[kind]) in evrs
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
     refuses = RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE
     assert (loop.state.fault is not None) is refuses
 
 
 TOLERATED = {
-    "winding frozen": SensorFault(NOW_S, "winding_C", "frozen"),
-    "a little gravity": SensorFault(NOW_S, "gravity_R_m_s2", "biased", 0, 0.02),
-    "noisy current": SensorFault(NOW_S, "current_A", "noisy", None, 1.0),
-    "noisy resolver": SensorFault(NOW_S, "resolver_rad", "noisy", None, 2e-3),
-    "resolver a little off": SensorFault(NOW_S, "resolver_rad", "biased", 1, 2e-3),
-    "half the torque": WeakMotor(NOW_S, Joint.ELEVATION, 0.5),
-    "three cycles missed": MissedCycles(NOW_S, 3),
-    "a switch stuck open": SensorFault(NOW_S, "switch_closed", "biased", 3, -1.0),
-    "a brake that would not release": BrakeStuck(NOW_S, Joint.ELBOW),
+    "winding frozen": faults.SensorFault(NOW_S, "winding_C", "frozen"),
+    "a little gravity": faults.SensorFault(NOW_S, "gravity_R_m_s2", "biased", 0, 0.02),
+    "noisy current": faults.SensorFault(NOW_S, "current_A", "noisy", None, 1.0),
+    "noisy resolver": faults.SensorFault(NOW_S, "resolver_rad", "noisy", None, 2e-3),
+    "resolver a little off": faults.SensorFault(NOW_S, "resolver_rad", "biased", 1, 2e-3),
+    "half the torque": faults.WeakMotor(NOW_S, Joint.ELEVATION, 0.5),
+    "three cycles missed": faults.MissedCycles(NOW_S, 3),
+    "a switch stuck open": faults.SensorFault(NOW_S, "switch_closed", "biased", 3, -1.0),
+    "a brake that would not release": faults.BrakeStuck(NOW_S, Joint.ELBOW),
 }
 
 
 @pytest.mark.parametrize("name", slow_but(TOLERATED, *list(TOLERATED)[::2]))
 def test_what_is_tolerated_does_not_end_a_move(name):
     loop = moving().fork((replace(TOLERATED[name], at_s=now_s() + 0.25),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     assert CommandCompleted("MoveJoints") in evrs
     assert not [evr for evr in evrs if isinstance(evr, Fault)]
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
 
 
-@pytest.mark.parametrize("fault", [JointSeized, BrakeStuck])
+@pytest.mark.parametrize("fault", [faults.JointSeized, faults.BrakeStuck])
 @pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.TURRET], Joint.AZIMUTH))
 def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_next_move(fault, joint):
     arm = arm_named("nominal")
@@ -242,16 +232,16 @@ def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_nex
     loop = loop.fork((fault(NOW_S, joint),))
     at = loop.plant.motor_rad()[joint]
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.05 * (np.arange(5) == joint))),))
-    evrs = run_to_rest(loop)
+    evrs = lab.run_to_rest(loop)
     (evr,) = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(evr, MotorStalled)
     assert evr.joint is joint
     assert loop.plant.motor_rad()[joint] == pytest.approx(at, abs=1e-4)
-    assert is_at_rest(loop)
+    assert lab.is_at_rest(loop)
 
 
 def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notices():
-    loop = moving().fork((JointSeized(now_s(), Joint.ELBOW),))
+    loop = moving().fork((faults.JointSeized(now_s(), Joint.ELBOW),))
     loop.cycle()
     before = loop.plant.motor_rad().copy()
     for _ in range(8):
@@ -264,8 +254,8 @@ def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notice
 def test_a_weak_motor_draws_twice_the_current_for_the_same_torque():
     """A motor that weakens in a move is taken for one that an obstacle resists; this one is weak before."""
     drawn = []
-    for faults in ((), (WeakMotor(NOW_S, Joint.WRIST),)):
-        loop = begin_move(faults)
+    for troubles in ((), (faults.WeakMotor(NOW_S, Joint.WRIST),)):
+        loop = begin_move(troubles)
         currents = [loop.cycle().sensors.current_A for _ in range(4 * CYCLE_HZ)]
         drawn.append(np.mean(currents[3 * CYCLE_HZ :], axis=0))
     times = drawn[1] / drawn[0]
@@ -274,7 +264,7 @@ def test_a_weak_motor_draws_twice_the_current_for_the_same_torque():
 
 
 def test_flight_software_is_not_called_in_missed_cycles_and_the_last_drive_holds():
-    loop, count = moving().fork((MissedCycles(now_s(), 3),)), 3
+    loop, count = moving().fork((faults.MissedCycles(now_s(), 3),)), 3
     before = loop.cycle()
     after = loop.cycle()
     assert after.tick == before.tick + 1
@@ -285,7 +275,7 @@ def test_flight_software_is_not_called_in_missed_cycles_and_the_last_drive_holds
 
 
 def test_a_tilt_step_turns_gravity_and_keeps_its_size():
-    loop = moving().fork((TiltStep(now_s(), 0.1, -0.2),))
+    loop = moving().fork((faults.TiltStep(now_s(), 0.1, -0.2),))
     loop.cycle()
     gravity = FLIP * loop.plant.model.opt.gravity
     np.testing.assert_allclose(gravity, gravity_in_rover(0.1, -0.2, 3.711), atol=1e-12)
@@ -294,7 +284,7 @@ def test_a_tilt_step_turns_gravity_and_keeps_its_size():
 
 
 def test_a_hot_motor_is_that_hot():
-    loop = moving().fork((HotMotor(now_s(), Joint.WRIST, 60.0),))
+    loop = moving().fork((faults.HotMotor(now_s(), Joint.WRIST, 60.0),))
     read_C = loop.cycle().sensors.winding_C
     assert read_C[Joint.WRIST] == pytest.approx(60.0, abs=1.0)
     assert np.delete(read_C, Joint.WRIST).max() < 25.0

@@ -12,17 +12,7 @@ from fsw.executive.poses import homing_start_poses
 from fsw.messages import Sensors
 from fsw.motion.homing import HomingStage
 from helpers.marks import slow_but
-from sim.arm_check import (
-    EQUALISED_JOINTS,
-    HARDSTOP_CLEARANCE_M,
-    MOST_SHIFT_RAD,
-    NoPlan,
-    calibration_poses,
-    compute_hardstop_loads,
-    equalise_loads,
-    sweep_poses,
-    without_turret,
-)
+from sim import arm_check
 from sim.arms import arm_named
 from sim.clearance import ClearanceModel
 from sim.effects.environment import Ambient, PowerLoss
@@ -83,10 +73,8 @@ def test_a_joint_repeats_on_other_days_and_with_another_seed():
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "temperature_C"), [(Joint.WRIST, COLD_C), (Joint.AZIMUTH, 20.0)])
 def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
-    ordinary, run = (
-        prepare_homing(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),))
-        for _ in range(2)
-    )
+    arm, effects = arm_named("nominal"), (Ambient(temperature_C),)
+    ordinary, run = (prepare_homing(arm, joint, World(), effects=effects) for _ in range(2))
     for _ in run:
         homing = run.loop.state.move.homing if run.loop.state.move is not None else None
         if homing is not None and homing.stage is HomingStage.RETREAT:
@@ -146,7 +134,7 @@ MARS, EARTH = World(), World("earth")
 
 
 ARMS = {name: arm_named(name) for name in ("nominal", "m2020")}
-BARE = {name: without_turret(arm, on_earth=True) for name, arm in ARMS.items()}
+BARE = {name: arm_check.without_turret(arm, on_earth=True) for name, arm in ARMS.items()}
 PLACES = [*((arm, MARS) for arm in ARMS.values()), (BARE["nominal"], EARTH)]
 EACH_PLACE = pytest.mark.parametrize(("arm", "world"), PLACES, ids=["mars", "m2020", "earth"])
 EACH_ARM = pytest.mark.parametrize("name", ARMS)
@@ -154,9 +142,9 @@ EACH_ARM = pytest.mark.parametrize("name", ARMS)
 
 @EACH_PLACE
 def test_on_the_whole_way_to_every_hardstop_the_arm_is_clear_of_rover_ground_and_itself(arm, world):
-    way_rad = sweep_poses(calibration_poses(arm.params))
+    way_rad = arm_check.sweep_poses(arm_check.calibration_poses(arm.params))
     found = ClearanceModel(arm.params, world, arm.model).clearance(way_rad)
-    assert min(found.outside_m, found.self_m) > 2 * HARDSTOP_CLEARANCE_M
+    assert min(found.outside_m, found.self_m) > 2 * arm_check.HARDSTOP_CLEARANCE_M
     stops = [joint.hardstop_rad for joint in arm.params.joints.in_order()]
     np.testing.assert_allclose(way_rad.min(axis=1), stops)
 
@@ -171,7 +159,7 @@ def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, arm, world):
             way = np.repeat((pose + rng.uniform(-most, most, 5))[:, None], 12, axis=1)
             way[joint] = np.linspace(arm.params.joints.in_order()[joint].hardstop_rad, way[joint, 0], 12)
             found = space.clearance(way)
-            assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
+            assert min(found.outside_m, found.self_m) > arm_check.HARDSTOP_CLEARANCE_M
 
 
 @EACH_ARM
@@ -182,18 +170,18 @@ def test_without_a_turret_on_earth_each_joint_is_clear_at_its_hardstop(name):
         pose = homing_start_poses(params, joint)[-1].copy()
         pose[joint] = params.joints.in_order()[joint].hardstop_rad
         found = space.clearance(pose[:, None])
-        assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
+        assert min(found.outside_m, found.self_m) > arm_check.HARDSTOP_CLEARANCE_M
 
 
 @EACH_ARM
 def test_the_torques_are_the_same_on_earth_without_a_turret_and_others_in_the_poses_of_mars(name):
-    in_mars_poses = without_turret(ARMS[name], on_earth=False).params
-    mars = compute_hardstop_loads(ARMS[name].params, MARS.gravity_N_m_s2).torque_Nm
+    in_mars_poses = arm_check.without_turret(ARMS[name], on_earth=False).params
+    mars = arm_check.compute_hardstop_loads(ARMS[name].params, MARS.gravity_N_m_s2).torque_Nm
     earth, other = (
-        compute_hardstop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
+        arm_check.compute_hardstop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
         for params in (BARE[name].params, in_mars_poses)
     )
-    same = list(EQUALISED_JOINTS)
+    same = list(arm_check.EQUALISED_JOINTS)
     np.testing.assert_allclose(earth[same], mars[same], atol=0.5)
     if name == "nominal":
         np.testing.assert_allclose(earth, mars, atol=1.1)
@@ -202,19 +190,20 @@ def test_the_torques_are_the_same_on_earth_without_a_turret_and_others_in_the_po
 
 def test_an_arm_whose_elbow_reaches_its_limit_has_nearly_the_torques_of_mars():
     arm = arm_named("calibrated:7")
-    bare = without_turret(arm, on_earth=True).params
+    bare = arm_check.without_turret(arm, on_earth=True).params
     elbow = bare.joints.elbow
     assert bare.hardstop.second_start_rad[Joint.ELBOW] == pytest.approx(elbow.soft_min_rad, abs=1e-3)
-    mars = compute_hardstop_loads(arm.params, MARS.gravity_N_m_s2).torque_Nm
-    earth = compute_hardstop_loads(bare, EARTH.gravity_N_m_s2).torque_Nm
+    mars = arm_check.compute_hardstop_loads(arm.params, MARS.gravity_N_m_s2).torque_Nm
+    earth = arm_check.compute_hardstop_loads(bare, EARTH.gravity_N_m_s2).torque_Nm
     joints = bare.joints.in_order()
     shift_rad = {
-        joint: abs(earth - mars)[joint] / joints[joint].gear_stiffness_Nm_rad for joint in EQUALISED_JOINTS
+        joint: abs(earth - mars)[joint] / joints[joint].gear_stiffness_Nm_rad
+        for joint in arm_check.EQUALISED_JOINTS
     }
-    assert max(shift_rad.values()) < MOST_SHIFT_RAD
+    assert max(shift_rad.values()) < arm_check.MOST_SHIFT_RAD
     assert shift_rad[Joint.ELEVATION] > 5e-6
 
 
 def test_torques_that_no_pose_has_are_refused():
-    with pytest.raises(NoPlan, match="best torques differ"):
-        equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
+    with pytest.raises(arm_check.NoPlan, match="best torques differ"):
+        arm_check.equalise_loads(BARE["nominal"].params, EARTH.gravity_N_m_s2, np.full(5, -2000.0))

@@ -35,14 +35,7 @@ CONFIG = configure(PARAMS)
 JOINT_PARAMS = dict(zip(Joint, PARAMS.joints.in_order(), strict=True))
 LINKS = PARAMS.links.in_order()
 SPRINGS = ("rover", "link1", "link2", "link3", "link4")
-LUMPS = (
-    ("arm1",),
-    ("link1", "link1_far"),
-    ("link2", "link2_far"),
-    ("link3", "link3_far"),
-    ("link4", "link4_far"),
-    ("link5", "turret"),
-)
+LUMPS = (("arm1",), *((f"link{k}", f"link{k}_far") for k in range(1, 5)), ("link5", "turret"))
 
 
 @pytest.fixture(scope="module")
@@ -218,10 +211,8 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg):
         mujoco.mj_forward(plant.model, plant.data)
         assert np.abs(plant.data.qvel).max() < STILL_RAD_S
         assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
-        expected, truth = (
-            settle(arm, case.motor_rad, case.backlash_rad, case.world.gravity_N_m_s2),
-            plant.truth(),
-        )
+        expected = settle(arm, case.motor_rad, case.backlash_rad, case.world.gravity_N_m_s2)
+        truth = plant.truth()
         assert expected.converged
         for tool in TOOLS:
             X_RT = tool_pose(arm, expected.frames, tool)
@@ -280,14 +271,11 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side):
     2 F, friction has changed sign, and the gear carries F more than the load.
     """
     torque = side * np.array([400.0, 400.0, 300.0, 120.0, 60.0])
-    plant = lab.plant()
-    plant.model.opt.gravity[:] = 0.0
-    plant.place(lab.READY_RAD, 0.0)
-    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
+    plant = lab.weightless()
     more = side * 4 * lab.OUTPUT_FRICTION_NM
 
     def apply(loads: lab.Array) -> None:
-        plant.data.qfrc_applied[gears] = loads
+        plant.data.qfrc_applied[plant.at.gear] = loads
 
     lab.run(plant, 8.0, lambda amount: apply(torque * lab.smooth_step(amount)))
     lab.run(plant, 1.0)

@@ -29,13 +29,7 @@ from simgap.common.progress import Progress, no_progress
 from simgap.common.report import to_json
 from validation.campaigns import Context, Document
 from validation.cases import sealed
-from validation.cases.arm_score import (
-    CLASSES_FILE,
-    EquivalenceClasses,
-    classes_json,
-    load_classes,
-    score,
-)
+from validation.cases.arm_score import CLASSES_FILE, EquivalenceClasses, classes_json, load_classes, score
 from validation.cases.arm_truth import (
     EFFECTS_FOLDER,
     PlannedCase,
@@ -184,7 +178,7 @@ def _true_effect(one: demo.SampledEffect) -> SealedEffect:
     spec = effect_text(one.switch_on()).removeprefix(f"{EFFECTS_FOLDER}/")
     pairs = zip(hypothesis.parameters, hypothesis.values(one.departures).tolist(), strict=True)
     values = {parameter.name: value for parameter, value in pairs}
-    return SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, spec)
+    return SealedEffect(hypothesis.name, hypothesis.place, values, one.times_limit, spec)
 
 
 def check_result(case: TrueCase, result: Document) -> None:

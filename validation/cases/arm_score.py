@@ -86,7 +86,7 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     every = model.sensitivities.hypotheses
     rows = zip(*numbers, [str(one.family) for one in every], [one.location for one in every], strict=True)
     document: list[dict[str, Any]] = to_json([
-        {"name": one.effect, "place": one.place} | dict(zip(names, row, strict=True))
+        {"name": one.name, "place": one.place} | dict(zip(names, row, strict=True))
         for one, row in zip(every, rows, strict=True)
     ])  # fmt: skip
     return document

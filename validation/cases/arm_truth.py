@@ -108,11 +108,11 @@ def _deal_effects(
     some: Sequence[demo.DetectableEffect], count: int, rng: np.random.Generator
 ) -> Iterator[demo.DetectableEffect]:
     """Yield so many effects, each at a random place; two effects differ by one case at most."""
-    names = sorted({one.hypothesis.effect for one in some})
+    names = sorted({one.hypothesis.name for one in some})
     rounds = -(-count // max(len(names), 1))
     dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
     for name in dealt[:count]:
-        yield demo.sample_effect([one for one in some if one.hypothesis.effect == name], rng)
+        yield demo.sample_effect([one for one in some if one.hypothesis.name == name], rng)
 
 
 def _sample_effects(
@@ -139,7 +139,7 @@ def list_uncatalogued() -> Mapping[tuple[str, str], Hypothesis]:
         raise BadRequest(f"{EFFECTS_FOLDER}: holds no effects; cases are made in a clone of the repository")
     kinds = {kind.__name__: kind for file in files for kind in effect_classes_in_file(str(file))}
     found = [to_hypothesis(made, Family.EXTERNAL) for made in catalogue.hypotheses(kinds)]
-    return {(one.effect, one.place): one for one in found}
+    return {(one.name, one.place): one for one in found}
 
 
 def resolve_effect(spec: str, tools: tuple[str, ...]) -> Effect:

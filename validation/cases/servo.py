@@ -8,7 +8,7 @@ servo makes it, and the case is diagnosed again with its log. The truth takes pa
 does: it makes the motion, and says which cases count.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from marsarm.common.rates import check_rate, clopper_pearson
+from simgap.catalogue.catalogue import catalogue
 from simgap.checks.audit import audit
 from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
@@ -91,7 +92,17 @@ NEXT_SHARES: Final[dict[Kind, float]] = {"single": 0.5, "pair": 0.5}
 BAR: Final = 18 / 24
 """Least share of the cases that one motion settles."""
 NEXT_NUMBER: Final = 12
-"""Number of the first run of the new motion after those of a case, for its seed and its temperature."""
+"""Number of the first run of the new motion after those of a case, for its seed."""
+
+HOLDS: Final = {
+    "constant torque": ("asymmetric friction", "spring"),
+    "asymmetric friction": ("constant torque", "spring"),
+    "position-dependent torque": ("link centre",),
+}
+"""Effects that are a true one exactly, whatever a servo does, where dry friction and armature are fitted.
+
+Friction in one direction is a constant torque beside other dry friction. So is a spring without stiffness. A
+weight beside its line pulls as a torque does that follows the angle, and an armature has its inertia."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +126,7 @@ class NextCases(ServoCases):
             key = choose_rivals(found.rivals)[0].finding
         except RobotError:
             return before
-        open_as = say_what_is_open(truth, before, key)
+        open_as = say_what_is_open(truth, before, key, {one.name for one in catalogue(robot, logs)})
         if not open_as:
             return before
         proposal, motion = propose_motion(robot, logs, found.rivals, usable)
@@ -157,32 +168,49 @@ def _diagnose(robot: Robot, logs: Logs) -> tuple[Diagnosis, Usable]:
 def list_accepted(
     case: SealedCase, findings: Sequence[Mapping[str, Any]], key: str
 ) -> list[frozenset[tuple[str, str]]]:
-    """Return the equivalence class of the effect that a finding stands for; those of all if of none."""
-    pairs, _ = pair_up(case, list(findings))
-    own = [one.accepted for one in pairs if one.finding and _key(one.finding) == key]
-    return own or [one.accepted for one in pairs]
+    """Return the class of the effect that a finding names first; of none, those that no finding names first.
+
+    An equivalence class also has what `HOLDS` the true effect: no motion takes that out of a set.
+    """
+    classes = tuple(
+        (*same, *((other, one.place) for other in HOLDS.get(one.name, ())))
+        for one, same in zip(case.truth.effects, case.equivalents, strict=True)
+    )
+    pairs, _ = pair_up(replace(case, equivalents=classes), list(findings))
+    right = [one for one in pairs if one.finding and first_choice(one.finding) in one.accepted]
+    own = [one for one in right if one.finding and _key(one.finding) == key]
+    return [one.accepted for one in own or pairs if own or one not in right]
 
 
-def say_what_is_open(case: SealedCase, result: Document, key: str) -> str:
-    """Return what a finding leaves open: a set, a place, a wrong name; empty if it is rightly named."""
+def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[str]) -> str:
+    """Return what a finding leaves open: a set with the right name, a place, wrong names; empty if nothing.
+
+    Nothing is left open by the right name, or by a place without one if the catalogue knows no right name.
+    """
     finding = next(one for one in result["findings"] if _key(one) == key)
-    if not finding["effects"]:
-        return "place"
     accepted = list_accepted(case, result["findings"], key)
-    if any(members(finding) <= one for one in accepted):
+    if not finding["effects"]:
+        return "place" if known & {name for own in accepted for name, _ in own} else ""
+    if any(is_named(case, finding, one) for one in accepted):
         return ""
-    return "set" if len(members(finding)) > 1 else "wrong name"
+    return "set" if members(finding) & frozenset().union(*list_accepted(case, (), "")) else "wrong name"
 
 
 def is_settled(case: SealedCase, result: Document) -> bool:
     """Return whether the right effect is named after the motion, or a wrong name is withdrawn."""
     told, after = result["next"], result["after"]["findings"]
     accepted = list_accepted(case, result["findings"], told["finding"])
-    if any(one["effects"] and members(one) <= own for one in after for own in accepted):
+    if any(is_named(case, one, own) for one in after for own in accepted):
         return True
-    true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
-    wrong = [one for one in after if len(one["effects"]) == 1 and not members(one) & true]
+    true = frozenset().union(*list_accepted(case, (), ""))
+    wrong = [one for one in after if one["effects"] and not members(one) & true]
     return told["open"] == "wrong name" and not wrong
+
+
+def is_named(case: SealedCase, finding: Mapping[str, Any], accepted: Set[tuple[str, str]]) -> bool:
+    """Return whether a set holds an effect that is sealed, and nothing that is not accepted."""
+    true = {(name, plain_place(place)) for one in case.equivalents for name, place in one}
+    return not members(finding).isdisjoint(true) and members(finding) <= accepted
 
 
 def _key(finding: Mapping[str, Any]) -> str:
@@ -198,14 +226,15 @@ def make_next(truth: Truth, planned: Motion, run: int) -> Motion:
     ((name, log),) = planned.joints.items()
     assert log.command is not None
     assert log.enabled is not None
-    number, times_s = NEXT_NUMBER + run, log.position.time_s
-    gain, heat_degC = planned.gain[name] * log.enabled.value, robot_draw.temperature_degC(number)
+    assert log.temperature is not None
+    number, times_s, gain = NEXT_NUMBER + run, log.position.time_s, planned.gain[name] * log.enabled.value
+    heat_degC = float(log.temperature.value[0]), float(log.temperature.value[-1])
     shown = plant.simulate(log.command.value[None], PERIOD_S, truth.seed * 100 + number, heat_degC, gain)
     (measured,) = robot_draw.measure(shown, np.random.default_rng([truth.seed, 3, number]))
     joint = JointLog(
         position=Signal(times_s, measured),
         command=log.command,
-        temperature=Signal(times_s, np.linspace(*heat_degC, times_s.size)),
+        temperature=log.temperature,
         enabled=log.enabled,
     )
     return Motion(f"next-{run + 1}", {name: joint}, planned.gain, "next", conditions=planned.conditions)

@@ -8,6 +8,7 @@ more than any effect.
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -23,51 +24,13 @@ from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance, Parameter
 from sim.arm_model.load import ArmModel
 from sim.effects import catalogue, environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import effect_name, effect_place_text
-from sim.effects.effect import EachMove, Effect, joint_of, link_of
-from sim.effects.environment import (
-    Ambient,
-    ContactStiffness,
-    Numerics,
-    Slip,
-    StructureTemperature,
-    SurfacePosition,
-)
-from sim.effects.gears import OutputFriction
-from sim.effects.geometry import (
-    Expansion,
-    FrameError,
-    LinkAngle,
-    LinkLength,
-    LinkWarming,
-    ThermalGradient,
-    ToolOffset,
-    ToolTurn,
-    Warming,
-)
-from sim.effects.joints import (
-    BacklashWidth,
-    GearFriction,
-    GearStiffness,
-    HardstopAngle,
-    HardstopStiffness,
-    MotorConstant,
-    ResolverBias,
-)
-from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero, StructureSensor
-from sim.effects.structure import (
-    LinkBending,
-    LinkCreep,
-    LinkMass,
-    LinkStiffness,
-    LinkTorsion,
-    RoverCompliance,
-)
+from sim.effects.effect import EachMove, Effect, joint_of, link_of, params_with_effects
 from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.plant import SCREW_AXES, SPRING_NAMES
 from sim.tolerances import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from simgap import Family, screw_log
 
-NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
+NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": environment.Numerics("explicit", 6)}
 """Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
 step is the change to the limit of short steps; the explicit scheme, whose steps cannot be as long, has an
 error of its own at 21 steps, which looks like friction at the elbow."""
@@ -103,14 +66,9 @@ FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
         *(sensors.ResolverEccentricity, sensors.GravityDirection),
     ),
     Family.GEOMETRY: (
-        *(
-            geometry.LinkLength,
-            geometry.LinkAngle,
-            geometry.ToolOffset,
-            geometry.ToolTurn,
-            geometry.ThermalGradient,
-        ),
-        *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
+        *(geometry.LinkLength, geometry.LinkAngle, geometry.ToolOffset, geometry.ToolTurn),
+        *(geometry.ThermalGradient, geometry.Expansion, geometry.LinkWarming, geometry.Warming),
+        joints.HardstopAngle,
     ),
     ArmFamily.STRUCTURE: (
         *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
@@ -124,27 +82,22 @@ FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
     Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
 }
 
-LOCATIONS: Final = {
-    "contact-stiffness": "surface",
-    "slip": "surface",
-    "surface-position": "surface",
-    "bus-sag": "power bus",
-    "gravity-direction": "imu",
-    "rover-compliance": "rover",
-    "turret-mass": "turret",
-    "turret-centre": "turret",
-}
+LOCATIONS: Final = (
+    dict.fromkeys(("contact-stiffness", "slip", "surface-position"), "surface")
+    | dict.fromkeys(("turret-mass", "turret-centre"), "turret")
+    | {"bus-sag": "power bus", "gravity-direction": "imu", "rover-compliance": "rover"}
+)
 """Locations of effects whose place is an axis or the whole arm."""
 
-REST_ONLY_EFFECTS: Final = (
-    *(LinkLength, LinkAngle, ThermalGradient, FrameError, ToolOffset, ToolTurn),
-    *(Expansion, LinkWarming, Warming),
-    *(LinkStiffness, LinkBending, LinkCreep, LinkTorsion, RoverCompliance),
-    *(ContactStiffness, SurfacePosition, Slip),
+REST_ONLY_EFFECTS: Final[tuple[type[Effect], ...]] = (
+    geometry.FrameError,
+    *FAMILIES[Family.GEOMETRY],
+    *FAMILIES[ArmFamily.STRUCTURE],
+    *FAMILIES[Family.CONTACT],
 )
-"""Effects that influence rests or nothing; their change of motions is below the noise."""
-
-ROUNDING = 1e-9
+"""Effects that influence rests or nothing, but for a shifted hardstop; their change of motions is below the
+noise, and no motion of a campaign reaches a hardstop."""
+ROUNDING: Final = 1e-9
 """Differences below this, relative or in SI, are those of floating-point numbers."""
 
 
@@ -158,20 +111,32 @@ def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
         for axis in IDENTIFIABLE_AXES[frame]:
             yield _frame_nuisance(frame, tool, axis, left.frame_rad if axis < 3 else left.frame_m)
     for joint in Joint:
-        yield _joint_nuisance(joint, "zero", "rad", left.hardstop_rad, HardstopAngle)
-        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, left.stiffness_share, GearStiffness)
-        yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, GearFriction)
+        yield _joint_nuisance(joint, "zero", "rad", left.hardstop_rad, joints.HardstopAngle)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, left.stiffness_share, joints.GearStiffness)
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, joints.GearFriction)
     for frame in SPRING_FRAMES:
-        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, left.stiffness_share, LinkStiffness)
+        yield _joint_nuisance(
+            frame, "link stiffness", LOG_UNIT, left.stiffness_share, structure.LinkStiffness
+        )
     for joint in Joint:
-        yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
-        for word, numerics in NUMERICS.items():
-            yield _numerics_nuisance(word, numerics, joint.name.lower())
+        yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, sensors.EncoderZero)
+        for word, numerics in NUMERICS.items():  # on or off
+            yield Nuisance(
+                f"{word} {joint.name.lower()}",
+                "1",
+                NUMERICS_SIGMA,
+                effect=partial(lambda one, _: one, numerics),
+                same_as=word,
+                one_sided=True,
+                only_place=joint.name.lower(),
+            )
     for joint in Joint:
-        yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
-        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, 0.02, GearStiffness, random_per_block=True)
-        yield _joint_nuisance(joint, "current", "A", 0.003, CurrentBias, random_per_block=True)
-        yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, joints.GearFriction, random_per_block=True)
+        yield _joint_nuisance(
+            joint, "gear stiffness", LOG_UNIT, 0.02, joints.GearStiffness, random_per_block=True
+        )
+        yield _joint_nuisance(joint, "current", "A", 0.003, sensors.CurrentBias, random_per_block=True)
+        yield _joint_nuisance(joint, "resolver", "rad", 6e-6, joints.ResolverBias, random_per_block=True)
 
 
 def _frame_nuisance(frame: Frame, tool: str | None, axis: int, sigma: float) -> Nuisance:
@@ -181,21 +146,8 @@ def _frame_nuisance(frame: Frame, tool: str | None, axis: int, sigma: float) -> 
         f"frame {named}.{word}",
         unit,
         sigma,
-        effect=lambda value: FrameError(frame, row6(value * np.eye(6)[axis]), tool),
+        effect=lambda value: geometry.FrameError(frame, row6(value * np.eye(6)[axis]), tool),
         same_as=f"{named}.{word[1]}: {_TURN_SHIFT[tool is not None][unit]}",
-    )
-
-
-def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> Nuisance:
-    """Return other numerics at one joint, on or off."""
-    return Nuisance(
-        f"{word} {place}",
-        "1",
-        NUMERICS_SIGMA,
-        effect=lambda _: numerics,
-        same_as=word,
-        one_sided=True,
-        only_place=place,
     )
 
 
@@ -221,10 +173,16 @@ def locate(effect: str, place: str) -> str:
 
 def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
-    if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
-        return False  # no motion of a campaign reaches a hardstop
+    if isinstance(effect, REST_ONLY_EFFECTS) and not isinstance(effect, joints.HardstopAngle):
+        return False
+    joint = joint_at(effect)
+    return joint is None or any(segment.joint is joint for segment in one.segments)
+
+
+def joint_at(effect: Effect) -> Joint | None:
+    """Return the joint of an effect; None if it has none."""
     joint = getattr(effect, "joint", None)
-    return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+    return None if joint is None else Joint(joint)
 
 
 def list_hypotheses(
@@ -232,13 +190,10 @@ def list_hypotheses(
 ) -> Iterator[Hypothesis]:
     """Yield the candidate causes of these names at an arm with these tools.
 
-    None for all of the catalogue, and for the tools of the default arm.
-
-    They are those of the catalogue, but no disturbance of single moves, and nothing that logs record.
-
-    An offset of the sensor of the structure looks like warming of the arm.
+    None stands for all of the catalogue, and for the tools of the default arm. Disturbances of single moves,
+    and what logs record, are no candidates: an offset of the sensor of the structure looks like warming.
     """
-    recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
+    recorded = (EachMove, environment.Ambient, environment.StructureTemperature, sensors.StructureSensor)
     kinds = catalogue.catalogue()
     every = catalogue.hypotheses(kinds if names is None else {name: kinds[name] for name in names}, tools)
     family_of = {kind: family for family, kinds in FAMILIES.items() for kind in kinds}
@@ -266,31 +221,28 @@ def _list_parameters(one: catalogue.EffectHypothesis) -> Iterator[Parameter]:
             yield Parameter(parameter.field, size.unit, size.low, size.high, size.typical, size.neutral)
 
 
-def effects_of_params(params: Params, drawing: Params) -> tuple[Effect, ...]:
-    """Return the effects whose perfect calibration gives the parameters of an arm, by those of its drawing.
+def effects_of_params(params: Params, drawing: Params) -> Iterator[Effect]:
+    """Yield the effects whose perfect calibration gives the parameters of an arm, by those of its drawing.
 
     They are frames, springs and masses of the links, frames of the tools, hardstops, backlash, stiffness and
     friction of the joints, constants of the motors and scales of the encoders. A spring has one factor.
     """
-    found: list[Effect] = []
-    now = drawing
-    for effect in _frame_errors(now, params):
-        found.append(effect)
-        now = effect.on_params(now)
+    frames = [*_frame_errors(drawing, params)]
+    now = params_with_effects(frames, drawing)
+    yield from frames
     for frame in Frame:
         if frame is not Frame.TOOL:
-            found += _link_effects(frame, link_of(now, frame), link_of(params, frame))
+            yield from _link_effects(frame, link_of(now, frame), link_of(params, frame))
     for joint in Joint:
-        found += _joint_effects(joint, now, params)
-    return tuple(found)
+        yield from _joint_effects(joint, now, params)
 
 
-def _frame_errors(nominal: Params, params: Params) -> Iterator[FrameError]:
+def _frame_errors(nominal: Params, params: Params) -> Iterator[geometry.FrameError]:
     for frame, tool in list_frames(nominal.tool_names):
         X = inverse(_pose_of(nominal, frame, tool)) @ _pose_of(params, frame, tool)
         screw = screw_log(stack_poses([X]))[:, 0]
         if np.abs(screw).max() > ROUNDING:
-            yield FrameError(frame, row6(screw), tool)
+            yield geometry.FrameError(frame, row6(screw), tool)
 
 
 def _pose_of(params: Params, frame: Frame, tool: str | None) -> Pose:
@@ -304,26 +256,26 @@ def _link_effects(frame: Frame, old: LinkParams, new: LinkParams) -> Iterator[Ef
     if frame < len(SPRING_NAMES):
         factor = float(np.trace(old.compliance) / np.trace(new.compliance))
         if abs(factor - 1.0) > ROUNDING:
-            yield LinkStiffness(frame, factor)
+            yield structure.LinkStiffness(frame, factor)
     mass = new.far.mass_kg / old.far.mass_kg if old.far.mass_kg else 1.0
     shift_m = np.array(new.far.com_m) - np.array(old.far.com_m)
     if abs(mass - 1.0) > ROUNDING or np.abs(shift_m).max() > ROUNDING:
-        yield LinkMass(frame, mass, vector3(shift_m))
+        yield structure.LinkMass(frame, mass, vector3(shift_m))
 
 
 def _joint_effects(joint: Joint, nominal: Params, params: Params) -> Iterator[Effect]:
     old, new = joint_of(nominal, joint), joint_of(params, joint)
     if new.hardstop_rad != old.hardstop_rad:
-        yield HardstopAngle(joint, new.hardstop_rad - old.hardstop_rad)
+        yield joints.HardstopAngle(joint, new.hardstop_rad - old.hardstop_rad)
     if new.output_friction_Nm != old.output_friction_Nm:
-        yield OutputFriction(joint, new.output_friction_Nm - old.output_friction_Nm)
+        yield gears.OutputFriction(joint, new.output_friction_Nm - old.output_friction_Nm)
     if new.gear_ratio != old.gear_ratio:
-        yield EncoderScale(joint, new.gear_ratio / old.gear_ratio - 1.0)
+        yield sensors.EncoderScale(joint, new.gear_ratio / old.gear_ratio - 1.0)
     for kind, before, after in (
-        (BacklashWidth, old.backlash_rad, new.backlash_rad),
-        (GearStiffness, old.gear_stiffness_Nm_rad, new.gear_stiffness_Nm_rad),
-        (HardstopStiffness, old.hardstop_stiffness_Nm_rad, new.hardstop_stiffness_Nm_rad),
-        (MotorConstant, old.torque_constant_Nm_A, new.torque_constant_Nm_A),
+        (joints.BacklashWidth, old.backlash_rad, new.backlash_rad),
+        (joints.GearStiffness, old.gear_stiffness_Nm_rad, new.gear_stiffness_Nm_rad),
+        (joints.HardstopStiffness, old.hardstop_stiffness_Nm_rad, new.hardstop_stiffness_Nm_rad),
+        (joints.MotorConstant, old.torque_constant_Nm_A, new.torque_constant_Nm_A),
     ):
         if after != before:
             yield kind(joint, after / before)

@@ -119,7 +119,7 @@ def _time_base(recording: Recording) -> Iterator[str]:
 def _stale(recording: Recording) -> Iterator[str]:
     for name in CONTINUOUS:
         for k, column in enumerate(recording.sensors[name].T):
-            same = runs(np.append(np.diff(column) == 0, False))
+            same = runs(np.diff(column) == 0)
             at, end = max(same, key=lambda one: one[1] - one[0], default=(0, 0))
             longest = end - at + 1
             if longest >= STALE_TICKS and not (name == "current_A" and not column[at]):

@@ -14,32 +14,21 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, digest_sources, in_order
+from marsarm.diagnosis.arm import finite_differences as differences
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_layout
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor
-from marsarm.diagnosis.arm.finite_differences import (
-    MAX_ROUNDS,
-    Column,
-    OneSidedStep,
-    adapt_step,
-    find_borrowed_slopes,
-    group_columns,
-    list_columns,
-    simulate_side,
-    step_error,
-)
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_simulator
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
-    FeatureLayout,
     Hypothesis,
     Ints,
     Nuisance,
@@ -83,8 +72,8 @@ def _list_known(campaign: _Campaign) -> tuple[tuple[Hypothesis, ...], tuple[Nuis
 
 
 @cache
-def _list_columns(campaign: _Campaign) -> list[Column]:
-    return list_columns(*_list_known(campaign))
+def _list_columns(campaign: _Campaign) -> list[differences.Column]:
+    return differences.list_columns(*_list_known(campaign))
 
 
 def compute_sensitivities(
@@ -125,13 +114,9 @@ def _cache_name(arm: str, kinds: Names, *logs: Logs) -> str:
 def _difference_all(
     campaign: _Campaign, run: Runner, progress: Progress, given: Array | None
 ) -> Sensitivities:
-    """Simulate the columns with given steps or with adapted ones, and fit parabolas.
-
-    Args:
-        given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
-    """
+    """Simulate the columns with given steps of hypotheses, (k,), or with adapted ones, and fit parabolas."""
     columns = _list_columns(campaign)
-    borrowed = find_borrowed_slopes(columns)
+    borrowed = differences.find_borrowed_slopes(columns)
     shares = {
         k: 1.0 for k, one in enumerate(columns) if k not in borrowed or isinstance(one.source, Hypothesis)
     }
@@ -147,32 +132,20 @@ def _difference_all(
     shares = {k: one.share for k, one in up.items()}
     two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, sides)
-    (first, rows), (second, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
-    found = [_assemble(campaign, first, up, down)]
+    (first, rows), (_, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
+    slope, curvature, reach = _fit_parabolas(campaign, up, down)
     if other_rows.size:
-        curved = {k: two_sided[k] for k in down if _is_curved(first.layout, up[k], down[k])}
+        # a line misses a step by MIN_CURVED noise floors
+        missed = np.abs(curvature * reach**2) > MIN_CURVED * first.layout.sigma[:, None]
+        curved = {k: two_sided[k] for k in down if missed[:, k].any()}
         done = work[-1] / (work[-1] + _count_ticks(campaign, curved, False))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
         down = _simulate(campaign, curved, 1, False, run, part_of(rest, done, 1.0))
-        found.append(_assemble(campaign, second, up, down))
-    return _join(_simulator(campaign).layout, found, np.argsort(np.concatenate([rows, other_rows])))
-
-
-def _is_curved(layout: FeatureLayout, up: OneSidedStep, down: OneSidedStep) -> bool:
-    """Check that a line misses a step by MIN_CURVED noise floors."""
-    _, curvature = fit_parabola([(one.change, one.size) for one in (up, down)])
-    missed = curvature * max(up.size**2, down.size**2)
-    return bool(np.any(np.abs(missed) > MIN_CURVED * layout.sigma))
-
-
-def _join(layout: FeatureLayout, parts: Sequence[Sensitivities], order: Ints) -> Sensitivities:
-    """Join the sensitivities of parts of the features, in the given order of their rows."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in parts])[order]
-        for name in ("effect", "curve", "nuisance")
-    }
-    sigma = np.concatenate([one.layout.sigma for one in parts])[order]
-    return replace(parts[0], layout=replace(layout, sigma=sigma), **arrays)
+        other_slope, other_curvature, _ = _fit_parabolas(campaign, up, down)
+        order = np.argsort(np.concatenate([rows, other_rows]))
+        slope = np.concatenate([slope, other_slope])[order]
+        curvature = np.concatenate([curvature, other_curvature])[order]
+    return _assemble(campaign, _simulator(campaign), slope, curvature, reach)
 
 
 def _simulate(
@@ -182,12 +155,12 @@ def _simulate(
     is_first: bool,
     run: Runner,
     progress: Progress,
-) -> dict[int, OneSidedStep]:
+) -> dict[int, differences.OneSidedStep]:
     """Simulate one side of columns with these steps in a part of the features."""
-    at_once = group_columns(_list_columns(campaign), sorted(shares))
+    at_once = differences.group_columns(_list_columns(campaign), sorted(shares))
     nominal = _nominal_features(campaign, is_first)
     jobs = [(campaign, is_first, nominal, side, {k: shares[k] for k in of}) for of in at_once]
-    steps: dict[int, OneSidedStep] = {}
+    steps: dict[int, differences.OneSidedStep] = {}
     done, total = 0, _count_ticks(campaign, shares, is_first)
     for found in in_order(run, _simulate_at_once, jobs):
         steps |= found
@@ -201,7 +174,7 @@ def _count_ticks(campaign: _Campaign, wanted: Iterable[int], is_first: bool) -> 
     columns, feature_set = _list_columns(campaign), _part(campaign, is_first)[0].feature_set
     rests = sum(1 + max(one.turning_points.tick, default=0) for one in feature_set.rests)
     ticks = 0
-    for of in group_columns(columns, sorted(wanted)):
+    for of in differences.group_columns(columns, sorted(wanted)):
         effects = [columns[k].sides(1.0)[0][0] for k in of]
         moved = [one for one in feature_set.motions if any(moves(effect, one) for effect in effects)]
         ticks += 1 + sum({one.recording.block: one.compared_ticks for one in moved}.values())
@@ -211,7 +184,7 @@ def _count_ticks(campaign: _Campaign, wanted: Iterable[int], is_first: bool) -> 
 
 def _choose_steps(
     campaign: _Campaign, run: Runner, progress: Progress, first: Mapping[int, float]
-) -> dict[int, OneSidedStep]:
+) -> dict[int, differences.OneSidedStep]:
     """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
 
     A column with its slope from a nuisance keeps its step: another step would not change that slope.
@@ -220,66 +193,65 @@ def _choose_steps(
     """
     simulator, _ = _part(campaign, True)
     columns = _list_columns(campaign)
-    fixed = find_borrowed_slopes(columns)
-    last: dict[int, OneSidedStep] = {}
-    numerical = [k for k in first if columns[k].is_numerical]
+    fixed = differences.find_borrowed_slopes(columns)
+    last: dict[int, differences.OneSidedStep] = {}
+    numerical = [k for k in first if isinstance(one := columns[k].source, Nuisance) and one.only_place]
     wanted = {k: by for k, by in first.items() if k not in numerical}
     chosen, best = last, dict.fromkeys(first, math.inf)
     late = 0.5 * _count_ticks(campaign, numerical, True) / _count_ticks(campaign, first, True)
     rounds = part_of(progress, 0.0, 1.0 - late)
-    for attempt in range(MAX_ROUNDS + 1):
+    for attempt in range(differences.MAX_ROUNDS + 1):
         update = part_of(rounds, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
-        scale = form_normal_equations(_assemble(campaign, simulator, last, {})).scale
+        found = _assemble(campaign, simulator, *_fit_parabolas(campaign, last, {}))
+        scale = form_normal_equations(found).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
-        nearer = [k for k in seen if step_error(seen[k]) < best[k]]
+        nearer = [k for k in seen if differences.step_error(seen[k]) < best[k]]
         chosen = last | chosen | {k: last[k] for k in nearer}
-        best |= {k: step_error(seen[k]) for k in nearer}
-        better = {k: share for k, by in seen.items() if (share := adapt_step(last[k].share, by)) is not None}
-        wanted = {k: by for k, by in better.items() if columns[k].sides(by)[0][1] != last[k].size}
+        best |= {k: differences.step_error(seen[k]) for k in nearer}
+        better = {k: differences.adapt_step(last[k].share, by) for k, by in seen.items()}
+        wanted = {k: by for k, by in better.items() if by and columns[k].sides(by)[0][1] != last[k].size}
         if not wanted:
             break
     left = {k: by for k, by in first.items() if k not in chosen}
     return chosen | _simulate(campaign, left, 0, True, run, part_of(progress, 1.0 - late, 1.0))
 
 
-def _assemble(
+def _fit_parabolas(
     campaign: _Campaign,
-    simulator: ArmSimulator,
-    up: Mapping[int, OneSidedStep],
-    down: Mapping[int, OneSidedStep],
-) -> Sensitivities:
-    """Fit parabolas through the simulated steps, or lines where there is one side.
+    up: Mapping[int, differences.OneSidedStep],
+    down: Mapping[int, differences.OneSidedStep],
+) -> tuple[Array, Array, Array]:
+    """Fit slopes and curvatures through simulated steps, (m, n) for n columns; return the largest steps too.
 
-    A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
-    own steps.
+    Where there is one side, it is a line. A hypothesis that is also a nuisance takes its slope from the
+    nuisance, and only its curvature from its own steps.
     """
     columns = _list_columns(campaign)
-    slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
+    slope, curvature = np.zeros((2, next(iter(up.values())).change.size, len(columns)))
     reach = np.ones(len(columns))
     for k, side in up.items():
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, factor) in find_borrowed_slopes(columns).items():
+    for k, (other, factor) in differences.find_borrowed_slopes(columns).items():
         slope[:, k] = slope[:, other] * factor
-    hypotheses, nuisances = _list_known(campaign)
-    owner = [k for k, one in enumerate(hypotheses) for _ in one.parameters]
-    sized = len(owner)
+    return slope, curvature, reach
+
+
+def _assemble(
+    campaign: _Campaign, simulator: ArmSimulator, slope: Array, curvature: Array, reach: Array
+) -> Sensitivities:
+    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns."""
+    hypotheses, nuisances = known = _list_known(campaign)
+    owner = np.array([k for k, one in enumerate(hypotheses) for _ in one.parameters], np.intp)
+    sized = owner.size
     nuisance = _restrict_nuisances(simulator, nuisances, slope[:, sized:])
     own = nuisance[:, [bool(one.only_place) for one in nuisances]]
     # a share of the numerical errors is noise: the fit removes them only in part
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    return Sensitivities(
-        replace(simulator.layout, sigma=sigma),
-        hypotheses,
-        nuisances,
-        slope[:, :sized],
-        curvature[:, :sized],
-        reach[:sized],
-        np.array(owner, np.intp),
-        nuisance,
-    )
+    layout, derivatives = replace(simulator.layout, sigma=sigma), (slope[:, :sized], curvature[:, :sized])
+    return Sensitivities(layout, *known, *derivatives, reach[:sized], owner, nuisance)
 
 
 def _restrict_nuisances(simulator: ArmSimulator, nuisances: Sequence[Nuisance], change: Array) -> Array:
@@ -289,7 +261,7 @@ def _restrict_nuisances(simulator: ArmSimulator, nuisances: Sequence[Nuisance], 
     """
     cut, places = change.copy(), np.array([one.place for one in simulator.feature_set.list_features()])
     numerical = [k for k, one in enumerate(nuisances) if one.only_place]
-    stepped = next(k for k in numerical if Column(nuisances[k]).sides(1.0)[0][0] == STEP_NUMERICS)
+    stepped = next(k for k in numerical if differences.Column(nuisances[k]).sides(1.0)[0][0] == STEP_NUMERICS)
     rests = slice(simulator.feature_set.n_moving, None)
     for k in numerical:
         cut[rests, k] = change[rests, stepped]
@@ -319,8 +291,7 @@ def campaign_digest(logs: Logs, kinds: Names, arm: str) -> str:
 def _simulator(campaign: _Campaign) -> ArmSimulator:
     """Build the simulator; once in each process."""
     arm = arm_named(campaign.arm).model
-    feature_set = build_feature_set(load_checked_recordings(campaign.logs, arm=arm))
-    return ArmSimulator(feature_set, build_layout(feature_set, estimate_floor(feature_set).sigma))
+    return build_simulator(build_feature_set(load_checked_recordings(campaign.logs, arm=arm)))
 
 
 @cache
@@ -351,7 +322,7 @@ def _nominal_features(campaign: _Campaign, is_first: bool) -> Array:
 
 def _simulate_at_once(
     campaign: _Campaign, is_first: bool, nominal: Array, side: int, shares: Mapping[int, float]
-) -> dict[int, OneSidedStep]:
+) -> dict[int, differences.OneSidedStep]:
     """Simulate one side of some columns, which have these steps, at once."""
     simulator, _ = _part(campaign, is_first)
-    return simulate_side(simulator, _list_columns(campaign), nominal, side, shares)
+    return differences.simulate_side(simulator, _list_columns(campaign), nominal, side, shares)

@@ -2,6 +2,8 @@
 
 `diagnose_case` restricts the campaign to the features of the case, and fits the nuisances with the simulator
 (`case_simulator`). It diagnoses the residual, and tests the findings on held-out motion.
+
+In all functions, `rows` are residuals as in `marsarm.diagnosis.diagnose`, and `sigma` is their noise, (m,).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,17 +22,16 @@ from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     LONG_SETTLING,
-    ArmSimulator,
     CaseSimulator,
     build_case_simulator,
-    build_layout,
+    build_simulator,
     fit_nuisances,
 )
-from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor
+from marsarm.diagnosis.arm.feature_set import build_feature_set
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
-from marsarm.diagnosis.problem import Ints, Sensitivities
+from marsarm.diagnosis.problem import Sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals
 from sim.effects.effect import Effect
 from sim.plant import SCREW_AXES
@@ -39,7 +40,6 @@ from simgap.common.progress import Progress, part_of
 
 MIN_FEATURE_SHARE: Final = 0.5
 """Least share of the campaign's features that a case must have."""
-
 OWN_FLOOR_RATIO: Final = 1.2
 """Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
 
@@ -65,17 +65,14 @@ def load_campaign_model(
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
-    Raises:
-        BadRequest: A cached file cannot be read.
-        BadOutput: A file cannot be written.
+    BadRequest if a cached file cannot be read, BadOutput if one cannot be written.
     """
-    share = len(logs) / (len(logs) + len(held_out))
+    share, held = len(logs) / (len(logs) + len(held_out)), None
     fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds, (), arm)
-    made = build_model(fitted)
-    if not held_out:
-        return CampaignModel(made, None)
-    rest = part_of(progress, share, 1.0)
-    return CampaignModel(made, compute_sensitivities(held_out, kept_in, run, rest, kinds, logs, arm))
+    if held_out:
+        rest = part_of(progress, share, 1.0)
+        held = compute_sensitivities(held_out, kept_in, run, rest, kinds, logs, arm)
+    return CampaignModel(build_model(fitted), held)
 
 
 def compute_tool_error(
@@ -83,36 +80,23 @@ def compute_tool_error(
 ) -> JointError | None:
     """Compute the root mean square tool error over rests and the tools; None without whole poses.
 
-    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
-
-    Args:
-        keys: Keys of the m features.
-        rows: Residuals as in `Explanation.residuals`, rotation in rad and shift in m, turret frame, shape
-            (m,) each.
-        sigma: Noise floor in the same units, shape (m,).
+    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p. Features, by their keys,
+    are in the turret frame.
     """
-    at = _screw_rows(keys)
+    known: dict[str, dict[str, int]] = {}
+    for row, key in enumerate(keys):
+        rest, _, axis = key.rpartition("/")
+        known.setdefault(rest, {})[axis] = row
+    at = np.array([[of[axis] for axis in SCREW_AXES] for of in known.values() if of.keys() >= {*SCREW_AXES}])
     if not at.size:
         return None
     tools = configure(drawing).arm.X_FT
-    J = np.stack(
-        [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
-    )  # (tools, 3, 6)
+    J = np.array([np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()])
     nominal, base, explained = (
         float(np.sqrt(np.mean(np.sum(np.einsum("tij,rj->rti", J, of[at]) ** 2, axis=2)))) for of in rows
     )
     floor = float(np.sqrt(np.mean(np.einsum("tij,rj->rt", J**2, sigma[at] ** 2))))
     return JointError("tool", "m", nominal, base, explained, floor, FeatureResiduals.kind)
-
-
-def _screw_rows(keys: Sequence[str]) -> Ints:
-    """Return the rows of the six pose components of each rest that has all of them, (r, 6)."""
-    known: dict[str, dict[str, int]] = {}
-    for row, key in enumerate(keys):
-        rest, _, axis = key.rpartition("/")
-        known.setdefault(rest, {})[axis] = row
-    whole = [[one[axis] for axis in SCREW_AXES] for one in known.values() if one.keys() >= set(SCREW_AXES)]
-    return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +123,12 @@ def diagnose_case(
 ) -> CaseDiagnosis:
     """Diagnose a case: fit its nuisances, find its effects, and judge them on held-out motion.
 
-    Raises:
-        NotForDiagnosis: Most motions of the campaign are missing.
+    NotForDiagnosis if most motions of the campaign are missing.
     """
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm, floor_notes = _case_simulator(recordings, patch)
+    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, patch)
     sensitivities = campaign.model.sensitivities
     first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
     missing = _find_missing(first, campaign)
@@ -153,12 +136,8 @@ def diagnose_case(
     fit, selection = fit_nuisances(model, first, patch, seed)
     found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
     seen = int(np.sum(model.family_wise_limits <= 1.0))
-    remarks = (
-        *audit_recordings(recordings),
-        *missing,
-        *floor_notes,
-        f"these motions would show {seen} of {len(model.limits)} effects at their typical size",
-    )
+    shown = f"these motions would show {seen} of {len(model.limits)} effects at their typical size"
+    remarks = (*audit_recordings(recordings), *missing, *arm.floor_notes, shown)
     diagnosis = replace(
         found.diagnosis,
         robot=arm.feature_set.arm.name,
@@ -169,40 +148,21 @@ def diagnose_case(
         errors = _judge_held_out(found, fit, held_out, campaign.held_out)
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
-    traces = tuple(_make_traces(fit, found))
-    return CaseDiagnosis(diagnosis, traces, model)
+    return CaseDiagnosis(diagnosis, tuple(_make_traces(fit, found)), model)
 
 
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without any fit and with the findings."""
-    nominal, _, explained = found.residuals
-    every = case.arm.feature_set.list_features()
-    features, measured = [every[k] for k in case.at], case.measured[case.at]
-    sessions = np.array([one.recording.name for one in features])
-    is_moving = np.array([one.key.startswith("motion ") for one in features])
-    layout = case.layout
-    for channel in dict.fromkeys(layout.channel[is_moving].tolist()):
-        for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
-            rows = np.flatnonzero(is_moving & (layout.channel == channel) & (sessions == session))
-            yield Trace(
-                channel,
-                FeatureResiduals.kind,
-                str(session),
-                str(layout.unit[rows[0]]),
-                np.asarray(np.arange(rows.size) * BIN_TICKS / CYCLE_HZ, np.float64),
-                measured[rows],
-                nominal[rows],
-                explained[rows],
-            )
-
-
-def _case_simulator(
-    recordings: Sequence[Recording], patch: tuple[Effect, ...]
-) -> tuple[ArmSimulator, tuple[str, ...]]:
-    feature_set = build_feature_set(recordings)
-    floor = estimate_floor(feature_set)
-    layout = build_layout(feature_set, floor.sigma)
-    return ArmSimulator(feature_set, layout, LONG_SETTLING, patch), floor.notes
+    layout, (nominal, _, explained), measured = case.layout, found.residuals, case.measured[case.at]
+    series: dict[tuple[str, str], list[int]] = {}
+    for row, (channel, key) in enumerate(zip(layout.channel.tolist(), layout.key.tolist(), strict=True)):
+        session, name = key.split("/", 1)
+        if name.startswith("motion "):
+            series.setdefault((channel, session), []).append(row)
+    for (channel, session), rows in series.items():
+        time_s = np.arange(float(len(rows))) * BIN_TICKS / CYCLE_HZ
+        numbers = (values[rows] for values in (measured, nominal, explained))
+        yield Trace(channel, FeatureResiduals.kind, session, str(layout.unit[rows[0]]), time_s, *numbers)
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
@@ -226,11 +186,9 @@ def _judge_held_out(
     """List the errors of channels and tool on held-out motion; none if no such arm can be simulated.
 
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
-
-    Raises:
-        NotForDiagnosis: Nothing of the motion can be compared with the campaign.
+    NotForDiagnosis if nothing of the motion can be compared with the campaign.
     """
-    arm, _ = _case_simulator(recordings, fit.arm.patch)
+    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, fit.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
@@ -249,11 +207,7 @@ def _judge_held_out(
 
 
 def _find_missing(case: CaseSimulator, campaign: CampaignModel) -> tuple[str, ...]:
-    """Return a remark on the sessions of the campaign that a case lacks.
-
-    Raises:
-        NotForDiagnosis: It lacks most.
-    """
+    """Return a remark on the sessions of the campaign that a case lacks; NotForDiagnosis if it lacks most."""
     layout = campaign.model.sensitivities.layout
     every, shared = (
         {key.split("/", 1)[0] for key in keys.tolist()} for keys in (layout.key, layout.key[case.rows])

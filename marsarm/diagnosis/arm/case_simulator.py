@@ -7,6 +7,9 @@ Nuisance parameters can be large and act nonlinearly, so linearisation error can
 case is simulated again at the estimated nuisances until they converge. Fitted alone, they can imitate an
 effect; fitted beside it, they give way to it. So they are fitted alone first, and beside the selected effects
 then.
+
+In all functions, features and their changes are arrays in the units of their channels, (m,) or (n,) as in
+`CaseSimulator`; `nuisance` is their change per unit of each nuisance, (m, q).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +21,8 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
-from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
+from marsarm.diagnosis.arm.features import CHANNELS, CONDITIONS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
@@ -37,17 +40,13 @@ MOTION_CONDITIONS: Final = tuple(
 )
 MOTION_TOLERANCE: Final = 0.02
 """Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
-
 MIN_CHANGE_SIGMAS: Final = 0.5
 """Sigmas by which a nuisance must change for a resimulation: the linear model is exact to second order."""
-
 MIN_CURVED: Final = 0.25
 """Second-order change of a feature, in noise floors, for which its motion is simulated again; else it is
 extrapolated. Rests are always solved again."""
-
 MAX_SIGMAS: Final = 10.0
 """Greatest simulated departure: an effect can push a similar nuisance beyond any real arm."""
-
 MAX_UPDATES: Final = 3
 """Greatest number of resimulations of nuisances alone, and of those beside effects."""
 
@@ -62,37 +61,38 @@ class ArmSimulator:
     feature_set: FeatureSet
     layout: FeatureLayout
     """Layout of its m features, with their noise floor."""
-    options: SimulationOptions = SHORT_SETTLING
-    patch: tuple[Effect, ...] = ()
+    floor_notes: tuple[str, ...]
+    """Notes on the origin of that."""
+    options: SimulationOptions
+    patch: tuple[Effect, ...]
     """Effects that are always on."""
 
     def predict_effects(
-        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
+        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = lambda _: True
     ) -> Array:
-        """Predict the features (m,) with the patch and these effects; NaN for motions not wanted.
+        """Predict the features with the patch and these effects; NaN for motions not wanted.
 
         PlantDiverged if MuJoCo counted a warning.
         """
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
 
-def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
-    """Describe the features; every place has its own channels.
-
-    Args:
-        sigma: Noise floor in the units of the channels, shape (m,).
-    """
-    features = feature_set.list_features()
-    return FeatureLayout(
+def build_simulator(
+    feature_set: FeatureSet, options: SimulationOptions = SHORT_SETTLING, patch: tuple[Effect, ...] = ()
+) -> ArmSimulator:
+    """Build the simulator of these features; every place has its own channels."""
+    features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
+    layout = FeatureLayout(
         sigma=sigma,
-        block=np.array([one.block for one in features], str),
-        channel=np.array([one.channel_name for one in features], str),
+        block=np.array([one.recording.block for one in features], str),
+        channel=np.array([f"{one.place} {CHANNELS[one.channel]}" for one in features], str),
         unit=np.array([UNITS[one.channel] for one in features], str),
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
         conditions=np.array(CONDITIONS),
     )
+    return ArmSimulator(feature_set, layout, notes, options, patch)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ class CaseSimulator:
         return self.arm.layout.select(self.at)
 
     def simulate(self, departures: Departures) -> Array:
-        """Return the change by effects, shape (m,), as `marsarm.diagnosis.problem.Simulate`."""
+        """Return the change by effects, as `marsarm.diagnosis.problem.Simulate`."""
         effects = tuple(one.switch_on(a) for one, a in departures.items())
         try:
             return simulate_change(self.arm, effects, self.nominal)[self.at]
@@ -125,11 +125,7 @@ class CaseSimulator:
             return np.full(self.at.size, np.nan)
 
     def residual(self, nuisance: Array) -> Array:
-        """Return measured minus predicted features, extrapolated linearly to nuisances at 0, shape (m,).
-
-        Args:
-            nuisance: Change of the features per unit of each nuisance, shape (m, q).
-        """
+        """Return measured minus predicted features, extrapolated linearly to nuisances at 0."""
         return np.asarray((self.measured - self.nominal)[self.at] + nuisance @ self.nuisance)
 
 
@@ -152,11 +148,7 @@ def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, n_nuisances: 
 def resimulate(
     case: CaseSimulator, patch: tuple[Effect, ...], only: Callable[[MotionFeatures], bool], otherwise: Array
 ) -> CaseSimulator:
-    """Simulate a case again with another patch: its rests, and some of its motions.
-
-    Args:
-        otherwise: Change of the other motions in the units of the channels, shape (m,).
-    """
+    """Simulate a case again with another patch: its rests, and some motions; others change by `otherwise`."""
     arm, extrapolated = replace(case.arm, patch=patch), case.nominal.copy()
     simulated = arm.predict_effects((), only)
     extrapolated[case.at] += otherwise
@@ -164,12 +156,7 @@ def resimulate(
 
 
 def simulate_change(arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Array) -> Array:
-    """Simulate the change (n,) by effects; 0 in motions that they cannot influence.
-
-    Args:
-        arm: Simulator of the arm, with n features.
-        nominal: Prediction without effects in the units of the channels, shape (n,).
-    """
+    """Simulate the change by effects from a prediction without them; 0 in motions that they do not change."""
     found = arm.predict_effects(effects, lambda one: any(moves(e, one) for e in effects)) - nominal
     return np.where(np.isfinite(found), found, 0.0)
 
@@ -228,32 +215,20 @@ def _update(
 ) -> CaseSimulator:
     """Simulate at the nuisances estimated beside some effects; the same case if they have converged."""
     sensitivities = model.sensitivities
-    sigma = np.array([nuisance.sigma for nuisance in sensitivities.nuisances])
     estimated = _estimate_nuisances(model, current, beside)
     difference = estimated - current.nuisance
-    if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sigma):
+    if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sensitivities.sigma):
         return current
-    blocks = _curved_blocks(model, difference)
-
-    def wanted(one: MotionFeatures) -> bool:
-        return one.recording.block in blocks
-
+    # a factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear
+    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in sensitivities.nuisances])
+    second_order = sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
+    layout = sensitivities.layout
+    blocks = {*layout.block[np.abs(second_order) > MIN_CURVED * layout.sigma].tolist()}
     pairs = zip(sensitivities.nuisances, estimated.tolist(), strict=True)
     near = (*patch, *(one.effect(value) for one, value in pairs if value and one.effect is not None))
     otherwise = sensitivities.nuisance @ difference
-    return replace(resimulate(current, near, wanted, otherwise), nuisance=estimated)
-
-
-def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
-    """Return the blocks in which a change of the nuisances is not linear, to MIN_CURVED noise floors.
-
-    A factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear.
-    """
-    nuisances, layout = model.sensitivities.nuisances, model.sensitivities.layout
-    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in nuisances])
-    second_order = model.sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
-    curved = np.abs(second_order) > MIN_CURVED * layout.sigma
-    return {*layout.block[curved].tolist()}
+    again = resimulate(current, near, lambda one: one.recording.block in blocks, otherwise)
+    return replace(again, nuisance=estimated)
 
 
 def _cost(whiten: Whitener, residual: Array, selection: FeatureSelection) -> float:
@@ -271,10 +246,9 @@ def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: t
 
     Random and one-sided nuisances stay 0.
     """
-    equations = model.equations
-    residual = current.residual(model.sensitivities.nuisance)
-    fit, nuisances = fit_linear(equations, equations.whiten(residual), beside), model.sensitivities.nuisances
-    found = np.zeros(len(nuisances))
-    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_sigma
-    far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in nuisances])
-    return np.where([one.one_sided for one in nuisances], 0.0, np.clip(found, -far, far))
+    equations, sensitivities = model.equations, model.sensitivities
+    residual, shared = current.residual(sensitivities.nuisance), sensitivities.shared_nuisances
+    fit = fit_linear(equations, equations.whiten(residual), beside)
+    found, far = np.zeros(len(sensitivities.nuisances)), MAX_SIGMAS * sensitivities.sigma
+    found[shared] = fit.theta[: equations.q] * sensitivities.sigma[shared]
+    return np.where([one.one_sided for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))

@@ -19,7 +19,7 @@ from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from fsw.kinematics.transforms import Array, rotate, rotate_back
-from marsarm.diagnosis.arm.features import CONDITIONS, TOUCH, TRANSLATION, Feature
+from marsarm.diagnosis.arm.features import TOUCH, TRANSLATION, Feature, still
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import TurningPoints, find_turning_points
 from sim.arm_model.load import ArmModel
@@ -35,8 +35,6 @@ WAY_DOUBT: Final = 0.06
 """Share of the way that is in doubt: 5 % by the force, the rest by how the pads share the touch."""
 LEAST_SINE: Final = 0.1
 """Sine of the angle between axis and normal from which on a press shows slip."""
-HOLDING_SHARE: Final = 0.8
-"""Share of the friction that holds a sliding tool: it also resists the turn about the tool axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +75,7 @@ def list_touches(recordings: Sequence[Recording]) -> Iterator[TouchFeature]:
         switches = one.sensors["switch_closed"]
         closed = np.flatnonzero(switches[touch] & ~switches[0])
         tool = next(name for name, own in one.params.tool_switches.items() if {*own} & {*closed})
-        feature = Feature(one, TOUCH, "surface", "touch", _still(one), "touch")
+        feature = Feature(one, TOUCH, "surface", "touch", still(one), "touch")
         yield TouchFeature(find_turning_points(one, touch), tool, feature)
 
 
@@ -108,10 +106,16 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
             continue
         aside_R /= sine
         ways_m = aside_R @ (end_R_m - begin_R_m)
-        full_m = one.press_N * _bend(arm, one, touch.tool, aside_R)
-        held_m = full_m * HOLDING_SHARE * friction * cosine
+        ways_R = np.stack([normal_R, aside_R])
+        bent_m_N = _bend(arm, one, touch.tool, ways_R)
+        # The motors stand where a force of the press along the tool axis would hold the tool: it goes by the
+        # compliance times the difference of that force and the surface's, to which the pads yield.
+        press_N = one.press_N * (ways_R @ axis_R)
+        surface_N = -(bent_m_N[0] @ press_N) / (bent_m_N[0, 0] + compliance_m_N)
+        pushed_m = bent_m_N[1] @ press_N + bent_m_N[1, 0] * surface_N
+        held_m = bent_m_N[1, 1] * friction * surface_N
         feature = _make_feature(one, "slide", aside_R, after)
-        yield PressFeature(float(min(ways_m, key=abs)), full_m * sine, held_m, feature)
+        yield PressFeature(float(min(ways_m, key=abs)), float(pushed_m), float(held_m), feature)
 
 
 def _make_feature(
@@ -121,20 +125,19 @@ def _make_feature(
     seen = one.tracker_poses
     noise_m = [rotate_back(seen.X_RF[k].R, way_R) * seen.sigma[3:, k] for k in poses[[0, -1]]]
     sigma = float(np.linalg.norm([*np.ravel(noise_m), WAY_DOUBT * doubted_m]))
-    return Feature(one, TRANSLATION, "surface", kind, _still(one), kind, sigma=sigma)
+    return Feature(one, TRANSLATION, "surface", kind, still(one), kind, sigma=sigma)
 
 
-def _bend(arm: Arm, one: Recording, tool: str, way_R: Array) -> float:
-    """Compute how far a tool goes along a direction (3,) per newton [m/N] when the log ends, on brakes."""
-    output_rad, gravity, push = one.motor_rad()[:, -1], one.world.gravity_N_m_s2, ToolForce(tool, way_R)
-    free, pushed = (settle_output(arm, output_rad, gravity, by) for by in (None, push))
-    wound_rad = output_rad + (pushed.torque_Nm - free.torque_Nm) / arm.gear_stiffness_Nm_rad
-    wound = settle_output(arm, wound_rad, gravity, push)
-    return float(way_R @ (tool_pose(arm, wound.frames, tool).p - tool_pose(arm, free.frames, tool).p))
-
-
-def _still(recording: Recording) -> tuple[float, ...]:
-    return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))
+def _bend(arm: Arm, one: Recording, tool: str, ways_R: Array) -> Array:
+    """Compute how far a tool goes along directions (n, 3) per newton along each [m/N], (n, n), at the end."""
+    output_rad, gravity = one.motor_rad()[:, -1], one.world.gravity_N_m_s2
+    free = settle_output(arm, output_rad, gravity)
+    p_m = []
+    for push in (ToolForce(tool, way_R) for way_R in ways_R):
+        torque_Nm = settle_output(arm, output_rad, gravity, push).torque_Nm
+        wound_rad = output_rad + (torque_Nm - free.torque_Nm) / arm.gear_stiffness_Nm_rad
+        p_m.append(tool_pose(arm, settle_output(arm, wound_rad, gravity, push).frames, tool).p)
+    return ways_R @ (np.transpose(p_m) - tool_pose(arm, free.frames, tool).p[:, None])
 
 
 @lru_cache(maxsize=8)

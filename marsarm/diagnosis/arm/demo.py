@@ -76,9 +76,9 @@ def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MUL
 
 def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) -> DetectableEffect:
     """Sample an effect uniformly, then one of its places: many places do not make it more frequent."""
-    names = sorted({one.hypothesis.effect for one in some})
+    names = sorted({one.hypothesis.name for one in some})
     name = names[int(rng.integers(len(names)))]
-    places = [one for one in some if one.hypothesis.effect == name]
+    places = [one for one in some if one.hypothesis.name == name]
     return places[int(rng.integers(len(places)))]
 
 
@@ -110,8 +110,8 @@ def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffe
 
 def _room(one: DetectableEffect, sign: int) -> float:
     """Return how many typical sizes all amplitudes together may depart to one side."""
-    ends = [parameter.departure_range for parameter in one.hypothesis.parameters]
-    return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)
+    least, most = one.hypothesis.common_range
+    return BOUND_SHARE * (most if sign > 0 else -least)
 
 
 def sample_background(rng: np.random.Generator, arm: str = NOMINAL) -> tuple[Effect, ...]:
@@ -258,13 +258,10 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    seen = list_detectable(model, model.family_wise_limits)
-    drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
-    hypothesis = drawn.source.hypothesis
-    effect = drawn.switch_on()
-    truth = DemoTruth(
-        salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
-    )
+    seen = [one for one in list_detectable(model, model.family_wise_limits) if can_sample(one, SIZES)]
+    drawn = sample_amplitude(sample_effect(seen, rng), rng, SIZES)
+    one, effect = drawn.source.hypothesis, drawn.switch_on()
+    truth = DemoTruth(salt, kind, one.name, one.place, effect_text(effect), drawn.times_limit, texts)
     return truth, (*background, effect)
 
 

@@ -46,10 +46,8 @@ CAMPAIGN_SHARE: Final = 0.9
 def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiagnosis:
     """Check a request, load its logs and the model of their campaign, and diagnose; write only the cache.
 
-    Raises:
-        BadRequest: The request is wrong, or a cached file cannot be read.
-        NotForDiagnosis: The logs cannot be diagnosed; the message says what they lack.
-        BadOutput: A cached file cannot be written.
+    BadRequest if the request is wrong or a cached file cannot be read, NotForDiagnosis if the logs lack what
+    a diagnosis needs, BadOutput if a cached file cannot be written.
     """
     check_options(request)
     logs, held_out = expand_logs(request.logs, "log"), expand_logs(request.held_out, "held-out log")
@@ -73,21 +71,14 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     missing = find_missing_motion(fitted)
     if missing:
         raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
-    sides = logs, held_out
+    sides, kept_in = (logs, held_out), request.campaign or cache_folder("marsarm", "sensitivities")
     if request.campaign is not None:
         sides = _campaign_logs(request.campaign, fitted, judged)
-    campaign = load_campaign_model(
-        *sides,
-        request.campaign or cache_folder("marsarm", "sensitivities"),
-        run,
-        part_of(progress, 0.0, CAMPAIGN_SHARE),
-        kinds,
-        request.arm,
-    )
+    computing = part_of(progress, 0.0, CAMPAIGN_SHARE)
+    campaign = load_campaign_model(*sides, kept_in, run, computing, kinds, request.arm)
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
-    found = diagnose_case(
-        fitted, judged, campaign, request.seed, (*effects_of_params(params, arm.params), *patch)
-    )
+    known = (*effects_of_params(params, arm.params), *patch)
+    found = diagnose_case(fitted, judged, campaign, request.seed, known)
     return replace(found, params=params, digests=digests | {"parameters": digest(params)})
 
 
@@ -117,7 +108,7 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
 
 def _parse_effects(names: str) -> tuple[str, ...]:
     """Return the names in the order of the catalogue."""
-    known = {one.effect for one in list_hypotheses()}
+    known = {one.name for one in list_hypotheses()}
     wanted = {name.strip() for name in names.split(",")}
     problems = [
         f"catalogue: {shorten(name)!r} is no effect that a diagnosis can identify; "

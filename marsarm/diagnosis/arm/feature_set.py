@@ -3,6 +3,8 @@
 Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
 equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal. The noise floor
 is that of repeats. A touch says how high the tool is over the surface, as the session describes it.
+
+In all functions, features and their changes are arrays (m,) in the units of their channels.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +19,7 @@ from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
+from marsarm.diagnosis.arm import rest_poses
 from marsarm.diagnosis.arm.contact import PressFeature, TouchFeature, list_presses, list_touches
 from marsarm.diagnosis.arm.features import (
     ASSUMED_SIGMA,
@@ -29,18 +32,9 @@ from marsarm.diagnosis.arm.features import (
     SensorColumns,
     evaluate_features,
     list_motion_features,
+    still,
 )
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.rest_poses import (
-    RestPoses,
-    TurningPoints,
-    find_turning_points,
-    read_resolvers,
-    simulate_open_loop,
-    simulate_open_loop_cached,
-    solve_rests,
-    stack_readings,
-)
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
@@ -55,11 +49,9 @@ READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sens
 FRICTION_MARGIN: Final = 0.3
 """Change of the output friction, as a share, for the sensitivity of rests to friction. Near the friction
 limit, the side of the backlash is ambiguous."""
-
-MIN_PAIRS = 8
+MIN_PAIRS: Final = 8
 """Least number of pairs of repeats that estimate the noise floor of a channel."""
-
-DOUBT_SIGMAS = 3.0
+DOUBT_SIGMAS: Final = 3.0
 """Doubt above this many sigmas of the noise is added to the noise floor."""
 
 
@@ -67,8 +59,8 @@ DOUBT_SIGMAS = 3.0
 class RestFeatures:
     """Rests of one recording, their nominal equilibrium, and those with a tracker pose."""
 
-    turning_points: TurningPoints
-    nominal: RestPoses
+    turning_points: rest_poses.TurningPoints
+    nominal: rest_poses.RestPoses
     tracked: list[int]
     """Indices of the rests with a tracker pose."""
     poses: list[int]
@@ -108,14 +100,12 @@ class FeatureSet:
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
     """List the features: rests in free air, and motions without tracker poses or with a surface."""
     config = configure(recordings[0].arm.params)
-    every = (find_turning_points(one) for one in recordings if one.world.surface is None)
+    every = (rest_poses.find_turning_points(one) for one in recordings if one.world.surface is None)
     turning_points = [one for one in every if one.rests]
     moving = [one for one in recordings if one.world.surface or not one.tracker_poses.tick.size]
     step_Nm = (FRICTION_MARGIN * config.output_friction_Nm).tolist()
-    nominal, less, more = (
-        solve_rests(turning_points, [OutputFriction(joint, by * step_Nm[joint]) for joint in Joint])
-        for by in (0.0, -1.0, 1.0)
-    )
+    frictions = ([OutputFriction(joint, by * step_Nm[joint]) for joint in Joint] for by in (0.0, -1.0, 1.0))
+    nominal, less, more = (rest_poses.solve_rests(turning_points, some) for some in frictions)
     found = FeatureSet(
         tuple(list_motion_features(one, config) for one in moving),
         tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
@@ -132,7 +122,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
     shift_m = sum(effect.offset_m for effect in effects if isinstance(effect, SurfacePosition))
     X_FT = configure(params_with_effects(tuple(effects), feature_set.arm.params)).arm.X_FT
     found = []
-    rests = solve_rests([one.turning_points for one in feature_set.touches], effects)
+    rests = rest_poses.solve_rests([one.turning_points for one in feature_set.touches], effects)
     for one, rest in zip(feature_set.touches, rests, strict=True):
         surface = one.turning_points.recording.world.surface
         assert surface is not None
@@ -143,27 +133,22 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
-    """Compute the measured features in the units of their channels, shape (m,)."""
+    """Compute the measured features."""
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         X_RF = one.turning_points.recording.tracker_poses.X_RF[one.poses]
-        values.append(_rest_values(one, read_resolvers(one.turning_points), X_RF))
+        values.append(_rest_values(one, rest_poses.read_resolvers(one.turning_points), X_RF))
     ways_m = [one.measured_m for one in feature_set.presses]
     return np.concatenate([*values, np.zeros(len(feature_set.touches)), ways_m])
-
-
-def every_motion(_: MotionFeatures) -> bool:
-    """Return True: simulate every motion."""
-    return True
 
 
 def simulate_features(
     feature_set: FeatureSet,
     effects: Sequence[Effect],
     options: SimulationOptions,
-    wanted: Callable[[MotionFeatures], bool] = every_motion,
+    wanted: Callable[[MotionFeatures], bool] = lambda _: True,
 ) -> Array:
-    """Predict the features, (m,), in the units of their channels.
+    """Predict the features.
 
     Repeats of a motion have those of the first one. They are NaN for motions that are not wanted, and where
     the first repeat lacks them. PlantDiverged if MuJoCo counted a warning.
@@ -177,7 +162,7 @@ def simulate_features(
         np.array([known[one.recording.block].get(feature.key, np.nan) for feature in one.features])
         for one in feature_set.motions
     ]
-    rests = solve_rests([one.turning_points for one in feature_set.rests], effects)
+    rests = rest_poses.solve_rests([one.turning_points for one in feature_set.rests], effects)
     values += [_static_values(one, found) for one, found in zip(feature_set.rests, rests, strict=True)]
     return np.concatenate([*values, simulate_touches(feature_set, effects)])
 
@@ -191,9 +176,9 @@ def simulate_motion(
     """
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
-    simulate = simulate_open_loop_cached if readers else simulate_open_loop
-    readings = simulate(motion.recording, acting, options, ticks=motion.compared_ticks).readings
-    return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
+    simulate = rest_poses.simulate_open_loop_cached if readers else rest_poses.simulate_open_loop
+    readings, _ = simulate(motion.recording, acting, options, ticks=motion.compared_ticks)
+    return rest_poses.stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
 
 
 def changes_readings_only(effect: Effect) -> bool:
@@ -213,21 +198,16 @@ def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> It
         hardware = effect.on_hardware(hardware)
     sensor_errors = hardware.sensor_errors
     for one in readings:
-        sensors, sensor_errors = apply_sensor_errors(sensor_errors, _read_resolvers(one, hardware), rng)
+        resolver_rad = one.resolver_rad + hardware.resolver_bias_rad
+        for error in hardware.resolver_errors:
+            resolver_rad = resolver_rad + error.error_rad(one.resolver_rad)
+        read = replace(one, resolver_rad=resolver_rad)
+        sensors, sensor_errors = apply_sensor_errors(sensor_errors, read, rng)
         yield sensors
 
 
-def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
-    """Replace the resolver angles by those with bias and resolver errors."""
-    output_rad = sensors.resolver_rad
-    resolver_rad = output_rad + hardware.resolver_bias_rad
-    for error in hardware.resolver_errors:
-        resolver_rad = resolver_rad + error.error_rad(output_rad)
-    return replace(sensors, resolver_rad=resolver_rad)
-
-
 def _list_rest_features(
-    turning_points: TurningPoints, nominal: RestPoses, *others: RestPoses
+    turning_points: rest_poses.TurningPoints, nominal: rest_poses.RestPoses, *others: rest_poses.RestPoses
 ) -> RestFeatures:
     """List the features of rests; `doubt` is their change with a little more or less output friction."""
     recording = turning_points.recording
@@ -242,23 +222,19 @@ def _list_rest_features(
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
             features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
-    condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
         for r, k in zip(tracked, poses, strict=True):
             sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
-            features.append(Feature(recording, channel, "turret", "pose", condition, key, sigma=sigma))
-    rest_features = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
-    differences = np.abs(
-        [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
-    ).max(axis=0)
-    doubted = zip(features, differences, strict=True)
-    return replace(
-        rest_features, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted)
-    )
+            features.append(Feature(recording, channel, "turret", "pose", still(recording), key, sigma=sigma))
+    found = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
+    without, *with_others = (_static_values(found, one) for one in (nominal, *others))
+    doubts = np.abs([one - without for one in with_others]).max(axis=0).tolist()
+    doubted = (replace(feature, doubt=by) for feature, by in zip(features, doubts, strict=True))
+    return replace(found, features=tuple(doubted))
 
 
-def _static_values(one: RestFeatures, found: RestPoses) -> Array:
+def _static_values(one: RestFeatures, found: rest_poses.RestPoses) -> Array:
     return _rest_values(one, found.resolver_rad, found.X_RF[one.tracked])
 
 
@@ -268,15 +244,10 @@ def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
 
 
 def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: bool = True) -> Array:
-    """Return the change of rests by one joint alone, where all joints turn.
+    """Return the part of a change that one joint alone makes at rests, where all joints turn.
 
-    Args:
-        change: Change of the features in the units of the channels, shape (m,).
-        turns: False if only the reading of its resolver changes.
-
-    Returns:
-        Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
-        (m,); 0 elsewhere.
+    That is the change of its resolver, and of the poses to first order by the turn that the resolver shows;
+    0 elsewhere. If the joint does not turn, only the reading of its resolver changes.
     """
     config = configure(feature_set.arm.params)
     found, begin = np.zeros_like(change), feature_set.n_moving
@@ -297,22 +268,17 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NoiseFloor:
-    """Standard deviation of every feature between repeats, shape (m,), and notes on its origin."""
+def estimate_floor(feature_set: FeatureSet) -> tuple[Array, tuple[str, ...]]:
+    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise.
 
-    sigma: Array
-    notes: tuple[str, ...]
-
-
-def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
-    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
+    Return the standard deviation of every feature between repeats, and notes on its origin.
+    """
     features, values = feature_set.list_features(), measure_features(feature_set)
     sigma = np.array([ASSUMED_SIGMA[one.channel] if one.sigma is None else one.sigma for one in features])
     known: dict[tuple[str, str], int] = {}
     pairs: list[tuple[int, int]] = []
     for k, feature in enumerate(features):
-        first = known.setdefault((feature.block, feature.key), k)
+        first = known.setdefault((feature.recording.block, feature.key), k)
         if first != k:
             pairs.append((first, k))
     doubt = np.array([feature.doubt for feature in features])
@@ -335,4 +301,4 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
             f"{int(doubted.sum())} of {doubted.size} features have little weight: the arm rests near the "
             f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
-    return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
+    return np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes)

@@ -6,11 +6,13 @@ Each motion of a joint is divided into bins of a quarter of a second, over which
     following error: encoder minus set-point
     resolver minus encoder
 
-The mean gravity reading of the IMU is added.
+The mean gravity reading of the IMU is added. In all functions, features are arrays (m,) in the units of their
+channels.
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +35,7 @@ CONDITIONS: Final = (
 """Conditions of a feature: degC, N m, rad/s, and the last three without a unit."""
 
 SensorColumns = Mapping[str, NDArray[Any]]
+"""Readings by field, each of shape (n, ...) with n ticks."""
 _MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
 ASSUMED_SIGMA: Final = (
     0.02 * _MEAN,
@@ -71,16 +74,8 @@ class Feature:
     """Standard deviation of its error beside noise, in the unit of its channel."""
     sigma: float | None = None
     """Standard deviation of its noise; None for that which is assumed of the channel."""
-
-    @property
-    def block(self) -> str:
-        """Motion of which it is."""
-        return self.recording.block
-
-    @property
-    def channel_name(self) -> str:
-        """Display name of the channel with its place."""
-        return f"{self.place} {CHANNELS[self.channel]}"
+    span: tuple[int, int] | None = None
+    """First tick and end of its bin; None if it is of no bin."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,13 +86,16 @@ class MotionFeatures:
     segments: tuple[Segment, ...]
     features: tuple[Feature, ...]
     """Those of bins, then the three of the IMU."""
-    bins: tuple[tuple[int, Joint, int, int], ...]
-    """Channel, joint, first tick and end of each feature of a bin."""
 
     @property
     def compared_ticks(self) -> int:
         """Number of ticks up to the end of the last bin that is compared; at least one."""
-        return max((end for *_, end in self.bins), default=1)
+        return max((one.span[1] for one in self.features if one.span), default=1)
+
+
+def still(recording: Recording) -> tuple[float, ...]:
+    """Return the conditions of an arm at rest."""
+    return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))
 
 
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
@@ -106,28 +104,25 @@ def list_motion_features(recording: Recording, config: Config) -> MotionFeatures
     Bins after a possible touch are left out.
     """
     segments = tuple(find_segments(recording))
-    features: list[Feature] = []
-    bins: list[tuple[int, Joint, int, int]] = []
-    for number, load_Nm in enumerate(_loads(recording, config, segments)):
-        for feature, span in _segment_features(recording, config, segments, number, float(load_Nm)):
-            features.append(feature)
-            bins.append((feature.channel, segments[number].joint, *span))
-    still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for axis in "xyz":
-        features.append(Feature(recording, IMU, f"imu.{axis}", "rest", still, f"imu/{axis}"))
-    return MotionFeatures(recording, segments, tuple(features), tuple(bins))
+    moving = (_segment_features(recording, config, segments, number) for number in range(len(segments)))
+    imu = [Feature(recording, IMU, f"imu.{axis}", "rest", still(recording), f"imu/{axis}") for axis in "xyz"]
+    return MotionFeatures(recording, segments, (*chain.from_iterable(moving), *imu))
 
 
 def _segment_features(
-    recording: Recording, config: Config, segments: tuple[Segment, ...], number: int, load_Nm: float
-) -> Iterator[tuple[Feature, tuple[int, int]]]:
-    """Yield the features of one segment by channel, with their bins; the start of a motion has doubt.
+    recording: Recording, config: Config, segments: tuple[Segment, ...], number: int
+) -> Iterator[Feature]:
+    """Yield the features of one segment by channel; the start of a motion has doubt.
 
     There are none after a possible touch. A motor slower than one count per cycle is driven count by count.
-    Its servo then depends on the position within a count, so only its resolver is compared.
+    Its servo then depends on the position within a count, so only its resolver is compared. The load is that
+    in the middle of the segment.
     """
     segment = segments[number]
-    j, motor = segment.joint, recording.motor_rad()[segment.joint]
+    j, motor_rad = segment.joint, recording.motor_rad()
+    motor, middle = motor_rad[j], (segment.first + segment.end) // 2
+    at_middle = settle_output(config.arm, motor_rad[:, [middle]], recording.world.gravity_N_m_s2)
+    load_Nm = float(at_middle.torque_Nm[j, 0])
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
     backlash_rad = 2.0 * float(config.half_backlash_rad[j])
     touch, rate_rad_s = find_touch(recording), recording.drive["setpoint_rate_rad_s"][:, j]
@@ -147,17 +142,12 @@ def _segment_features(
                 doubt = backlash_rad
             key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
             regime = segment.regime(first)
-            yield Feature(recording, channel, j.name.lower(), regime, condition, key, doubt), (first, end)
+            place, span = j.name.lower(), (first, end)
+            yield Feature(recording, channel, place, regime, condition, key, doubt, span=span)
 
 
 def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
-    """Compute the features (m,) from sensors, in the units of their channels.
-
-    Args:
-        motion: Segments and features of the recording, m of them.
-        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
-            `compared_ticks`, in the units of their names.
-    """
+    """Compute the features from recorded or simulated sensors, of at least `compared_ticks`."""
     recording = motion.recording
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
     setpoint_count = recording.drive["setpoint_count"][: encoder.shape[1]]
@@ -166,15 +156,6 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
         FOLLOWING_ERROR: encoder - setpoint_count.T * recording.rad_per_count[:, None],
         RESOLVER: sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None],
     }
-    values = [read[channel][j, first:end].mean() for channel, j, first, end in motion.bins]
+    spans = [(read[one.channel][Joint[one.place.upper()]], one.span) for one in motion.features if one.span]
+    values = [channel[first:end].mean() for channel, (first, end) in spans]
     return np.concatenate([values, sensors["gravity_R_m_s2"].mean(axis=0)])
-
-
-def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:
-    """Compute the static load of the moving joint in the middle of each segment, shape (s,)."""
-    if not segments:
-        return np.zeros(0)
-    mids = np.array([(s.first + s.end) // 2 for s in segments])
-    poses = recording.motor_rad()[:, mids]
-    torque = settle_output(config.arm, poses, recording.world.gravity_N_m_s2).torque_Nm
-    return np.array([torque[s.joint, k] for k, s in enumerate(segments)])

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.arm_effects import joint_at
 from marsarm.diagnosis.arm.case_simulator import ArmSimulator, simulate_change
 from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by, simulate_touches
 from marsarm.diagnosis.arm.rest_poses import is_stepped
@@ -51,11 +51,6 @@ class Column:
     source: Hypothesis | Nuisance
     index: int = 0
     """Index among the parameters of the hypothesis."""
-
-    @property
-    def is_numerical(self) -> bool:
-        """True for other numerics of the plant, which are told joint by joint."""
-        return isinstance(self.source, Nuisance) and bool(self.source.only_place)
 
     def sides(self, share: float) -> list[tuple[Effect, float]]:
         """Return steps up and down by a share of the typical size, within the bounds: one or two.
@@ -124,7 +119,7 @@ def group_columns(columns: Sequence[Column], wanted: Sequence[int]) -> list[tupl
     slow = set()
     for k in wanted:
         effect, _ = columns[k].sides(1.0)[0]
-        joint, is_nuisance = _joint(effect), isinstance(columns[k].source, Nuisance)
+        joint, is_nuisance = joint_at(effect), isinstance(columns[k].source, Nuisance)
         # effects of one kind at one joint, such as friction in two directions, would add up
         kind = type(effect).__name__, is_nuisance, columns[k].index
         alone = joint is None
@@ -152,7 +147,7 @@ def simulate_side(
     effects = tuple(effect for effect, _ in ends.values())
     change = simulate_change(simulator, effects, nominal)
     changes = [change]
-    if _joint(effects[0]) is not None:
+    if joint_at(effects[0]) is not None:
         changes = [_change_at_joint(simulator, change, effect) for effect in effects]
     rows = zip(ends.items(), changes, strict=True)
     return {k: OneSidedStep(shares[k], size, change) for (k, (_, size)), change in rows}
@@ -160,7 +155,7 @@ def simulate_side(
 
 def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> Array:
     """Return the part of a change (m,) in the motions and the rests that the joint of an effect changes."""
-    joint, feature_set = _joint(effect), simulator.feature_set
+    joint, feature_set = joint_at(effect), simulator.feature_set
     assert joint is not None, "only effects at joints are simulated together"
     moving = np.arange(moved.size) < feature_set.n_moving
     own = moving & [one.place == joint.name.lower() for one in feature_set.list_features()]
@@ -169,9 +164,3 @@ def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> A
     nominal, touched = (simulate_touches(feature_set, (*simulator.patch, *some)) for some in ((), (effect,)))
     found[found.size - nominal.size :] = touched - nominal
     return found
-
-
-def _joint(effect: Effect) -> Joint | None:
-    """Return the joint of an effect; None if it has none."""
-    joint = getattr(effect, "joint", None)
-    return None if joint is None else Joint(joint)

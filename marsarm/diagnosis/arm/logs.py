@@ -23,7 +23,7 @@ from fsw.kinematics.transforms import Array, Pose
 from fsw.messages import ActuatorCommand, Sensors
 from marsarm.replaying.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.format import LogError
-from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import SESSION
 from sim.arm_model.load import ArmModel, default_arm
 from sim.loop import RecordedStart
@@ -44,13 +44,10 @@ TRACKER_COLUMNS: Final = (
 
 BIN_TICKS: Final = CYCLE_HZ // 4
 """Width of a bin in ticks: a quarter of a second."""
-
 STILL_COUNTS: Final = 50
 """Least range of the set-point in a motion."""
-
 SLOW_SHARE: Final = 0.5
 """Share of the nominal speed below which a motion is slow."""
-
 REVERSAL_S: Final = 1.0
 """Time after a reversal that belongs to the regime "reversal"."""
 
@@ -162,36 +159,36 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         session = _read_session(log.header.get(SESSION, "{}"), path)
     except (LogError, NotReplayable, RobotError, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
-    if inputs.reference is None:
+    reference: Reference | None = inputs.reference
+    if reference is None:
         raise NotForDiagnosis(
             f"log {path}: its header holds no zeros of the joints, so counts cannot be converted "
             f"to angles; record it after an initialisation, or give the [reference] of the import"
         )
-    ticks = min(inputs.ticks, len(_drive_packets(log)))
-    drive = {f.name: _drive_packets(log)[f.name][:ticks] for f in fields(ActuatorCommand)}
+    if DRIVE not in log.packets:
+        raise NotForDiagnosis(
+            f"log {path}: has no {DRIVE}, so the commands to the motor controllers are unknown; "
+            f"map set-points, power, brakes and limits to {DRIVE} in the import"
+        )
+    ticks = min(inputs.ticks, len(log[DRIVE]))
+    drive = {f.name: log[DRIVE][f.name][:ticks] for f in fields(ActuatorCommand)}
     sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
     joints = inputs.params.joints.in_order()
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
-    reference: Reference = inputs.reference
     world = session.world or world_from_imu(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
-    start = RecordedStart(
-        world,
-        sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
-        reference.zero_rad,
-        np.array([j.hardstop_rad for j in joints]),
-        arm or default_arm(),
-    )
+    begin_rad = sensors["encoder_count"][0] * rad_per_count + reference.zero_rad
+    stops_rad = np.array([j.hardstop_rad for j in joints])
     commands = json.loads(log.header.get("commands", "[]"))
-    warm_C = float(np.mean(sensors["winding_C"][0]))
+    warm_C, given_C = float(np.mean(sensors["winding_C"][0])), session.temperature_C
     name = session.name or path.stem
     return Recording(
         name=name,
         block=session.block or name,
         world=world,
-        temperature_C=warm_C if session.temperature_C is None else session.temperature_C,
+        temperature_C=warm_C if given_C is None else given_C,
         structure_C=float(np.mean(sensors["structure_C"])),
         params=inputs.params,
-        start=start,
+        start=RecordedStart(world, begin_rad, reference.zero_rad, stops_rad, arm or default_arm()),
         rad_per_count=rad_per_count,
         drive=drive,
         drives=tuple(_split_drive(drive)),
@@ -220,11 +217,7 @@ def _read_session(text: str, path: Path) -> _SessionHeader:
 def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
     """Derive the scene of the nearest gravity and the tilt, for logs without a description.
 
-    Args:
-        gravity_R_m_s2: Mean reading of the IMU in the rover frame, shape (3,).
-
-    Raises:
-        NotForDiagnosis: The IMU reads no gravity.
+    The mean reading of the IMU has shape (3,). NotForDiagnosis if it is no gravity.
     """
     strength = float(np.linalg.norm(gravity_R_m_s2))
     if not 0.0 < strength < np.inf:
@@ -247,15 +240,6 @@ def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]
                 value = values[tick]
                 last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
         yield ActuatorCommand(**last)
-
-
-def _drive_packets(log: Log) -> NDArray[np.void]:
-    if DRIVE not in log.packets:
-        raise NotForDiagnosis(
-            f"log {log.path}: has no {DRIVE}, so the commands to the motor controllers are unknown; "
-            f"map set-points, power, brakes and limits to {DRIVE} in the import"
-        )
-    return log[DRIVE]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,17 +14,11 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
 from marsarm.common.requests import select_arm
+from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
-from marsarm.diagnosis.arm.record import (
-    PlannedMotion,
-    list_motions,
-    make_session,
-    motion_text,
-    record_campaign,
-)
 from marsarm.diagnosis.arm.request import NextRequest
-from marsarm.diagnosis.model import DiagnosisModel, build_whitener
+from marsarm.diagnosis.model import DiagnosisModel, build_whitener, whiten_nuisances
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
 from sim.initialisation import true_reference
 from simgap.common.files import cache_folder
@@ -53,7 +47,7 @@ class NextArmMotion:
 
     request: NextRequest
     proposal: Proposal
-    motion: PlannedMotion
+    motion: record.PlannedMotion
     """The best motion."""
     origin: Origin
 
@@ -71,12 +65,13 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     group = choose_rivals(case.diagnosis.rivals)
     kinds = tuple(dict.fromkeys(one.name for rival in group for one in rival.effects))
     places = {rival.effect.partition(".")[0].partition(":")[0] for rival in group}
-    motions = {one.name: one for one in list_motions(places)}
+    motions = {one.name: one for one in record.list_motions(places)}
     arm = replace(select_arm(request.arm, None), effects=(), params=case.params)
-    sessions = [make_session(one, arm.params) for one in motions.values()]
+    sessions = [record.make_session(one, arm.params) for one in motions.values()]
     with TemporaryDirectory() as scratch:
         recording = part_of(progress, DIAGNOSED, RECORDED)
-        logs = record_campaign(Path(scratch), sessions, arm, true_reference(arm), request.seed, recording)
+        made_of = arm, true_reference(arm), request.seed
+        logs = record.record_campaign(Path(scratch), sessions, *made_of, recording)
         kept_in, rest = cache_folder("marsarm", "sensitivities"), part_of(progress, RECORDED, 1.0)
         run = select_runner(request.workers, request.cluster)
         planned = compute_sensitivities(logs, kept_in, run, rest, kinds, (), request.arm)
@@ -102,15 +97,15 @@ def propose_motion(
     white = build_whitener(planned)(changes.T).T
     new = [_slopes(planned, own) for own in settings]
     old = [_slopes(model.sensitivities, own) for own in settings]
-    known = np.ones(len(planned.shared_nuisances))
-    priors = [np.concatenate([known, np.full(_sizes(own).size, np.inf)]) for own in settings]
+    q = len(planned.shared_nuisances)
+    priors = [np.where(np.arange(one.shape[1]) < q, 1.0, np.inf) for one in new]
     blocks = [*dict.fromkeys(planned.layout.block.tolist())]
     rows = [np.flatnonzero(planned.layout.block == block) for block in blocks]
 
     def differentiate(some: Sequence[int]) -> list[Slopes]:
         return [[scale_slopes(new[k][rows[m]], old[k], priors[k]) for k in range(len(group))] for m in some]
 
-    choice = choose_motion([white[:, own] for own in rows], differentiate)
+    choice = choose_motion([white[:, own] for own in rows], differentiate, [one.p for one in group])
     named = tuple(words[block] for block in blocks)
     curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
     keys = tuple(one.effect for one in group)
@@ -122,21 +117,15 @@ def _departures(rival: Rival) -> Departures:
     return {one: np.array(size) for one, size in pairs if isinstance(one, Hypothesis)}
 
 
-def _sizes(settings: Departures) -> Array:
-    return np.concatenate([*settings.values()])
-
-
 def _slopes(sensitivities: Sensitivities, settings: Departures) -> Array:
     """Return whitened changes by shared nuisances, in their sigmas, and by effects, in typical sizes."""
-    shared = sensitivities.shared_nuisances
-    sigma = np.array([sensitivities.nuisances[k].sigma for k in shared])
     owners = [sensitivities.index(one.key) for one in settings]
     columns: Ints = np.concatenate([np.flatnonzero(sensitivities.owner == k) for k in owners])
     reach = sensitivities.reach[columns]
-    at = np.clip(_sizes(settings), -reach, reach)  # beyond it, the parabola goes on as a line
+    at = np.clip(np.concatenate([*settings.values()]), -reach, reach)  # beyond, it goes on as a line
     slope = sensitivities.effect[:, columns] + 2.0 * at * sensitivities.curve[:, columns]
-    every = np.hstack([sensitivities.nuisance[:, shared] * sigma, slope])
-    return np.asarray(build_whitener(sensitivities)(every))
+    whiten = build_whitener(sensitivities)
+    return np.hstack([whiten_nuisances(sensitivities, whiten), whiten(slope)])
 
 
 def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
@@ -157,7 +146,5 @@ def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
 
 def save_files(made: NextArmMotion) -> list[str]:
     """Write the files of a request, and return a line about each; BadOutput if one cannot be written."""
-    request = made.request
-    return save_next_files(
-        made.proposal, {"motion": request.out}, lambda: motion_text(made.motion), request.report, made.origin
-    )
+    out, report = {"motion": made.request.out}, made.request.report
+    return save_next_files(made.proposal, out, lambda: record.motion_text(made.motion), report, made.origin)

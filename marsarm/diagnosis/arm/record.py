@@ -25,25 +25,8 @@ from marsarm.diagnosis.arm.logs import TrackerPoses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.recorder import SESSION, Recorder, flight_header
+from sim import diagnosis_campaign as plans
 from sim.arms import BuiltArm, effects_of_run
-from sim.diagnosis_campaign import (
-    COORDINATED_TURN,
-    HELD_OUT_POSE,
-    HELD_OUT_SESSIONS,
-    OUTSTRETCHED,
-    ROLL_RAD,
-    SESSION_COLD_C,
-    SLOW_FRACTION,
-    TILTED_POSES,
-    TOUCHING_DEG,
-    DiagnosisSession,
-    SessionFailed,
-    campaign_sessions,
-    run_session,
-    set_speed,
-    start_session,
-    within_limits,
-)
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
@@ -61,8 +44,8 @@ from simgap.common.toml import Record, parse_record, read_toml, toml_text
 ALL: Final = "all"
 """Name in place of a joint: all joints turn at once."""
 TURNS_DEG: Final = (1.0, 5.0, 15.0)
-POSES_DEG: Final = (OUTSTRETCHED, HELD_OUT_POSE, TOUCHING_DEG)
-TRACKED_DEG: Final = tuple(start for start, _ in TILTED_POSES)
+POSES_DEG: Final = (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)
+TRACKED_DEG: Final = tuple(start for start, _ in plans.TILTED_POSES)
 COUNT: Final = 2
 """Times that a joint goes there and back: the second time shows what the first has left behind."""
 
@@ -106,14 +89,14 @@ class PlannedMotion(Record):
 
 def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
     """Yield the motions of the family, of joints that turn alone; of all if no place is a joint."""
-    roll_deg, names = float(np.degrees(ROLL_RAD)), [one.name.lower() for one in Joint]
+    roll_deg, names = float(np.degrees(plans.ROLL_RAD)), [one.name.lower() for one in Joint]
     moving = [one for one in names if one in places] or names
-    plans = [
-        *product(moving, TURNS_DEG, (1.0, SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,)),
-        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (SESSION_COLD_C,), (False,)),
+    family = [
+        *product(moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,)),
+        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (plans.SESSION_COLD_C,), (False,)),
         *product((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,)),
     ]
-    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked) in enumerate(plans, 1):
+    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked) in enumerate(family, 1):
         yield PlannedMotion(
             name=f"next-{number}",
             start_deg=[float(one) for one in pose],
@@ -127,28 +110,20 @@ def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
         )
 
 
-def make_session(motion: PlannedMotion, params: Params) -> DiagnosisSession:
+def make_session(motion: PlannedMotion, params: Params) -> plans.DiagnosisSession:
     """Return the session of a motion, for an arm with these flight parameters; it stays within the limits."""
-    joints, share = [*Joint], np.array(COORDINATED_TURN) / COORDINATED_TURN[Joint.ELBOW]
+    joints, share = [*Joint], np.array(plans.COORDINATED_TURN) / plans.COORDINATED_TURN[Joint.ELBOW]
     if motion.joint != ALL:
         joints = [Joint[motion.joint.upper()]]
         share = np.eye(5)[joints[0]]
-    here, there = within_limits(params, motion.start_deg, motion.start_deg + share * motion.turn_deg)
-    ways: list[Command] = [
-        MoveJoints(joints5(pose), "off")
-        if motion.joint == ALL
-        else MoveJoint(joints[0], pose[joints[0]], "off")
-        for pose in (there, here)
-    ]
-    speeds = [set_speed(params, one, motion.speed_share) for one in joints if motion.speed_share != 1.0]
-    return DiagnosisSession(
-        motion.name,
-        motion.name,
-        World("mars", float(np.radians(motion.roll_deg))),
-        motion.temperature_C,
-        here,
-        (*speeds, *(ways * motion.count)),
-        motion.tracked,
+    here, there = plans.within_limits(params, motion.start_deg, motion.start_deg + share * motion.turn_deg)
+    ways: list[Command] = [MoveJoints(joints5(pose), "off") for pose in (there, here)]
+    if motion.joint != ALL:
+        ways = [MoveJoint(joints[0], pose[joints[0]], "off") for pose in (there, here)]
+    speeds = [plans.set_speed(params, one, motion.speed_share) for one in joints if motion.speed_share != 1.0]
+    world, commands = World("mars", float(np.radians(motion.roll_deg))), (*speeds, *(ways * motion.count))
+    return plans.DiagnosisSession(
+        motion.name, motion.name, world, motion.temperature_C, here, commands, motion.tracked
     )
 
 
@@ -170,7 +145,7 @@ PARAMS_FILE: Final = "flight-params.toml"
 
 def record_campaign(
     folder: Path,
-    sessions: Sequence[DiagnosisSession],
+    sessions: Sequence[plans.DiagnosisSession],
     arm: BuiltArm,
     reference: Reference,
     seed: int,
@@ -185,24 +160,23 @@ def record_campaign(
     paths = []
     for number, session in enumerate(sessions):
         progress(number, len(sessions), session.name)
-        loop = start_session(
-            session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
-        )
+        noise = int(np.random.default_rng([seed, number]).integers(2**31))
+        loop = plans.start_session(session, arm, reference, noise, effects)
         path = folder / f"{session.name}.mcap"
         try:
             _record_session(path, session, loop, seed + number)
             paths.append(path)
-        except (SessionFailed, PlantDiverged):
+        except (plans.SessionFailed, PlantDiverged):
             path.unlink(missing_ok=True)
     return paths
 
 
-def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> None:
+def _record_session(path: Path, session: plans.DiagnosisSession, loop: ClosedLoop, seed: int) -> None:
     rng = np.random.default_rng([seed, 7])
     header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
     rows: list[tuple[int, Pose, Array]] = []
     with Recorder(path, header, loop.config.params) as recorder:
-        for moment in run_session(loop, session):
+        for moment in plans.run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:
                 loop.plant.truth()  # updates the kinematics
@@ -216,7 +190,7 @@ def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, see
         write_tracker_poses(path.with_suffix(".tracker.csv"), seen)
 
 
-def session_json(session: DiagnosisSession) -> str:
+def session_json(session: plans.DiagnosisSession) -> str:
     """Return the description of a session for the header of its log."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
     return json.dumps({**known, "world": record_to_json(session.world)})
@@ -224,20 +198,18 @@ def session_json(session: DiagnosisSession) -> str:
 
 def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
     """Split the logs of a folder into those that are fitted and those that are held out."""
-    logs = sorted(folder.glob("*.mcap"))
-    return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
-        log for log in logs if log.stem in HELD_OUT_SESSIONS
-    ]
+    logs, apart = sorted(folder.glob("*.mcap")), plans.HELD_OUT_SESSIONS
+    return [log for log in logs if log.stem not in apart], [log for log in logs if log.stem in apart]
 
 
-def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
+def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[plans.DiagnosisSession]:
     """Return the sessions of the campaign that a request asks for.
 
     BadRequest if there is none, RobotError if the file of a motion is wrong.
     """
     if request.motion is not None:
         return [make_session(read_motion(request.motion), arm.params)]
-    every = campaign_sessions(arm.params)
+    every = plans.campaign_sessions(arm.params)
     chosen = [session for session in every if fnmatchcase(session.name, request.sessions)]
     if not chosen:
         raise BadRequest(
@@ -276,9 +248,9 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> Rec
             (part / PARAMS_FILE).write_text(params_toml(arm.model.params, arm.params, comments))
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
-                folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
+                folder = part / HELD_OUT_FOLDER if session.name in plans.HELD_OUT_SESSIONS else part
                 seed = request.seed + number
-                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
+                made = record_campaign(folder, [session], arm, reference, seed, no_progress, begun)
                 paths += [request.out / log.relative_to(part) for log in made]
                 left_out += [] if made else [session.name]
             if not paths:

@@ -3,9 +3,12 @@
 Motors are at their encoder angles. Friction drags each output within its gear from one turning point of the
 motor to the next (fsw.estimate.gear). A link that creeps bends further by a share of its load that follows
 from the times between turning points. No dynamics are simulated, except for what `is_stepped` tells.
+
+In all functions, `motor` are true motor angles [rad], and `load_Nm` torques of the load, at k turning points,
+(5, k).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -19,7 +22,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
-from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments
+from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, find_rests, find_segments
 from sim.arm_model.load import ArmModel
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
@@ -33,8 +36,6 @@ from sim.tracker import turret_pose
 from sim.world import build
 from simgap import screw_log
 
-MEAN_TICKS = CYCLE_HZ // 4
-"""Number of ticks at the end of a rest over which resolvers are averaged."""
 STEP_NUMERICS: Final = Numerics("implicit", 2)
 """Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
 the noise floor, and take three times as long."""
@@ -77,11 +78,11 @@ def find_turning_points(recording: Recording, touch: int | None = None) -> Turni
 
 
 def read_resolvers(turning_points: TurningPoints) -> Array:
-    """Compute the recorded resolvers minus motor angles at the rests [rad], shape (5, r)."""
+    """Compute the recorded resolvers minus motor angles [rad], averaged over a bin, at the rests, (5, r)."""
     recording = turning_points.recording
     ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
     difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
-    means = [difference_rad[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
+    means = [difference_rad[:, max(end - BIN_TICKS, 0) : end].mean(axis=1) for end in ends]
     return np.stack(means, axis=-1)
 
 
@@ -131,12 +132,7 @@ def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
     """Compute the share (k,) of its whole bending that a creeping link has; 0 without a load.
 
     The angle a follows creep_s a' = whole - a from 0 at time 0. The load, and with it the whole angle, is
-    constant up to the first time and linear between times.
-
-    Args:
-        time_s: Times from the first cycle [s], ascending, shape (k,).
-        angle_rad: Whole rotation by the bending at each time [rad], shape (3, k).
-        creep_s: Time constant [s].
+    constant up to the first time and linear between times, (k,). The angle is a rotation, (3, k).
     """
     largest = angle_rad[:, int(np.argmax(np.sum(angle_rad**2, axis=0)))]
     whole = largest @ angle_rad
@@ -155,12 +151,12 @@ def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) ->
     """Simulate the rests under the recorded drive, without noise."""
     recording = turning_points.recording
     ticks = [turning_points.tick[k] for k in turning_points.rests]
-    found = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks), ticks=max(ticks) + 1)
+    readings, X_RF = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks), ticks=max(ticks) + 1)
     differences_rad = []
-    for reading in (found.readings[tick] for tick in ticks):
+    for reading in (readings[tick] for tick in ticks):
         motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
         differences_rad.append(reading.resolver_rad - motor)
-    return RestPoses(np.stack(differences_rad, -1), stack_poses([found.X_RF[tick] for tick in ticks]))
+    return RestPoses(np.stack(differences_rad, -1), stack_poses([X_RF[tick] for tick in ticks]))
 
 
 def _solve_statics(
@@ -207,12 +203,7 @@ def _drag_outputs(
 ) -> tuple[Array, Hardware]:
     """Drag each output within its gear from one turning point to the next.
 
-    Args:
-        motor: True motor angles at the turning points [rad], shape (5, k).
-        load_Nm: Torques of the load there, shape (5, k).
-
-    Returns:
-        Output angles [rad], shape (5, k), and the hardware after the last effect of a cycle.
+    Return output angles [rad], (5, k), and the hardware after the last effect of a cycle.
     """
     plant = _plant_with(recording.arm, recording.world, tuple(effects)) if hardware.each_cycle else None
     half_backlash_rad = config.half_backlash_rad
@@ -241,25 +232,17 @@ def _plant_with(arm: ArmModel, world: World, effects: tuple[Effect, ...]) -> Pla
     return Plant(spec.compile())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OpenLoopRun:
-    """Result of an open-loop simulation."""
-
-    readings: tuple[Sensors, ...]
-    X_RF: Mapping[int, Pose]
-    """Pose of the turret interface in RMECH after the given numbers of cycles."""
-
-
 def simulate_open_loop(
     recording: Recording,
     effects: Sequence[Effect],
     options: SimulationOptions = NOISE_FREE,
     pose_ticks: frozenset[int] = frozenset(),
     ticks: int | None = None,
-) -> OpenLoopRun:
+) -> tuple[list[Sensors], dict[int, Pose]]:
     """Simulate an arm with these effects under the recorded drive, for some ticks, by default all.
 
-    The turret pose is taken after the cycles `pose_ticks`. PlantDiverged if MuJoCo counted a warning.
+    Return its readings, and the pose of the turret interface in RMECH after the cycles `pose_ticks`.
+    PlantDiverged if MuJoCo counted a warning.
     """
     # temperatures follow the built-in effects, whose friction the cold changes
     built = (effect for effect in effects if effect.built_in)
@@ -272,7 +255,7 @@ def simulate_open_loop(
             arm.plant.truth()  # updates the kinematics
             poses[len(readings)] = turret_pose(arm.plant)
         readings.append(reading)
-    return OpenLoopRun(tuple(readings), poses)
+    return readings, poses
 
 
 simulate_open_loop_cached = lru_cache(maxsize=64)(simulate_open_loop)

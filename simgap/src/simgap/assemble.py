@@ -73,11 +73,12 @@ def assemble(
     nominal = 0.0 * chosen.sizes
     rows = simulate_models(context, held_out, [nominal, selection.base.sizes, chosen.sizes])
     fitted = rows[2] if held_out is raw else simulate_models(context, raw, [chosen.sizes])[0]
+    findings = tuple(doubt_names([describe_finding(context, chosen, one, sets) for one in sets]))
     return Diagnosis(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(doubt_names([describe_finding(context, chosen, one, sets) for one in sets])),
+        findings=findings,
         base=tuple(add_shares(context, chosen, held_out, list_base(robot, context, chosen, sets))),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
@@ -88,7 +89,7 @@ def assemble(
         sizes=sizes,
         method=context.model.method,
         effect_kinds=(context.model.kind,) * len(effects),
-        rivals=tuple(rival for one in sets for rival in list_rivals(context, chosen, one)),
+        rivals=list_rivals(context, chosen, sets, findings),
     )
 
 

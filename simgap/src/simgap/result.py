@@ -130,7 +130,8 @@ class Rival:
     effect: str
     """Key of the effect in its place."""
     p: float
-    """Probability that the finding fits so much better, or more, if this is the cause; 1 for itself."""
+    """Probability that the finding fits so much better, or more, if this is the cause; 1 for itself, and for
+    all rivals of a finding without a name."""
     kind: str
     """Kind of residual."""
     effects: tuple[Effect, ...]

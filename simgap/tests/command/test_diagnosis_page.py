@@ -1,11 +1,8 @@
 """`simgap diagnose`: its page, its files, an interrupted command that goes on, and poses of a tracker."""
 
 import json
-import os
 import re
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +12,10 @@ import pytest
 
 from helpers import verdicts
 from helpers.arm_folder import ROBOT, write_arm
-from helpers.command import run_simgap
+from helpers.command import run_python, run_simgap
 from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
 from helpers.serial_synthetic import MAPPING, POSITION_M, write
 from simgap.command import diagnosis
-from simgap.command.diagnosis import GOES_ON, diagnose_robot
 from simgap.command.request import DiagnoseRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.report import print_parts
@@ -29,15 +25,8 @@ from simgap.report.traces import choose_traces, make_traces
 from simgap.serial_arm.files import read_arm
 from simgap.serial_arm.model import TERMS
 
-FOUND = verdicts.diagnosis(
-    findings=(verdicts.FRICTION, verdicts.finding(effects=("lift: gain error", "lift: torque constant"))),
-    base=(verdicts.GAIN, verdicts.ARMATURE),
-    remaining=(verdicts.REST,),
-    refused=verdicts.REFUSED,
-)
 
-
-def made(tmp_path, result=FOUND, traces=True):
+def made(tmp_path, result=verdicts.FOUND, traces=True):
     request = DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
     shown = make_traces(verdicts.Drawn(), result) if traces else ()
     return diagnosis.RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
@@ -62,7 +51,7 @@ def test_the_page_asks_for_nothing(tmp_path):
 
 
 def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(tmp_path):
-    chosen = choose_traces(make_traces(verdicts.Drawn(), FOUND))
+    chosen = choose_traces(make_traces(verdicts.Drawn(), verdicts.FOUND))
     assert [*chosen] == [("pan", "simulation"), ("lift", "simulation")]
     assert {"".join(one.motion for one in own) for own in chosen.values()} == {"ged"}
     text = text_of(tmp_path)
@@ -75,25 +64,25 @@ def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(t
 
 
 def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
-    long = replace(made(tmp_path), traces=make_traces(verdicts.Drawn(20000), FOUND))
+    long = replace(made(tmp_path), traces=make_traces(verdicts.Drawn(20000), verdicts.FOUND))
     diagnosis.save_page_of(long, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 1_000_000
 
 
 def test_remarks_on_the_logs_stand_on_the_page(tmp_path):
-    text = text_of(tmp_path, result=replace(FOUND, remarks=("log.csv: is cut at line 9.",)))
+    text = text_of(tmp_path, result=replace(verdicts.FOUND, remarks=("log.csv: is cut at line 9.",)))
     assert text.index("Remarks on the logs</h2>") < text.index("log.csv: is cut at line 9.")
 
 
 def test_a_name_from_a_log_cannot_break_out_of_the_page(tmp_path):
     evil = "</script><script>alert(1)</script>"
     refused = (replace(verdicts.REFUSED[0], motion=evil),)
-    result = replace(FOUND, errors=(replace(verdicts.PAN, joint=evil),), refused=refused)
+    result = replace(verdicts.FOUND, errors=(replace(verdicts.PAN, joint=evil),), refused=refused)
     assert "<script>alert" not in text_of(tmp_path, result=result)
 
 
 def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
-    fitted = replace(FOUND, judged_motions=(), errors=(verdicts.without_floor(verdicts.LIFT),))
+    fitted = replace(verdicts.FOUND, judged_motions=(), errors=(verdicts.without_floor(verdicts.LIFT),))
     text = text_of(tmp_path, result=fitted)
     assert "the fitted motions: none was held out" in text
     assert "No repeated motion shows the noise floor" in text
@@ -102,10 +91,10 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
 
 def test_bars_and_traces_begin_with_the_error_that_is_largest_over_its_noise(tmp_path):
     errors = tuple(replace(one, kind="simulation") for one in (verdicts.PAN, verdicts.LIFT))
-    text = text_of(tmp_path, result=replace(FOUND, errors=errors))
+    text = text_of(tmp_path, result=replace(verdicts.FOUND, errors=errors))
     assert re.findall("<h3>(.*?)</h3>", text) == ["lift", "pan", "lift", "pan"]
     unknown = tuple(map(verdicts.without_floor, errors))
-    text = text_of(tmp_path, result=replace(FOUND, errors=unknown))
+    text = text_of(tmp_path, result=replace(verdicts.FOUND, errors=unknown))
     assert re.findall("<h3>(.*?)</h3>", text) == ["pan", "lift", "pan", "lift"]
 
 
@@ -210,9 +199,8 @@ start()
 
 def run_apart(folder, cache, *start):
     """Run a diagnosis to its end, or as a program says."""
-    env = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, *(start or ("-m", "simgap")), *WORDS]
-    return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+    words = (*(start or ("-m", "simgap")), *WORDS)
+    return run_python(folder, *words, timeout_s=WAIT_s, XDG_CACHE_HOME=str(cache))
 
 
 def test_base_parameters_alone_are_fitted_without_the_catalogue(swinging, tmp_path, monkeypatch):
@@ -234,7 +222,7 @@ def test_an_interrupted_command_goes_on_and_prints_the_same_document(swinging, t
     whole = run_apart(swinging, tmp_path / "other")
     assert whole.returncode == 0, whole.stderr
     ended = run_apart(swinging, tmp_path, "-c", ENDING)
-    assert (ended.returncode, ended.stderr.count(GOES_ON)) == (128 + signal.SIGINT, 1)
+    assert (ended.returncode, ended.stderr.count(diagnosis.GOES_ON)) == (128 + signal.SIGINT, 1)
     assert len(steps(tmp_path)) == 1
     last = run_apart(swinging, tmp_path)
     assert json.loads(last.stdout) == json.loads(whole.stdout)
@@ -328,7 +316,7 @@ def test_a_wrong_request_is_one_sentence_and_writes_nothing(tmp_path, changes, e
     logs = tuple(tmp_path / name for name in changes.pop("logs", ("poses.csv",)))
     paths = {key: tmp_path / value if key == "patch" else value for key, value in changes.items()}
     with pytest.raises(error, match=re.escape(words)):
-        diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", logs, **paths))
+        diagnosis.diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", logs, **paths))
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
@@ -343,4 +331,4 @@ def test_a_wrong_mapping_is_one_sentence(tmp_path, change, words):
     write_robot(tmp_path)
     (tmp_path / "mapping.toml").write_text(MAPPING.replace(*change))
     with pytest.raises(RobotError, match=re.escape(words)):
-        diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "poses.csv",)))
+        diagnosis.diagnose_robot(DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "poses.csv",)))

@@ -12,13 +12,8 @@ model = "model.xml"
 time_step_s = 0.002
 control_rate_Hz = 500.0
 tool_site = "tip"
-
-[time]
-column = "t"
-unit = "s"
-
-[motion]
-columns = ["motion"]
+time = { column = "t", unit = "s" }
+motion = { columns = ["motion"] }
 """
 JOINT = """
 [joints.{name}]

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from io import BytesIO, TextIOWrapper
 from unittest.mock import patch
@@ -41,9 +41,9 @@ def call(program, folder, *words):
         *words: Arguments of the program.
     """
     stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
-    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     status: str | int | None = None
     with (
+        handlers_kept(),
         chdir(folder),
         patch.object(sys, "argv", ["-", *words]),
         patch.dict(os.environ),
@@ -58,11 +58,27 @@ def call(program, folder, *words):
             program()
         except SystemExit as ended:
             status = ended.code
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
     printed, errors = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
     return subprocess.CompletedProcess(words, status or 0, printed, errors)
+
+
+def run_python(folder, *words, timeout_s=1200.0, **environment):
+    """Run Python in a process of its own, with other values of some variables of the environment."""
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, env=os.environ | environment, timeout=timeout_s,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@contextmanager
+def handlers_kept():
+    """Put back how signals end this process, after a block that changes it."""
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def snapshot(folder):

@@ -91,9 +91,5 @@ def _slow_logs(table, torque_limit_Nm, low, high, count):
 
 def with_joint(logs, joint, change):
     """Return logs in which a function has changed the log of one joint in each motion."""
-    return replace(
-        logs,
-        motions=tuple(
-            replace(one, joints={**one.joints, joint: change(one.joints[joint])}) for one in logs.motions
-        ),
-    )
+    changed = [(one, {joint: change(one.joints[joint])}) for one in logs.motions]
+    return replace(logs, motions=tuple(replace(one, joints=one.joints | new) for one, new in changed))

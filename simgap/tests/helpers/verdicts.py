@@ -63,6 +63,13 @@ def without_floor(one):
 
 
 REFUSED = tuple(Refusal(name, "the command is cut off at -1.034 rad", 40) for name in "pqrst")
+FOUND = diagnosis(
+    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
+    base=(GAIN, ARMATURE),
+    remaining=(REST,),
+    refused=REFUSED,
+)
+"""A diagnosis with something in every part of its page."""
 
 
 class Drawn:

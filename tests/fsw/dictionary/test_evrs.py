@@ -10,12 +10,11 @@ import pytest
 
 from fsw.dictionary import commands, evrs, faults
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import Evr, Severity
 
 EVRS = [
     kind
     for kind in (vars(evrs) | vars(faults)).values()
-    if isinstance(kind, type) and issubclass(kind, Evr) and kind not in (Evr, faults.Fault)
+    if isinstance(kind, type) and issubclass(kind, evrs.Evr) and kind not in (evrs.Evr, faults.Fault)
 ]
 COMMANDS = typing.get_args(commands.Command)
 TESTS = Path(__file__).parents[1]
@@ -39,7 +38,7 @@ def test_the_message_of_every_event_can_be_formatted(kind):
 
 @pytest.mark.parametrize("kind", EVRS)
 def test_every_event_has_a_severity_and_names_only_its_own_fields(kind):
-    assert isinstance(kind.severity, Severity)
+    assert isinstance(kind.severity, evrs.Severity)
     named = {part.split(".")[1] for part in kind.text.replace("}", "{").split("{")[1::2]}
     named = {name.split(":")[0] for name in named}
     assert named == {field.name for field in fields(kind)}

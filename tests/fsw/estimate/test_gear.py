@@ -40,10 +40,6 @@ def bounds(load_Nm):
     return bound_gear(CONFIG, HALF, bound_loads(CONFIG, load_Nm, MARS_R_m_s2))
 
 
-def anywhere():
-    return np.column_stack([-HALF, np.zeros(5), HALF])
-
-
 def torque_Nm(gear_rad):
     """Compute the torque of a spring with a dead band."""
     return STIFFNESS * (gear_rad - np.clip(gear_rad, -HALF, HALF))
@@ -54,16 +50,14 @@ def true_gear(gear_rad, motion_rad, load_Nm):
     gear_rad = gear_rad - motion_rad
     carried = torque_Nm(gear_rad)
     left = np.clip(carried, load_Nm - FRICTION, load_Nm + FRICTION)
-    up, down = (
-        left / STIFFNESS + np.where(left > 0, HALF, -HALF),
-        left / STIFFNESS - np.where(left < 0, HALF, -HALF),
-    )
+    up = left / STIFFNESS + np.where(left > 0, HALF, -HALF)
+    down = left / STIFFNESS - np.where(left < 0, HALF, -HALF)
     return np.where(left > carried, up, np.where(left < carried, down, gear_rad))
 
 
 @given(shares, histories)
 def test_the_true_gear_angle_is_always_inside_and_no_side_is_claimed_that_it_is_not_on(start, history):
-    truth, believed = start * HALF, anywhere()
+    truth, believed = start * HALF, np.column_stack([-HALF, np.zeros(5), HALF])
     for motion, load, error in history:
         truth = true_gear(truth, motion, load + error * ERROR)
         believed = gear_after_motor_turn(believed, motion, bounds(load))
@@ -222,6 +216,18 @@ def test_a_load_that_lifts_the_output_off_its_stop_hides_the_gap():
     assert not result.backlash_measured
     assert 2 * result.half_backlash_rad == drawn.backlash_rad
     assert result.stop_rad == pytest.approx(STOP_RAD, abs=0.05e-3)
+
+
+def test_a_run_without_the_way_before_the_stop_or_a_part_of_the_gap_measures_nothing():
+    joint, load, gap = Joint.ELEVATION, -5.0, 4e-3
+    towards, away = run(joint, load, gap, 1.7e5, 3e5, 60.0, 1)
+    press = fit_contact_line(CONFIG, joint, load, towards)
+    assert measure_backlash(CONFIG, joint, load, press, away) == pytest.approx(gap, abs=0.12e-3)
+    late = Readings(towards.motor_rad[-110:], towards.torque_Nm[-110:])
+    assert fit_contact_line(CONFIG, joint, load, late) is None
+    for part in (slice(100), slice(150), slice(300, None)):
+        some = Readings(away.motor_rad[part], away.torque_Nm[part])
+        assert measure_backlash(CONFIG, joint, load, press, some) is None
 
 
 @pytest.mark.parametrize("width", [None, 1e-4, 2e-2, -1e-3])

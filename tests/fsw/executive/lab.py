@@ -4,28 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fsw.dictionary.commands import (
-    Calibrate,
-    CalibrateAll,
-    ClearFault,
-    Command,
-    Dock,
-    GuardedMove,
-    MoveJoint,
-    MoveJoints,
-    MoveTeachPoint,
-    MoveTool,
-    PlaceTool,
-    Preload,
-    Process,
-    Retract,
-    SetParam,
-    SetTilt,
-    Stop,
-    Stow,
-    ToolChange,
-    Unstow,
-)
+from fsw.dictionary import commands
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
@@ -70,7 +49,7 @@ def deployed():
 @made_once
 def moving_free():
     rig = deployed()
-    rig.until_moving(MoveJoints(floats(START + 0.05)))
+    rig.until_moving(commands.MoveJoints(floats(START + 0.05)))
     return rig
 
 
@@ -92,14 +71,14 @@ def guarded_in_contact():
 @made_once
 def retracting():
     rig = deployed()
-    rig.until_moving(Retract("apxs", 0.05))
+    rig.until_moving(commands.Retract("apxs", 0.05))
     return rig
 
 
 @made_once
 def calibrating():
     rig = deployed()
-    rig.until_moving(Calibrate(Joint.TURRET))
+    rig.until_moving(commands.Calibrate(Joint.TURRET))
     return rig
 
 
@@ -120,7 +99,7 @@ def faulted():
 @made_once
 def preloading():
     rig = guarded_in_contact()
-    rig.cycle(Preload("apxs", 50.0), **TOUCHED)
+    rig.cycle(commands.Preload("apxs", 50.0), **TOUCHED)
     while rig.state.preload.force_N < 10.0:
         rig.cycle(**TOUCHED)
     return rig
@@ -142,35 +121,37 @@ TOUCHING = (guarded_in_contact, preloading, preloaded)
 """Rigs with a closed switch."""
 
 
-def _place(rig: Rig) -> PlaceTool:
+def _place(rig: Rig) -> commands.PlaceTool:
     ahead = rig.here("apxs", 0.02)
-    return PlaceTool("apxs", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
+    return commands.PlaceTool("apxs", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
 
 
 COMMANDS = {
-    Calibrate: lambda rig: Calibrate(Joint.TURRET),
-    CalibrateAll: lambda rig: CalibrateAll(),
-    Unstow: lambda rig: Unstow(),
-    Stow: lambda rig: Stow(),
-    MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
-    MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
-    MoveTool: lambda rig: rig.here("apxs"),
-    GuardedMove: lambda rig: rig.touch("apxs", 0.02),
-    PlaceTool: _place,
-    Preload: lambda rig: Preload("apxs", 100.0),
-    ToolChange: lambda rig: ToolChange("mahli"),
-    MoveTeachPoint: lambda rig: MoveTeachPoint(HERE.name),
-    Dock: lambda rig: Dock(HERE.name, 0.02),
-    Process: lambda rig: Process("portion", (1.0, 0.0, 0.2), 1.0),
-    Retract: lambda rig: Retract("apxs", 0.02),
-    SetTilt: lambda rig: SetTilt(0.0, 0.0),
-    SetParam: lambda rig: SetParam("motion.settle_time_s", 0.5),
-    Stop: lambda rig: Stop(),
-    ClearFault: lambda rig: ClearFault(),
+    commands.Calibrate: lambda rig: commands.Calibrate(Joint.TURRET),
+    commands.CalibrateAll: lambda rig: commands.CalibrateAll(),
+    commands.Unstow: lambda rig: commands.Unstow(),
+    commands.Stow: lambda rig: commands.Stow(),
+    commands.MoveJoint: lambda rig: commands.MoveJoint(
+        Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])
+    ),
+    commands.MoveJoints: lambda rig: commands.MoveJoints(floats(rig.state.joints.motor_rad)),
+    commands.MoveTool: lambda rig: rig.here("apxs"),
+    commands.GuardedMove: lambda rig: rig.touch("apxs", 0.02),
+    commands.PlaceTool: _place,
+    commands.Preload: lambda rig: commands.Preload("apxs", 100.0),
+    commands.ToolChange: lambda rig: commands.ToolChange("mahli"),
+    commands.MoveTeachPoint: lambda rig: commands.MoveTeachPoint(HERE.name),
+    commands.Dock: lambda rig: commands.Dock(HERE.name, 0.02),
+    commands.Process: lambda rig: commands.Process("portion", (1.0, 0.0, 0.2), 1.0),
+    commands.Retract: lambda rig: commands.Retract("apxs", 0.02),
+    commands.SetTilt: lambda rig: commands.SetTilt(0.0, 0.0),
+    commands.SetParam: lambda rig: commands.SetParam("motion.settle_time_s", 0.5),
+    commands.Stop: lambda rig: commands.Stop(),
+    commands.ClearFault: lambda rig: commands.ClearFault(),
 }
 
 
-def refusal(rig: Rig, command: Command) -> str:
+def refusal(rig: Rig, command: commands.Command) -> str:
     """Return the reason for which a command is refused, and check that it changes nothing."""
     before = rig.state
     rig.evrs.clear()

@@ -32,29 +32,16 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import HardstopMissed
 from fsw.kinematics.closed_form import BRANCHES
+from fsw.state import Hold, Sequence
 from helpers.marks import slow_but
-from tests.fsw.executive.lab import (
-    COMMANDS,
-    CONFIG,
-    NAN,
-    START,
-    TOUCHED,
-    TOUCHING,
-    deployed,
-    guarded_in_contact,
-    guarded_moving,
-    moving_free,
-    refusal,
-    retracting,
-    stowed,
-)
+from tests.fsw.executive import lab
 from tests.fsw.rig import Rig, floats, with_params
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 
 
 def test_a_tool_move_says_which_branch_it_takes():
-    rig = deployed()
+    rig = lab.deployed()
     rig.cycle(rig.here("apxs", 0.01))
     chosen = [evr for evr in rig.evrs if isinstance(evr, BranchChosen)]
     assert [evr.tool for evr in chosen] == ["apxs"]
@@ -63,7 +50,7 @@ def test_a_tool_move_says_which_branch_it_takes():
 
 @pytest.mark.slow
 def test_unstow_leads_past_the_way_points_to_the_ready_pose_and_stow_leads_back():
-    drawn = CONFIG.params.joints.in_order()
+    drawn = lab.CONFIG.params.joints.in_order()
     joints = {joint.name.lower(): replace(drawn[joint], speed_rad_s=0.1) for joint in Joint}
     config = with_params(joints=joints)
     poses = config.params.poses
@@ -82,8 +69,8 @@ def test_unstow_leads_past_the_way_points_to_the_ready_pose_and_stow_leads_back(
 
 @pytest.mark.parametrize("joint", Joint)
 def test_one_joint_moves_to_its_angle_and_the_others_stay_where_they_are(joint):
-    rig = deployed()
-    start, goal = rig.count.copy(), float(START[joint]) + 0.01
+    rig = lab.deployed()
+    start, goal = rig.count.copy(), float(lab.START[joint]) + 0.01
     assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(joint, goal))
     assert rig.state.joints.output_rad[joint] == pytest.approx(goal, abs=1e-5)
     np.testing.assert_array_equal(np.flatnonzero(rig.count != start), [joint])
@@ -91,7 +78,7 @@ def test_one_joint_moves_to_its_angle_and_the_others_stay_where_they_are(joint):
 
 @pytest.mark.parametrize("joint", Joint)
 def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_until_it_found_it(joint):
-    rig, others = deployed(), np.arange(5) != joint
+    rig, others = lab.deployed(), np.arange(5) != joint
     rig.until_moving(Calibrate(joint))
     np.testing.assert_array_equal(rig.outputs.joint.calibrated, others)
     drive = rig.outputs.drive
@@ -101,10 +88,10 @@ def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_
     assert CommandAborted("Calibrate") in rig.evrs
     np.testing.assert_array_equal(rig.outputs.joint.calibrated, others)
     missing = NOT_CALIBRATED.format(joint.name.lower())
-    assert refusal(rig, MoveJoints(floats(START))) == missing
-    assert refusal(rig, MoveJoint(joint, float(START[joint]))) == missing
+    assert lab.refusal(rig, MoveJoints(floats(lab.START))) == missing
+    assert lab.refusal(rig, MoveJoint(joint, float(lab.START[joint]))) == missing
     other = Joint((joint + 1) % 5)
-    rig.cycle(MoveJoint(other, float(START[other]) + 0.01))
+    rig.cycle(MoveJoint(other, float(lab.START[other]) + 0.01))
     assert CommandAccepted("MoveJoint") in rig.evrs
 
 
@@ -112,12 +99,12 @@ def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_
 @pytest.mark.parametrize("calibrated", [True, False])
 @pytest.mark.parametrize("joint", HARDSTOP_ORDER[1:])
 def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way(kind, calibrated, joint):
-    tolerance = CONFIG.params.hardstop.pose_tolerance_rad
+    tolerance = lab.CONFIG.params.hardstop.pose_tolerance_rad
     for off_rad, refused in ((0.9 * tolerance, False), (1.1 * tolerance, True)):
-        pose = START + off_rad * (np.arange(5) == joint)
-        rig = Rig(CONFIG, start_rad=pose, calibrated=calibrated)
+        pose = lab.START + off_rad * (np.arange(5) == joint)
+        rig = Rig(lab.CONFIG, start_rad=pose, calibrated=calibrated)
         rig.evrs.clear()
-        rig.cycle(COMMANDS[kind](rig))
+        rig.cycle(lab.COMMANDS[kind](rig))
         reasons = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
         assert bool(reasons) is refused
         if refused:
@@ -128,8 +115,8 @@ def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way
 
 def next_to_its_stop(joint):
     """Return a rig without hardstops, with this joint close to the angle of its hardstop."""
-    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    return Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, stop + 0.05, START))
+    stop = lab.CONFIG.params.joints.in_order()[joint].hardstop_rad
+    return Rig(lab.CONFIG, start_rad=np.where(np.arange(5) == joint, stop + 0.05, lab.START))
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -137,7 +124,7 @@ def test_a_joint_that_meets_no_hardstop_is_stopped_behind_the_place_of_it(joint)
     rig = next_to_its_stop(joint)
     evrs = rig.run(Calibrate(joint))
     (missed,) = [evr for evr in evrs if isinstance(evr, HardstopMissed)]
-    params = CONFIG.params
+    params = lab.CONFIG.params
     assert missed.joint is joint
     assert missed.stop_rad == params.joints.in_order()[joint].hardstop_rad
     assert missed.stop_rad - missed.angle_rad == pytest.approx(params.hardstop.window_rad, abs=1e-3)
@@ -149,7 +136,7 @@ def test_a_joint_that_meets_no_hardstop_is_stopped_behind_the_place_of_it(joint)
 @pytest.mark.parametrize("beyond_m", slow_but([0.001, 0.01, 0.02], 0.001))
 def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond_m):
     rig = next_to_its_stop(joint)
-    lowest = CONFIG.protection.lowest_rad[joint] - beyond_m
+    lowest = lab.CONFIG.protection.lowest_rad[joint] - beyond_m
     rig.cycle(Calibrate(joint))
     while rig.state.joints.motor_rad[joint] > lowest:
         rig.cycle()
@@ -161,8 +148,7 @@ def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond
 
 @pytest.mark.parametrize("cycles", [0, 40])
 def test_all_joints_are_calibrated_by_commands_of_their_own_until_a_stop_ends_them(cycles):
-    rig = deployed()
-    rig.evrs.clear()
+    rig = lab.deployed()
     rig.cycle(CalibrateAll())
     assert rig.evrs[:2] == [CommandAccepted("CalibrateAll"), CommandAccepted("Calibrate")]
     assert rig.state.move.homing.joint is HARDSTOP_ORDER[0]
@@ -178,9 +164,9 @@ def test_all_joints_are_calibrated_by_commands_of_their_own_until_a_stop_ends_th
 @pytest.mark.parametrize(
     ("moving", "command", "end"),
     [
-        (moving_free, "MoveJoints", Mode.DEPLOYED),
-        (guarded_moving, "GuardedMove", Mode.GUARDED),
-        (retracting, "Retract", Mode.GUARDED),
+        (lab.moving_free, "MoveJoints", Mode.DEPLOYED),
+        (lab.guarded_moving, "GuardedMove", Mode.GUARDED),
+        (lab.retracting, "Retract", Mode.GUARDED),
     ],
     ids=["free space", "guarded", "retracting"],
 )
@@ -205,7 +191,7 @@ def test_a_stop_slows_the_arm_and_the_move_is_aborted_without_a_fault(moving, co
 
 @pytest.mark.parametrize("cycles", [None, *range(9)])
 def test_a_stop_with_its_move_or_while_the_brakes_are_being_released_moves_nothing(cycles):
-    rig, move = deployed(), MoveJoints(floats(START + 0.05))
+    rig, move = lab.deployed(), MoveJoints(floats(lab.START + 0.05))
     start = rig.count.copy()
     if cycles is None:
         evrs = rig.run(move, Stop(), at_most=60)
@@ -233,7 +219,7 @@ def test_after_a_fault_the_angles_of_calibrated_joints_decide_whether_the_arm_is
     ):
         pose = np.array(config.params.poses.stowed_rad) + off_rad * (np.arange(5) == joint)
         rig = Rig(config, mode, pose, calibrated=calibrated)
-        rig.cycle(winding_C=[NAN] * 5)
+        rig.cycle(winding_C=[lab.NAN] * 5)
         rig.cycle(ClearFault())
         assert rig.state.mode is end
 
@@ -242,10 +228,9 @@ def test_after_a_fault_the_angles_of_calibrated_joints_decide_whether_the_arm_is
     "kind", [Calibrate, CalibrateAll, MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract]
 )
 def test_with_readings_that_cannot_be_used_nothing_begins(kind):
-    rig = deployed()
-    rig.evrs.clear()
+    rig = lab.deployed()
     reference = rig.state.joints.reference
-    rig.cycle(COMMANDS[kind](rig), winding_C=[NAN] * 5)
+    rig.cycle(lab.COMMANDS[kind](rig), winding_C=[lab.NAN] * 5)
     assert CommandRefused(kind.__name__, "a reading is unusable") in rig.evrs
     assert rig.state.move is None
     assert rig.state.sequence is None
@@ -255,38 +240,38 @@ def test_with_readings_that_cannot_be_used_nothing_begins(kind):
 @pytest.mark.parametrize(
     ("make_rig", "end"),
     [
-        (deployed, Mode.DEPLOYED),
-        (moving_free, Mode.DEPLOYED),
-        (guarded_moving, Mode.GUARDED),
-        (guarded_in_contact, Mode.GUARDED),
-        (retracting, Mode.GUARDED),
+        (lab.deployed, Mode.DEPLOYED),
+        (lab.moving_free, Mode.DEPLOYED),
+        (lab.guarded_moving, Mode.GUARDED),
+        (lab.guarded_in_contact, Mode.GUARDED),
+        (lab.retracting, Mode.GUARDED),
     ],
 )
 def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch(make_rig, end):
     rig = make_rig()
     mode = rig.state.mode
-    rig.cycle(winding_C=[NAN] * 5)
+    rig.cycle(winding_C=[lab.NAN] * 5)
     assert rig.state.fault.mode is mode
     rig.run()
     for _ in range(3):  # a new fault in the cycle of ClearFault keeps what is known of the first one
-        rig.cycle(ClearFault(), winding_C=[NAN] * 5)
+        rig.cycle(ClearFault(), winding_C=[lab.NAN] * 5)
         assert rig.state.mode is Mode.FAULTED
     rig.cycle(ClearFault())
     assert rig.state.mode is end
     assert rig.state.fault is None
 
 
-@pytest.mark.parametrize("make_rig", [guarded_moving, retracting, guarded_in_contact])
+@pytest.mark.parametrize("make_rig", [lab.guarded_moving, lab.retracting, lab.guarded_in_contact])
 def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freely(make_rig):
     rig = make_rig()
-    readings = TOUCHED if make_rig in TOUCHING else {}
-    rig.run(winding_C=[NAN] * 5, **readings)
+    readings = lab.TOUCHED if make_rig in lab.TOUCHING else {}
+    rig.run(winding_C=[lab.NAN] * 5, **readings)
     assert rig.state.mode is Mode.FAULTED
     rig.evrs.clear()
     rig.cycle(ClearFault(), **readings)
     assert FaultCleared() in rig.evrs
     rig.evrs.clear()
-    rig.cycle(MoveJoints(floats(START)), **readings)
+    rig.cycle(MoveJoints(floats(lab.START)), **readings)
     assert rig.evrs == [CommandRefused("MoveJoints", "not allowed in mode GUARDED")]
     rig.cycle(Retract("apxs", 0.02), **readings)
     for _ in range(30):
@@ -295,16 +280,23 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
     assert rig.state.mode is Mode.DEPLOYED
 
 
+def test_a_step_that_is_refused_when_its_turn_comes_aborts_its_sequence():
+    rig = lab.deployed()
+    rig.state = replace(rig.state, sequence=Sequence("Process", (Hold(1.0, vibrate=True),)))
+    rig.cycle(winding_C=[lab.NAN] * 5)
+    assert rig.evrs[:2] == [CommandRefused("Hold", "a reading is unusable"), CommandAborted("Process")]
+    assert rig.state.sequence is None
+
+
 def test_only_the_first_of_two_moves_in_one_cycle_begins():
-    rig = deployed()
-    rig.evrs.clear()
-    rig.cycle(MoveJoints(floats(START + 0.05)), Retract("apxs", 0.1))
+    rig = lab.deployed()
+    rig.cycle(MoveJoints(floats(lab.START + 0.05)), Retract("apxs", 0.1))
     assert CommandAccepted("MoveJoints") in rig.evrs
     assert CommandRefused("Retract", "MoveJoints is under way") in rig.evrs
 
 
 def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
-    rig = stowed()
+    rig = lab.stowed()
     rig.cycle(Unstow())
     rig.run(Stop(), at_most=200)
     assert rig.state.mode is Mode.STOWED
@@ -313,13 +305,13 @@ def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
 
 
 def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract():
-    rig = deployed()
+    rig = lab.deployed()
     assert rig.state.tool != "apxs"
-    rig.run(**TOUCHED)
+    rig.run(**lab.TOUCHED)
     assert rig.state.mode is Mode.FAULTED
     rig.cycle(ClearFault())
     assert (rig.state.mode, rig.state.tool) == (Mode.GUARDED, "apxs")
     for command in (Preload("drill", 100.0), Retract("drill", 0.05)):
-        assert refusal(rig, command) == "apxs is the tool that may touch; retract it first"
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
+        assert lab.refusal(rig, command) == "apxs is the tool that may touch; retract it first"
+    rig.cycle(Retract("apxs", 0.02), **lab.TOUCHED)
     assert CommandAccepted("Retract") in rig.evrs

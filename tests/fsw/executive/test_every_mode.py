@@ -93,7 +93,6 @@ def test_the_table_speaks_of_every_mode_and_every_command():
 def test_every_command_in_every_situation(make_rig, kind):
     rig = make_rig()
     before, name = rig.state, kind.__name__
-    rig.evrs.clear()
     rig.cycle(COMMANDS[kind](rig), **(TOUCHED if make_rig in TOUCHING else {}))
     reason = REFUSED[make_rig].get(kind)
     refused = [evr for evr in rig.evrs if isinstance(evr, evrs.CommandRefused)]

@@ -23,16 +23,7 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
-from tests.fsw.executive.lab import (
-    COMMANDS,
-    CONFIG,
-    HERE,
-    INF,
-    TOUCHED,
-    deployed,
-    guarded_in_contact,
-    refusal,
-)
+from tests.fsw.executive import lab
 from tests.fsw.rig import floats
 from tests.tools import SWITCHES
 
@@ -40,19 +31,19 @@ MAHLI_TOUCHED = {"switch_closed": np.isin(SWITCHES, ["mahli_1a"])}
 
 
 def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
-    p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
-    command = PlaceTool("apxs", HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
-    rig = deployed()
+    p, approach = np.array(lab.HERE.p_RoTo_R_m), np.array(lab.HERE.approach_R)
+    command = PlaceTool("apxs", lab.HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
+    rig = lab.deployed()
     to_standoff, touch = steps_of(rig, command)
     assert isinstance(to_standoff, MoveTool)
     assert isinstance(touch, GuardedMove)
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, p - 0.04 * approach, atol=1e-12)
     np.testing.assert_allclose(touch.end_p_RoTo_R_m, p + 0.02 * approach, atol=1e-12)
     assert to_standoff.line_m == pytest.approx(0.06)
-    rig.cycle(COMMANDS[PlaceTool](rig))
+    rig.cycle(lab.COMMANDS[PlaceTool](rig))
     while rig.state.mode is not Mode.GUARDED:
         rig.cycle()
-    evrs = rig.run(**TOUCHED)
+    evrs = rig.run(**lab.TOUCHED)
     done = [evr.command for evr in rig.evrs if isinstance(evr, CommandCompleted)]
     assert done == ["MoveTool", "GuardedMove", "PlaceTool"]
     assert any(isinstance(evr, ContactMade) for evr in evrs)
@@ -60,20 +51,20 @@ def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
 
 
 def test_a_step_that_cannot_be_is_found_before_the_first_begins():
-    rig = deployed()
+    rig = lab.deployed()
     far = rig.here("apxs", 0.0)
     command = PlaceTool("apxs", far.p_FoTo_F_m, far.approach_F, standoff_m=0.9, overtravel_m=0.9)
-    reason = refusal(rig, command)
+    reason = lab.refusal(rig, command)
     assert reason.startswith("apxs: the target: ")
     assert "clear" not in reason
 
 
 def steps_of(rig, command):
-    return expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
+    return expand_command(lab.CONFIG, rig.state.joints, rig.state.tool, command)
 
 
 def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
-    rig = guarded_in_contact()
+    rig = lab.guarded_in_contact()
     X = rig.tool_pose("apxs")
     back, to_standoff, touch = steps_of(rig, ToolChange("mahli"))
     assert back == Retract("apxs", 0.10, "on", "absolute")
@@ -88,16 +79,15 @@ def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
 
 
 def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
-    *_, to_standoff, hover = steps_of(guarded_in_contact(), ToolChange("portion", hover_m=0.03))
+    *_, to_standoff, hover = steps_of(lab.guarded_in_contact(), ToolChange("portion", hover_m=0.03))
     assert hover.straight
     apart = np.array(hover.p_FoTo_F_m) - np.array(to_standoff.p_FoTo_F_m)
     np.testing.assert_allclose(apart, 0.07 * np.array(hover.approach_F), atol=1e-12)
 
 
 def test_a_tool_change_ends_with_the_other_tool_in_contact():
-    rig = guarded_in_contact()
-    rig.evrs.clear()
-    rig.cycle(ToolChange("mahli", standoff_m=0.05), **TOUCHED)
+    rig = lab.guarded_in_contact()
+    rig.cycle(ToolChange("mahli", standoff_m=0.05), **lab.TOUCHED)
     assert isinstance(rig.evrs[1], SpotSet)
     while rig.state.mode is not Mode.GUARDED or rig.state.tool != "mahli":
         rig.cycle()
@@ -107,15 +97,14 @@ def test_a_tool_change_ends_with_the_other_tool_in_contact():
 
 
 def test_the_tool_that_touches_is_not_changed_for_itself():
-    rig = guarded_in_contact()
-    rig.evrs.clear()
-    rig.cycle(ToolChange("apxs"), **TOUCHED)
+    rig = lab.guarded_in_contact()
+    rig.cycle(ToolChange("apxs"), **lab.TOUCHED)
     assert rig.evrs == [CommandRefused("ToolChange", "apxs is the tool that touches")]
 
 
 def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
-    rig = deployed()
-    p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
+    rig = lab.deployed()
+    p, approach = np.array(lab.HERE.p_RoTo_R_m), np.array(lab.HERE.approach_R)
     for along_gravity, way in ((False, approach), (True, [0, 0, 1])):
         (move,) = steps_of(rig, MoveTeachPoint("here", 0.05, along_gravity=along_gravity))
         np.testing.assert_allclose(move.p_FoTo_F_m, p - 0.05 * np.array(way), atol=1e-9)
@@ -123,19 +112,19 @@ def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
 
 
 def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
-    rig = deployed()
+    rig = lab.deployed()
     (touch,) = steps_of(rig, Dock("here", 0.02))
-    end = np.array(HERE.p_RoTo_R_m) + 0.02 * np.array(HERE.approach_R)
+    end = np.array(lab.HERE.p_RoTo_R_m) + 0.02 * np.array(lab.HERE.approach_R)
     np.testing.assert_allclose(touch.end_p_RoTo_R_m, end, atol=1e-12)
     rig.cycle(Dock("here", 0.02))
     for _ in range(40):
         rig.cycle()
-    assert CommandCompleted("Dock") in rig.run(**TOUCHED)
+    assert CommandCompleted("Dock") in rig.run(**lab.TOUCHED)
     assert rig.state.mode is Mode.GUARDED
 
 
 def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
-    rig = deployed()
+    rig = lab.deployed()
     rig.cycle(Process("portion", (1.0, 0.0, 0.2), 2.0))
     assert isinstance(rig.state.sequence.remaining[-1], Hold)
     vibrating = 0
@@ -148,7 +137,7 @@ def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
 
 
 def test_relative_angles_count_from_where_the_outputs_are():
-    rig = deployed()
+    rig = lab.deployed()
     before = rig.state.joints.output_rad
     rig.run(MoveJoints((0.01, 0.0, -0.02, 0.0, 0.03), relative=True))
     np.testing.assert_allclose(rig.state.joints.output_rad - before, [0.01, 0.0, -0.02, 0.0, 0.03], atol=2e-5)
@@ -158,12 +147,14 @@ def test_relative_angles_count_from_where_the_outputs_are():
     "name", [ROVER, *(frame.name.lower() for frame in Frame if frame is not Frame.TOOL), "mahli"]
 )
 def test_a_place_may_be_given_in_any_frame_of_the_arm_as_it_stands(name):
-    rig = deployed()
+    rig = lab.deployed()
     X_RT = rig.tool_pose("apxs")
-    frames = settle_output(CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2).frames
+    frames = settle_output(
+        lab.CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2
+    ).frames
     R, p = np.eye(3), np.zeros(3)
     if name == "mahli":
-        X = tool_pose(CONFIG.arm, frames, "mahli")
+        X = tool_pose(lab.CONFIG.arm, frames, "mahli")
         R, p = X.R, X.p
     elif name != ROVER:
         k = Frame[name.upper()]
@@ -174,7 +165,7 @@ def test_a_place_may_be_given_in_any_frame_of_the_arm_as_it_stands(name):
 
 
 def test_a_straight_move_keeps_the_tool_on_its_line():
-    rig = deployed()
+    rig = lab.deployed()
     start = rig.tool_pose("apxs")
     end = start.p + np.array([0.05, 0.08, -0.04])
     rig.cycle(MoveTool("apxs", floats(end), floats(start.R[:, 0]), straight=True))
@@ -190,7 +181,7 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (MoveJoints((1.0, INF, 1.0, 1.0, 1.0)), "angle_rad: number 2: inf is outside -7 .. 7"),
+        (MoveJoints((1.0, lab.INF, 1.0, 1.0, 1.0)), "angle_rad: number 2: inf is outside -7 .. 7"),
         (Calibrate(2.0), "joint: 2.0 is not known; there are azimuth, elevation, elbow, wrist, turret"),
         (MoveTool("apxs", (0, 0, 0), (1, 0, 0), frame="TOOL"), "frame: 'TOOL' is not known; there are rover"),
         (MoveTool("apxs", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]), "a straight move stays"),
@@ -200,4 +191,4 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
     ],
 )
 def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):
-    assert refusal(deployed(), command).startswith(reason)
+    assert lab.refusal(lab.deployed(), command).startswith(reason)

@@ -16,7 +16,7 @@ from fsw.executive.context import check_arguments
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import PlannedSequence, plan_command, plan_sequence
 from fsw.kinematics.transforms import normalize
-from fsw.motion.paths import FINE_STEP_M, check_paths, compute_deflected_frames, sample_paths
+from fsw.motion.paths import FINE_STEP_M, check_paths, check_touch, compute_deflected_frames, sample_paths
 from fsw.motion.plan import Plan, Refusal, estimate_at
 from fsw.motion.plan_tool import plan_retract
 from sim.arms import arm_named
@@ -77,7 +77,7 @@ def test_a_normal_along_the_approach_is_refused():
     assert problem == "the normal points along the approach, not out of the surface"
 
 
-def test_a_stow_near_the_rock_begins_with_a_retraction(steep):
+def test_a_stow_near_the_rock_begins_with_a_retraction_and_the_refusal_of_a_move_names_one_that_helps(steep):
     surface = locate_surface(CONFIG, JOINTS, "apxs", STEEP, None)
     at_standoff = estimate_at(JOINTS, steep.plans[-2].end)
     stow = plan_command(CONFIG, at_standoff, "apxs", Stow(), surface)
@@ -85,6 +85,21 @@ def test_a_stow_near_the_rock_begins_with_a_retraction(steep):
     alone = plan_command(CONFIG, at_standoff, "apxs", Stow(), None)
     back = plan_command(CONFIG, at_standoff, "apxs", Retract("apxs", 0.1), surface)
     assert len(stow.paths) >= len(alone.paths) + len(back.paths)
+    for branch, end in (
+        (INTO_THE_ROCK, " % of the way are clear; clear after a retraction of 0.25 m"),
+        ("shoulder-in elbow-up wrist-up", " % of the way are clear"),
+    ):
+        move = replace(steep.commands[-2], branch=branch)
+        assert plan_command(CONFIG, at_standoff, "apxs", move, surface).reason.endswith(end)
+
+
+def test_a_guarded_line_is_refused_if_another_part_is_lower_than_the_tool_where_it_touches(steep):
+    joints, paths = estimate_at(JOINTS, steep.plans[-2].end), steep.plans[-1].paths
+    assert check_touch(CONFIG, joints, paths, "apxs", -np.array(STEEP.approach_R)) is None
+    assert check_touch(CONFIG, joints, paths, "apxs", normalize(np.array([0.55, 0.0, -0.84]))) == (
+        "the turret would be 40 mm below the surface where the APXS touches it, "
+        "at least 15 mm above are to be kept"
+    )
 
 
 def test_an_unstow_forgets_the_surface():

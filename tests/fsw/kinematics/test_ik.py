@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fsw.dictionary.enums import Joint
 from fsw.kinematics import ik
 from fsw.kinematics.arm import heat_arm, limit_excess, wrap_into_limits
-from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.chain import forward
 from fsw.kinematics.closed_form import BRANCHES, FREE_SINE, closed_form, fold_distances
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle_output, task_error
@@ -26,7 +26,7 @@ from tests.fsw.kinematics.lab import (
     solve_poses,
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
-from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from tests.fsw.rig import MARS_R_m_s2, config_of, facing, in_limits, pose_of
 from tests.tools import TOOLS, tool_index
 from validation import kinematics
 
@@ -34,12 +34,6 @@ N = 4000
 N_LOADED = 260
 ARM = config_of().arm
 RIGID_M, LOADED_M = 1e-9, 1e-6
-
-
-def pose_of(arm, q, tool, gravity=None):
-    """Compute the pose of the tool of the rigid or of the deflected arm."""
-    frames = forward(arm, q) if gravity is None else settle_output(arm, q, gravity).frames
-    return tool_pose(arm, frames, tool)
 
 
 def targets_of(q, tool, arm=ARM, gravity=None):
@@ -146,9 +140,7 @@ def test_a_target_inside_the_shoulder_cylinder_says_so():
 
 def along_the_pitch_axis(tool):
     """Compute a target whose approach is parallel to the pitch axes of the arm that points to it."""
-    q = np.array([0.3, -0.8, 1.5, 1.0, 0.0])
-    boresight = ARM.X_FT[tool].R[:, 0]
-    q[4] = np.pi / 2 - np.arctan2(boresight[1], boresight[0])
+    q = facing(config_of(), tool, np.pi / 2, [0.3, -0.8, 1.5, 1.0, 0.0])
     p, a = targets_of(q, tool)
     np.testing.assert_allclose(np.abs(a @ forward(ARM, q).X_RF.R[:, 2, 1]), 1.0, atol=1e-12)
     return p, a

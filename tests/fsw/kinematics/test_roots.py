@@ -9,32 +9,14 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.roots import (
-    MOST_MISSING_M,
-    TASK_TOLERANCE,
-    refine_roots,
-    solve_fixed_point,
-)
+from fsw.kinematics.roots import MOST_MISSING_M, TASK_TOLERANCE, refine_roots, solve_fixed_point
 from fsw.kinematics.statics import relative_target, settle, settle_output, task_error
 from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but
-from tests.fsw.kinematics.lab import (
-    assert_consistent,
-    assert_no_root_twice,
-    assert_roots_meet,
-    assert_sentences,
-    near_double_roots,
-    solve_poses,
-    trial_of,
-)
-from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from tests.fsw.kinematics import lab
+from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits, pose_of
 from tests.tools import TOOLS, tool_index
-from validation.kinematics import (
-    CLEAR_OF_FOLDS,
-    CLEAR_SIGMA,
-    SAME_RAD,
-    root_distances,
-)
+from validation import kinematics
 
 ARMS = ["nominal", "as-built:3", "calibrated:3", "calibrated:11"]
 TILTED_R_m_s2 = np.array([0.9, -1.2, 3.4])
@@ -78,17 +60,20 @@ def test_a_tool_that_points_the_other_way_is_no_root():
 
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
-def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
+def test_a_target_out_of_reach_or_a_start_that_is_not_finite_does_not_converge_and_raises_nothing(
+    name, gravity
+):
     config = config_of(name)
     q, p, a = deflected_targets(config, "apxs", 20, MARS_R_m_s2)
     for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
         found = refine_roots(config.arm, "apxs", far, a, gravity, q)
         assert not found.converged.any()
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
+    assert not refine_roots(config.arm, "apxs", p, a, gravity, np.full_like(q, np.nan)).converged.any()
 
 
 def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
-    n, trial = 200, trial_of("nominal", "mars", "apxs")
+    n, trial = 200, lab.trial_of("nominal", "mars", "apxs")
     q = in_limits(config_of(), np.random.default_rng(1), n, shrink=0.1)
     q[0] = trial.arm.soft_max_rad[0] + 0.3
     q[2] = np.where(np.abs(q[2]) < 0.6, 0.8, q[2])
@@ -112,16 +97,18 @@ def test_poses_with_a_nearly_straight_elbow_are_found_even_where_the_orthogonal_
     name, gravity
 ):
     """The poses are clear of the folds of shoulder and wrist."""
-    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
+    trial, rng = lab.trial_of(name, gravity, "drill"), np.random.default_rng(54)
     q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
     q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
     shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
-    solved = solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
-    found = root_distances(solved.result, solved.q).min(axis=0) < SAME_RAD
-    single = solved.sigma > CLEAR_SIGMA
+    solved = lab.solve_poses(
+        trial, q[:, np.minimum(shoulder, wrist) > kinematics.CLEAR_OF_FOLDS][:, :N_STRAIGHT]
+    )
+    found = kinematics.root_distances(solved.result, solved.q).min(axis=0) < kinematics.SAME_RAD
+    single = solved.sigma > kinematics.CLEAR_SIGMA
     assert single.sum() > 0.9 * N_STRAIGHT
     assert found[single].mean() > 0.99
-    assert_no_root_twice(solved.result)
+    lab.assert_no_root_twice(solved.result)
     missing = closed_form(solved.trial.arm, "drill", solved.p, solved.a).missing_m
     beyond = (solved.result.verdict == BranchVerdict.VALID) & (missing > 0)
     assert beyond.sum() > 5
@@ -151,18 +138,18 @@ every = pytest.mark.parametrize(("name", "gravity", "tool"), slow_but([*RADIAL, 
 
 @every
 def test_every_root_meets_its_target_once_and_every_slot_has_its_sentence(name, gravity, tool):
-    solved = near_double_roots(name, gravity, tool, N)
-    assert_roots_meet(solved, solved.tolerance)
-    assert_no_root_twice(solved.result)
-    assert_consistent(solved.trial.arm, solved.result)
+    solved = lab.near_double_roots(name, gravity, tool, N)
+    lab.assert_roots_meet(solved, solved.tolerance)
+    lab.assert_no_root_twice(solved.result)
+    lab.assert_consistent(solved.trial.arm, solved.result)
     for k in range(0, N, 5):
-        assert_sentences(solved.trial.arm, select_targets(solved.result, k))
+        lab.assert_sentences(solved.trial.arm, select_targets(solved.result, k))
 
 
 @radial
 def test_a_valid_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity, tool):
     """A root outside the limits only explains why there is none, and may have the name of another branch."""
-    solved = near_double_roots(name, gravity, tool, N)
+    solved = lab.near_double_roots(name, gravity, tool, N)
     shape, q = solved.trial.arm.orthogonal[tool], solved.result.output_rad
     upper = q[Joint.ELEVATION] + shape.theta_rad[Joint.ELEVATION]
     fore = upper + q[Joint.ELBOW] + shape.theta_rad[Joint.ELBOW]
@@ -185,7 +172,7 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
     config = config_of(name)
     drawn = tool_pose(config.arm, forward(config.arm, REFERENCE), tool)
     p, a = relative_target(config.arm, tool, REFERENCE, MARS_R_m_s2, drawn.p, drawn.R[:, 0])
-    deflected = tool_pose(config.arm, settle_output(config.arm, REFERENCE, MARS_R_m_s2).frames, tool)
+    deflected = pose_of(config.arm, REFERENCE, tool, MARS_R_m_s2)
     np.testing.assert_allclose(p, deflected.p, atol=1e-14)
     np.testing.assert_allclose(a, deflected.R[:, 0], atol=1e-14)
     found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)

@@ -5,11 +5,9 @@ import numpy as np
 from fsw.config import Config
 from fsw.estimate.gear import LIKELY, bound_gear, gear_after_motor_turn
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Pose
 from fsw.motion.plan import Plan
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, pose_of
 
 
 def sampled(path, n=400):
@@ -44,6 +42,8 @@ def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400)
     return gear
 
 
-def tool_at(config: Config, output_rad: np.ndarray, tool: int, gravity_R_m_s2=MARS_R_m_s2) -> Pose:
-    """Compute X_RT at rest for outputs (5, ...)."""
-    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity_R_m_s2).frames, tool)
+def along(config: Config, tool: str, path, gear_rad: np.ndarray, samples: int = 160) -> tuple:
+    """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
+    _, motor, _ = sampled(path, samples)
+    gears = gears_along(config, gear_rad, motor)
+    return pose_of(config.arm, (motor + gears).T, tool, MARS_R_m_s2), gears[-1]

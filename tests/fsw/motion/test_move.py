@@ -1,6 +1,7 @@
 """Moves: their phases, how wrist and turret process a sample, and their paths from rest to rest."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,20 +17,12 @@ from fsw.estimate.joints import no_load
 from fsw.executive.poses import find_gravity_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.motion.move import (
-    ALL_JOINTS,
-    Move,
-    MovePlan,
-    Phase,
-    advance_move,
-    command_actuators,
-    stop_early,
-)
+from fsw.motion.move import ALL_JOINTS, Move, MovePlan, Phase, advance_move, command_actuators, stop_early
 from fsw.motion.paths import LinePath, Setpoint, StopPath, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan, Refusal
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from helpers.marks import slow_but
-from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
+from tests.fsw.motion.lab import along, likely, sampled
 from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, quiet_sensors, with_params
 from tests.tools import TOOLS
 
@@ -242,13 +235,6 @@ def straight(plan) -> LinePath:
     return path
 
 
-def along(config, tool, path, gear_rad, samples=160):
-    """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
-    _, motor, _ = sampled(path, samples)
-    gears = gears_along(config, gear_rad, motor)
-    return tool_at(config, (motor + gears).T, tool), gears[-1]
-
-
 def line_errors(X):
     """Compute the errors of a line: distance from its chord, turn of the axis, and length."""
     p, axis = X.p.T, X.R[:, 0].T
@@ -261,14 +247,10 @@ def line_errors(X):
 
 
 CROSSING = [
-    *(
-        (tool, kind, start)
-        for tool in TOOLS
-        for kind in ("guarded", "retract")
-        for start in ("facing", "ready")
-        # in the ready pose the drill is parallel to the pitch axes: no line starts there
-        if (tool, start) != ("drill", "ready")
-    )
+    one
+    for one in product(TOOLS, ("guarded", "retract"), ("facing", "ready"))
+    # in the ready pose the drill is parallel to the pitch axes: no line starts there
+    if (one[0], one[2]) != ("drill", "ready")
 ]
 
 
@@ -321,17 +303,12 @@ def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
     np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
 
-def lines(plan):
-    assert isinstance(plan, Plan)
-    return [path for path in plan.paths if isinstance(path, LinePath)]
-
-
 @pytest.mark.parametrize("tool", TOOLS)
 def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_its_speed(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(tool, 0.15))
     np.testing.assert_allclose(plan.paths[0].at(0.0).motor_rad, rig.state.joints.motor_rad, atol=1e-12)
-    for path in lines(plan):
+    for path in (one for one in plan.paths if isinstance(one, LinePath)):
         times, angle, rate = sampled(path, 600)
         np.testing.assert_allclose(rate[[0, -1]], 0, atol=1e-9)
         assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()

@@ -108,10 +108,8 @@ def test_the_first_look_misses_nothing_that_a_close_look_finds():
 def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
     down = READY.copy()
     down[Joint.ELEVATION] += 0.7
-    share = (
-        float(check_paths(CONFIG, JOINTS, way(READY, down), PADDING_M).rsplit("; ", 1)[1].split(" %")[0])
-        / 100
-    )
+    found = check_paths(CONFIG, JOINTS, way(READY, down), PADDING_M)
+    share = float(found.rsplit("; ", 1)[1].split(" %")[0]) / 100
     for part, clear in ((share - 0.02, True), (share + 0.02, False)):
         there = READY + part * (down - READY)
         assert (check_paths(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear

@@ -14,11 +14,11 @@ from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle
-from fsw.motion.plan import Compensation, Plan, Refusal, plan_poses, worst_limit_excess
+from fsw.motion.plan import TOO_SOFT, Compensation, Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from helpers.marks import slow_but
-from tests.fsw.motion.lab import gear_at_end, tool_at
-from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
+from tests.fsw.motion.lab import gear_at_end
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits, pose_of
 from tests.tools import TOOLS, tool_index
 
 CONFIG = config_of()
@@ -49,7 +49,7 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
     for command in targets(tool):
         plan = plan_tool(CONFIG, joints, command)
         assert isinstance(plan, Plan)
-        X = tool_at(CONFIG, plan.end.output_rad, tool)
+        X = pose_of(CONFIG.arm, plan.end.output_rad, tool, MARS_R_m_s2)
         np.testing.assert_allclose(X.p, command.p_FoTo_F_m, atol=MEETS)
         np.testing.assert_allclose(X.R[:, 0], command.approach_F, atol=MEETS)
         assert worst_limit_excess(CONFIG, plan.end.output_rad) <= 1e-9
@@ -185,11 +185,7 @@ def test_a_line_out_of_reach_says_where_it_ends():
     axes = np.repeat(X.R[:, [0]], 3, axis=1)
     result = inverse_kinematics(CONFIG.arm, "apxs", p, axes, MARS_R_m_s2)
     branch = np.nanargmin(np.abs(result.output_rad[..., 0] - pose[:, None]).max(axis=0))
-    assert list(result.verdict[branch]) == [
-        BranchVerdict.VALID,
-        BranchVerdict.VALID,
-        BranchVerdict.OUT_OF_REACH,
-    ]
+    assert list(result.verdict[branch]) == [*[BranchVerdict.VALID] * 2, BranchVerdict.OUT_OF_REACH]
 
 
 @pytest.mark.parametrize("distance_m", [0.61, 4.0, 1e4, 1e9])
@@ -247,10 +243,8 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
 
 
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
-    pose = np.array(CONFIG.params.poses.ready_rad)
+    pose = facing(CONFIG, "drill", np.pi / 2 + 0.6)
     pose[0] = CONFIG.arm.soft_max_rad[0] - 0.01
-    boresight = CONFIG.arm.X_FT["drill"].R[:, 0]
-    pose[4] = np.pi / 2 + 0.6 - np.arctan2(boresight[1], boresight[0])
     refusals = []
     for distance in (0.1, 0.2):
         rig = Rig(CONFIG, start_rad=pose)
@@ -265,16 +259,23 @@ def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
 
 def test_a_line_of_no_length_is_refused():
     rig = Rig(CONFIG)
-    X = rig.tool_pose("apxs")
-    command = GuardedMove("apxs", floats(X.p), floats(X.R[:, 0]))
-    assert plan_guarded(CONFIG, rig.state.joints, command) == Refusal("the straight move has no length")
+    touch, back = rig.touch("apxs", 0.0), Retract("apxs", 0.0)
+    for plan in (plan_guarded(CONFIG, rig.state.joints, touch), plan_retract(CONFIG, rig.state.joints, back)):
+        assert plan == Refusal("the straight move has no length")
+
+
+def test_no_move_is_planned_for_an_arm_too_soft_to_come_to_rest():
+    joints, soft = (
+        joints_at(),
+        replace(CONFIG, arm=replace(CONFIG.arm, compliance=100 * CONFIG.arm.compliance)),
+    )
+    pose = joints.output_rad
+    one = plan_joint(soft, joints, Joint.WRIST, pose[Joint.WRIST], Compensation())
+    assert one == plan_poses(soft, joints, [pose], Compensation()) == Refusal(TOO_SOFT)
 
 
 def test_a_target_with_its_approach_along_the_pitch_axes_is_refused_with_the_nearest_regular_approach():
-    pose = np.array([0.3, -0.8, 1.5, 1.0, 0.0])
-    boresight = CONFIG.arm.X_FT["drill"].R[:, 0]
-    pose[4] = np.pi / 2 - np.arctan2(boresight[1], boresight[0])
-    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, pose, np.zeros(5), np.zeros(3)).frames, "drill")
+    X = pose_of(CONFIG.arm, facing(CONFIG, "drill", np.pi / 2, [0.3, -0.8, 1.5, 1.0, 0.0]), "drill")
     command = MoveTool("drill", floats(X.p), floats(X.R[:, 0]), branch=BRANCHES[0], deflection="off")
     refusal = plan_tool(CONFIG, joints_at(), command)
     assert isinstance(refusal, Refusal)

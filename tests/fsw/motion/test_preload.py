@@ -22,7 +22,7 @@ from fsw.motion.preload import (
 )
 from helpers.marks import slow_but
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
-from tests.fsw.rig import Rig, made_once
+from tests.fsw.rig import Rig, in_the_open, made_once
 
 STAYS_M = 2e-5
 """Tolerance: encoder counts and bounds of the backlash move the tool by some micrometres."""
@@ -55,9 +55,9 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
 
 @pytest.mark.slow
 def test_a_press_that_no_current_shows_is_reported_also_when_it_is_lowered_but_not_when_it_is_released():
-    rig = pressed_with(300.0)
-    rig.run(Preload("apxs", 150.0), **TOUCHED)
-    rig.run(Preload("apxs", 0.0), **TOUCHED)
+    rig = guarded_in_contact()
+    for force_N in (300.0, 150.0, 0.0):
+        rig.run(Preload("apxs", force_N), **TOUCHED)
     missed = [evr for evr in rig.evrs if isinstance(evr, PreloadMissed)]
     assert [evr.commanded_N for evr in missed] == [300.0, 150.0]
     assert [evr.reason for evr in missed] == [
@@ -98,6 +98,27 @@ def test_a_force_is_changed_and_released_the_way_it_came():
     assert (rig.state.mode, rig.state.preload) == (Mode.RETRACTING, None)
 
 
+def test_a_press_is_refused_where_no_joint_angles_keep_the_tool():
+    rig = guarded_in_contact()
+    touch = model_contact(rig.config, rig.state.joints, "apxs")
+    no_angles, beyond = (
+        "no overdrive found from 2.0 to 300.0 N",
+        "at 2.0 N, joint elbow: 189.0 deg is outside",
+    )
+    for aside_m, reason in ((9.0, no_angles), (-1.0, beyond)):
+        moved = replace(touch, p_RoTo_R_m=touch.p_RoTo_R_m + np.array([aside_m, 0.0, 0.0]))
+        assert plan_preload(rig.config, rig.state.joints, moved, 300.0).reason.startswith(reason)
+
+
+def test_a_press_with_another_part_in_the_ground_or_by_a_small_change_is_refused():
+    rig = guarded_in_contact()
+    rig.config, height_m = in_the_open(rig.config), float(rig.tool_pose("apxs").p[2])
+    vars(rig.config)["collision_geometry"] = replace(rig.config.collision_geometry, ground_z_m=height_m)
+    rig.cycle(Preload("apxs", 300.0), Preload("apxs", 5.0), **TOUCHED)
+    reasons = ["the DRT meets the ground; 0 % of the way are clear", "apxs is pressed with 2.0 N as it is"]
+    assert [evr.reason for evr in rig.evrs] == reasons
+
+
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     rig = guarded_in_contact()
     joints = rig.state.joints
@@ -112,7 +133,6 @@ def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
 
 def test_nothing_is_pressed_without_a_closed_switch_nor_with_another_tool_nor_with_too_much_force():
     rig = guarded_in_contact()
-    rig.evrs.clear()
     rig.cycle(Preload("apxs", 100.0))
     rig.cycle(Preload("drill", 100.0), Preload("apxs", 351.0), **TOUCHED)
     *reasons, too_much = [evr.reason for evr in rig.evrs]
@@ -278,6 +298,7 @@ def test_motors_that_turn_only_from_a_later_force_count_from_there():
     never, late = (fit_of(lambda model_N: 0.8 * model_N, (n, 0, n, n, n)) for n in (400.0, 60.0))
     assert late.along == pytest.approx(0.8, abs=0.03)
     assert late.std < 0.7 * never.std
+    assert fit_of(lambda model_N: 0.8 * model_N, (400.0,) * 5) is None
 
 
 UNKNOWN = "motor currents show the force to 11 N only"

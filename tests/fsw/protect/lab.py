@@ -23,13 +23,7 @@ WOUND_RAD = CONFIG.half_backlash_rad + 0.02
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 
 STILL = MoveStatus(
-    setpoint_rad=READY,
-    setpoint_rate_rad_s=ZERO,
-    is_stopping=False,
-    is_releasing=False,
-    homing=None,
-    approaching=None,
-    press=None,
+    READY, ZERO, is_stopping=False, is_releasing=False, homing=None, approaching=None, press=None
 )
 RESTING = ArmStatus(
     mode=Mode.DEPLOYED,

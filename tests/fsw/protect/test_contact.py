@@ -46,11 +46,10 @@ from tests.fsw.protect.lab import (
     sensors,
 )
 from tests.fsw.rig import levers_m
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
+from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, WITH_SWITCHES
 
 FREE = [Mode.STOWED, Mode.DEPLOYED, Mode.FREE_SPACE]
 TOUCHING = [Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD]
-WITH_SWITCHES = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 STEP_N = PARAMS.preload.step_N
 SHARE = PARAMS.preload.error_share
 with_switches = pytest.mark.parametrize("tool", WITH_SWITCHES)

@@ -42,11 +42,7 @@ PRESSED = closed("drill_1")
 
 def live(cycle, **readings):
     """Readings of a cycle; of those with noise a little is."""
-    noisy = {
-        name: values + alive(cycle)
-        for name, values in readings.items()
-        if name in ("current_A", "resolver_rad")
-    }
+    noisy = {name: readings[name] + alive(cycle) for name in readings.keys() & {"current_A", "resolver_rad"}}
     return sensors(cycle, **{**readings, **noisy})
 
 
@@ -54,12 +50,9 @@ def pressing(**changes):
     return moving(a_move(press=PRESS), Mode.PRELOAD, tool="drill", **changes)
 
 
-def stalling():
-    """A motor that is asked to move and stands, not so far behind as to be reported for that."""
-    lag = 0.5 * (MONITORS.stall_error_rad + MONITORS.following_error_rad)
-    return moving(a_move(setpoint_rad=READY + at(ELBOW, lag), setpoint_rate_rad_s=at(ELBOW, 0.01)))
-
-
+LAG_RAD = 0.5 * (MONITORS.stall_error_rad + MONITORS.following_error_rad)
+STALLING = moving(a_move(setpoint_rad=READY + at(ELBOW, LAG_RAD), setpoint_rate_rad_s=at(ELBOW, 0.01)))
+"""A motor that is asked to move and stands, not so far behind as to be reported for that."""
 HOT, COLD = at(WRIST, 150.0, -40.0), at(WRIST, -130.0, -40.0)
 HIGH_A = at(WRIST, CONFIG.current_limit_A[WRIST])
 FAR = moving(a_move(setpoint_rad=READY + at(ELBOW, 0.02)))
@@ -67,7 +60,7 @@ OUTSIDE = at(ELBOW, BOUNDS.highest_rad[ELBOW] + 0.01, READY)
 TURNED_R = np.array([2.0, 0.0, 3.0])
 PERSISTENT = {
     faults.FollowingErrorHigh: ("following", FAR, {}),
-    faults.MotorStalled: ("stalled", stalling(), {}),
+    faults.MotorStalled: ("stalled", STALLING, {}),
     faults.OverCurrent: ("over_current", moving(), {"current_A": HIGH_A}),
     faults.OverTemperature: ("winding", resting(), {"winding_C": HOT}),
     faults.UnderTemperature: ("winding", moving(), {"winding_C": COLD}),
@@ -126,14 +119,9 @@ def test_a_monitor_without_a_persistence_reports_at_once(kind):
 
 
 def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
-    motor_rad = OUTSIDE
-    move = a_move(
-        setpoint_rad=OUTSIDE + at(ELBOW, 0.02),
-        setpoint_rate_rad_s=at(ELBOW, 0.01),
-        press=PRESS,
-        approaching="drt",
-    )
-    arm = moving(move, motor_rad=motor_rad, imu_R_m_s2=TURNED_R, resolver_error_rad=LEVERS_M, tool="drill")
+    asked = {"setpoint_rad": OUTSIDE + at(ELBOW, 0.02), "setpoint_rate_rad_s": at(ELBOW, 0.01)}
+    move = a_move(**asked, press=PRESS, approaching="drt")
+    arm = moving(move, motor_rad=OUTSIDE, imu_R_m_s2=TURNED_R, resolver_error_rad=LEVERS_M, tool="drill")
     last = MonitorState()
     counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
     readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("drt_1"))
@@ -172,10 +160,8 @@ def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(
 
 
 def test_an_arm_that_is_being_stopped_may_be_cold():
-    persistence, (_, arm, readings) = (
-        persistence_of(faults.UnderTemperature),
-        PERSISTENT[faults.UnderTemperature],
-    )
+    kind = faults.UnderTemperature
+    persistence, (_, arm, readings) = persistence_of(kind), PERSISTENT[kind]
     for cold in (arm._replace(move=arm.move._replace(is_stopping=True)), resting()):
         state = MonitorState()
         for cycle in range(1, 2 * persistence):
@@ -253,10 +239,8 @@ def test_nothing_is_decided_unless_something_happens():
 
 
 def test_what_readings_monitors_set_point_and_move_say_is_decided_upon_together():
-    unusable, of_move = (
-        (faults.SensorNotFinite("winding_C"),),
-        (faults.NoContact(0.1), CommandAborted("GuardedMove")),
-    )
+    unusable = (faults.SensorNotFinite("winding_C"),)
+    of_move = (faults.NoContact(0.1), CommandAborted("GuardedMove"))
     jump = moving(a_move(setpoint_rad=READY + at(WRIST, 1.0)))
     _, decision = protected(jump, None, unusable, of_move, state=MonitorState(cycle=-1))
     unsafe = faults.SetpointUnsafe(WRIST, READY[WRIST] + 1.0, READY[WRIST])

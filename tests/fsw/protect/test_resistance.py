@@ -9,21 +9,8 @@ from fsw.config import CYCLE_S
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
+from fsw.protect import resistance
 from fsw.protect.inputs import CURRENT_GAIN, UPDATE_CYCLES, WIND_UP_UPDATES, compute_bounds
-from fsw.protect.resistance import (
-    CONTACT,
-    LEAST_UPDATES,
-    LEAST_WIND_UP_UPDATES,
-    NOTHING,
-    FreeMove,
-    JointMeans,
-    check_wind_up,
-    compute_load_current,
-    compute_slack,
-    expect_currents,
-    monitor_free_move,
-    update_means,
-)
 from helpers.marks import slow_but
 from tests.fsw.protect.lab import (
     BOUNDS,
@@ -41,7 +28,7 @@ from tests.fsw.protect.lab import (
 )
 
 RATE = 0.5 * CONFIG.speed_rad_s
-KNOWN = 4 * UPDATE_CYCLES * LEAST_UPDATES
+KNOWN = 4 * UPDATE_CYCLES * resistance.LEAST_UPDATES
 """Cycles after which all means are known."""
 FRESH = (0,) * 13
 CONSTANT = CONFIG.torque_constant_Nm_A
@@ -75,7 +62,7 @@ class Turning:
             **(self.changes | changes),
         )
         readings = (*ZERO, *current.tolist(), *MARS)
-        self.state, found = monitor_free_move(self.bounds, self.state, arm, readings, unchanged)
+        self.state, found = resistance.monitor_free_move(self.bounds, self.state, arm, readings, unchanged)
         return found
 
     def until_found(self, cycles, **readings):
@@ -102,7 +89,7 @@ def least_torque_Nm(joint):
     rate_step = 0.02 if joint < Joint.WRIST else 0.04
     assert JOINTS[joint].jerk_rad_s3 == rate_step
     slack_Nm = JOINTS[joint].damping_Nms_rad * JOINTS[joint].jerk_rad_s3 * (UPDATE_CYCLES * CYCLE_S) ** 2
-    return np.sqrt(CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint] + slack_Nm
+    return np.sqrt(resistance.CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint] + slack_Nm
 
 
 @joints
@@ -235,10 +222,10 @@ def test_friction_that_grows_with_speed_is_none():
 )
 def test_only_a_free_move_is_monitored(other):
     arm = moving(other.get("move", a_move()), other.get("mode", Mode.FREE_SPACE))
-    assert monitor_free_move(BOUNDS, None, arm, (0.0,) * 13, FRESH) == (None, ())
+    assert resistance.monitor_free_move(BOUNDS, None, arm, (0.0,) * 13, FRESH) == (None, ())
 
 
-OLD = JointMeans(2, 0.1, 0.01, 20, 1e-4, 0.0, 0.01, 1e-4, 1.0)
+OLD = resistance.JointMeans(2, 0.1, 0.01, 20, 1e-4, 0.0, 0.01, 1e-4, 1.0)
 FOLLOWS = {"wind_up_updates": 21, "wind_up_share": 1 / 21}
 ANEW = {"wind_up_updates": 0, "wind_up_share": 1.0}
 
@@ -267,13 +254,12 @@ def test_slow_means_follow_or_begin_anew(was, rate, sigmas, side, current, wind_
     arm = moving(
         motor_rad=np.full(5, motor), resolver_error_rad=np.full(5, wound), side=np.full(5, side), **loose
     )
-    now = FreeMove(UPDATE_CYCLES, (), (0.7,) * 5, NOTHING, NOTHING, (last,) * 5)
-    mean = {
-        "updates": 3,
-        "friction_A": 0.1 + (0.7 - 0.2 - 0.1) / 3,
-        "rate_rad_s": (2 * last.rate_rad_s + rate) / 3,
-    }
-    expected = JointMeans(
+    now = resistance.FreeMove(
+        UPDATE_CYCLES, (), (0.7,) * 5, resistance.NOTHING, resistance.NOTHING, (last,) * 5
+    )
+    friction_A, rate_rad_s = 0.1 + (0.7 - 0.2 - 0.1) / 3, (2 * last.rate_rad_s + rate) / 3
+    mean = {"updates": 3, "friction_A": friction_A, "rate_rad_s": rate_rad_s}
+    expected = resistance.JointMeans(
         **(mean if current else {}),
         wind_up_updates=wind_up["wind_up_updates"],
         wind_up_rad=last.wind_up_rad + off * wind_up["wind_up_share"],
@@ -282,39 +268,39 @@ def test_slow_means_follow_or_begin_anew(was, rate, sigmas, side, current, wind_
         last_wind_up_rad=wound,
         last_side=side,
     )
-    for one in update_means(BOUNDS, now, arm, [0.2] * 5, FRESH):
+    for one in resistance.update_means(BOUNDS, now, arm, [0.2] * 5, FRESH):
         assert one == pytest.approx(expected)
 
 
 def test_a_gear_takes_a_current_only_beyond_its_backlash():
     gear = CONFIG.half_backlash_rad * np.array([0.5, -0.5, 1.0, 1.0, -1.0]) + [0.0, 0.0, 0.01, 0.02, -0.01]
-    load_A = compute_load_current(BOUNDS, moving(gear_rad=gear))
+    load_A = resistance.compute_load_current(BOUNDS, moving(gear_rad=gear))
     np.testing.assert_allclose(load_A, STIFFNESS / CONSTANT * [0.0, 0.0, -0.01, -0.02, 0.01], atol=1e-12)
 
 
 def test_a_current_is_expected_once_its_mean_is_known():
-    mean = JointMeans(LEAST_UPDATES, 0.1, 0.01, last_rate_rad_s=0.02)
-    means = (mean, mean._replace(last_rate_rad_s=-0.02), mean._replace(updates=LEAST_UPDATES - 1))
-    expected_A, per_A = expect_currents(BOUNDS, means, [0.2, 0.3, 0.4])
-    per = 1.0 / BOUNDS.current_sigma_A[LEAST_UPDATES]
+    mean = resistance.JointMeans(resistance.LEAST_UPDATES, 0.1, 0.01, last_rate_rad_s=0.02)
+    means = (mean, mean._replace(last_rate_rad_s=-0.02), mean._replace(updates=resistance.LEAST_UPDATES - 1))
+    expected_A, per_A = resistance.expect_currents(BOUNDS, means, [0.2, 0.3, 0.4])
+    per = 1.0 / BOUNDS.current_sigma_A[resistance.LEAST_UPDATES]
     assert (expected_A, per_A) == (pytest.approx((0.3, 0.4, 0.5)), (per, -per, 0.0))
 
 
 @pytest.mark.parametrize("side", [0.0, 1.0])
 def test_the_slack_of_a_current_is_that_of_friction_and_of_the_load_on_an_uncertain_side(side):
-    means = (JointMeans(rate_rad_s=0.01, last_rate_rad_s=0.03, last_side=side),) * 5
+    means = (resistance.JointMeans(rate_rad_s=0.01, last_rate_rad_s=0.03, last_side=side),) * 5
     slack_A = 0.04 * np.array(BOUNDS.damping_As_rad) + BOUNDS.steady_A
     if side == 0.0:
         slack_A += BOUNDS.load_error_A
-    np.testing.assert_allclose(compute_slack(BOUNDS, means), slack_A)
+    np.testing.assert_allclose(resistance.compute_slack(BOUNDS, means), slack_A)
 
 
 @pytest.mark.parametrize(("more", "rate", "found"), [(1, -1.0, True), (1, 1.0, False), (0, -1.0, False)])
 def test_a_wind_up_is_a_contact_against_the_motion_once_its_mean_is_known(more, rate, found):
-    before = (JointMeans(wind_up_updates=LEAST_WIND_UP_UPDATES + more),) * 5
+    before = (resistance.JointMeans(wind_up_updates=resistance.LEAST_WIND_UP_UPDATES + more),) * 5
     now = tuple(one._replace(last_wind_up_rad=1e-3) for one in before)
     move = a_move(setpoint_rate_rad_s=np.full(5, rate * 1e-3))
-    (*events,) = check_wind_up(BOUNDS, before, now, moving(move), move)
+    (*events,) = resistance.check_wind_up(BOUNDS, before, now, moving(move), move)
     assert bool(events) is found
     assert all(event.torque_Nm == pytest.approx(1e-3 * STIFFNESS[event.joint]) for event in events)
 

@@ -1,6 +1,5 @@
 """The error budget: its sources, its rules, its rows, its command, and its sensitivities."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from marsarm.accuracy.budget_report import budget_document, budget_page, budget_
 from marsarm.accuracy.request import BudgetRequest
 from sim.arms import nominal_params
 from simgap.common.report import save_report_page, to_json
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +80,9 @@ def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(mars, times, p
 
 
 def test_the_command_prints_one_document_and_writes_a_page(tmp_path):
-    words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300", "--json")
-    done = marsarm(tmp_path, *words, "--report", "page.html")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
+    words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300")
+    document = marsarm_json(tmp_path, *words, "--report", "page.html")
+    assert document["cases"]["accuracy"]["tools"] == ["apxs"]
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 

@@ -89,11 +89,8 @@ def test_the_length_of_a_normal_vector_stays_within_its_quantile(size, seed):
 @pytest.mark.parametrize("seed", slow_but(range(6), 0))
 def test_the_length_of_a_sum_of_all_kinds_stays_within_its_quantile(size, seed):
     rng = np.random.default_rng([seed, 7])
-    errors = [(rng.standard_normal((size, 5, 1)), distribution) for distribution in CUMULANTS]
-    total = sum(
-        u[:, :, 0] @ sample_errors(distribution, 5 * DRAWS, rng).reshape(5, DRAWS)
-        for u, distribution in errors
-    )
+    errors = [(rng.standard_normal((size, 5, 1)), s) for s in CUMULANTS]
+    total = sum(u[:, :, 0] @ sample_errors(s, 5 * DRAWS, rng).reshape(5, DRAWS) for u, s in errors)
     within = squared_length(errors).quantile(COVERAGE)[0]
     assert within == pytest.approx(np.quantile(np.linalg.norm(total, axis=0), COVERAGE), rel=0.05)
 

@@ -29,7 +29,7 @@ from sim.record import frame_body
 from sim.setting import World
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
 
@@ -150,10 +150,9 @@ def test_results_of_other_parameters_are_not_mixed_in(tmp_path):
 
 
 def test_the_command_prints_one_document(tmp_path):
-    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1", "--json")
-    done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["arms"] == 3
+    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1")
+    document = marsarm_json(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
+    assert document["arms"] == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "r.jsonl"]
 
 
@@ -237,11 +236,8 @@ QUICK = ("assembly", "encoder", "rover_stiffness", "distortion_bulk")
 
 
 def effects(name: str) -> list[Effect]:
-    return list(
-        trial.sample_source(
-            MODEL.source[name], LARGER.get(name, 1.0), TOOL, np.random.default_rng([5, len(name)])
-        )
-    )
+    rng = np.random.default_rng([5, len(name)])
+    return list(trial.sample_source(MODEL.source[name], LARGER.get(name, 1.0), TOOL, rng))
 
 
 def here() -> Sensitivity:
@@ -338,10 +334,8 @@ def test_statics_end_where_the_closed_loop_does(case, seed):
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
     reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad
-    statics, loop = (
-        trial.statics_model(arm, believed, backlash)(place),
-        trial.closed_loop_model(arm, reference, backlash)(place),
-    )
+    statics = trial.statics_model(arm, believed, backlash)(place)
+    loop = trial.closed_loop_model(arm, reference, backlash)(place)
     apart = trial.error_in_tool(statics[0], loop[0])
     assert np.linalg.norm(apart[3:]) < 1e-4
     assert np.allclose(statics[1], loop[1], atol=0.01)

@@ -12,7 +12,7 @@ from marsarm.common.options import ArmRequest
 from sim.arm_model.load import ARMS, arm_names, default_arm
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 
 @pytest.mark.parametrize("name", arm_names())
@@ -41,9 +41,7 @@ def test_an_arm_that_is_not_there_is_named():
 
 
 def test_the_command_prints_one_document(tmp_path):
-    done = marsarm(tmp_path, "arm", "m2020", "--picture", "arm.png", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["name"] == "m2020"
+    assert marsarm_json(tmp_path, "arm", "m2020", "--picture", "arm.png")["name"] == "m2020"
     assert [path.name for path in tmp_path.iterdir()] == ["arm.png"]
 
 

@@ -1,6 +1,5 @@
 """`marsarm calibrate`: parameter file, document and page; with bad input nothing is written."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +9,12 @@ from fsw.kinematics.arm import build_arm
 from marsarm.calibration import execution
 from marsarm.calibration.calibrate import calibrated_params, data_sha256, parameter_text
 from marsarm.calibration.campaign_data import save_campaign
-from marsarm.calibration.execution import run_calibration
 from marsarm.common.options import CalibrateRequest
 from marsarm.common.requests import select_arm
 from sim.arms import params_over_nominal
 from simgap.common.errors import BadRequest
 from tests.marsarm.calibration.lab import calibration, campaign
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +31,7 @@ def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_pat
         return calibration()
 
     monkeypatch.setattr(execution, "calibrate", fitted)
-    out = marsarm(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
-    assert out.returncode == 0, out.stderr
-    document = json.loads(out.stdout)
+    document = marsarm_json(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml")
     assert document["arm"] == "as-built:1"
     assert document["rank"]["frames"] == 26
     loaded = params_over_nominal(tmp_path / "arm.toml")
@@ -54,7 +50,7 @@ def test_a_verification_that_fails_loses_neither_poses_nor_parameters(tmp_path, 
     monkeypatch.setattr(execution, "verify_calibration", fail)
     data, out = tmp_path / "poses.csv", tmp_path / "arm.toml"
     with pytest.raises(BadRequest, match="not verified"):
-        run_calibration(CalibrateRequest(arm="as-built:1", verify=1, save_data=data, out=out))
+        execution.run_calibration(CalibrateRequest(arm="as-built:1", verify=1, save_data=data, out=out))
     assert data.stat().st_size > 0
     assert out.stat().st_size > 0
 
@@ -70,7 +66,7 @@ def test_parameters_of_another_arm_are_refused(table, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('arm_name = "as-built:9"\n')
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:1"):
-        run_calibration(CalibrateRequest(data=table, params=other))
+        execution.run_calibration(CalibrateRequest(data=table, params=other))
 
 
 @pytest.mark.parametrize("name", ["as-built:1", "as-built:01", "msl/as-built:1"])
@@ -83,4 +79,4 @@ def test_the_parameters_of_a_calibration_are_those_of_its_arm_by_any_name(name, 
 def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
     save_campaign(replace(campaign(), arm_name="flight-unit"), tmp_path / "poses.csv")
     with pytest.raises(BadRequest, match="column arm: arm 'flight-unit' is not known"):
-        run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"))
+        execution.run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"))

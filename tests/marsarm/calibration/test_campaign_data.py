@@ -163,12 +163,8 @@ def test_an_arm_without_a_name_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_the_papers_campaign_is_planned():
-    assert [(g.turret_kg, round(np.degrees(g.roll_rad)), g.count) for g in PAPER_GROUPS] == [
-        (8.0, 0, 40),
-        (19.0, 0, 40),
-        (8.0, 20, 40),
-        (19.0, 20, 40),
-    ]
+    groups = [(group.turret_kg, round(np.degrees(group.roll_rad)), group.count) for group in PAPER_GROUPS]
+    assert groups == [(8.0, 0, 40), (19.0, 0, 40), (8.0, 20, 40), (19.0, 20, 40)]
     inside = sum(branch.startswith("shoulder-in") for branch in campaign().branch)
     assert inside == pytest.approx(0.3 * 160, abs=2)
 

@@ -56,10 +56,8 @@ def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
     step = 1e-5
     for joint in Joint:
         turn = step * (np.arange(5) == joint)[:, None]
-        X, Y = (
-            predict_poses(NOMINAL, x, replace(believed, motor_rad=believed.motor_rad + s * turn))
-            for s in (-1, 1)
-        )
+        turned = (replace(believed, motor_rad=believed.motor_rad + by_rad) for by_rad in (-turn, turn))
+        X, Y = (predict_poses(NOMINAL, x, one) for one in turned)
         numeric = error_screw(X, Y) / (2 * step)
         np.testing.assert_allclose(jacobian[:, :, joint], numeric, atol=1e-5)
 
@@ -72,10 +70,8 @@ def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
         where = np.flatnonzero(believed.turret_kg == kg)
         arm = build_arm(StandInTurret(kg).on_params(params_with_values(NOMINAL, x)))
         at = believed.at(where)
-        backlash_rad = (
-            at.backlash_rad * np.exp(x[BACKLASHES])[:, None]
-            - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
-        )
+        wound_rad = at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
+        backlash_rad = at.backlash_rad * np.exp(x[BACKLASHES])[:, None] - wound_rad
         frames = settle(arm, at.motor_rad, backlash_rad, at.gravity_R_m_s2).frames
         np.testing.assert_allclose(frames.X_RF.p[:, 5], X.p[:, where], atol=2e-6)
         np.testing.assert_allclose(frames.X_RF.R[:, :, 5], X.R[:, :, where], atol=2e-6)

@@ -8,59 +8,39 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
+from helpers.command import handlers_kept, run_python
 from helpers.marks import slow_but
 from marsarm.ik.solve import IkModel
 from marsarm.telemetry.format import LogNotWritable
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.recover import recover
+from simgap.common import interruption
 from simgap.common.errors import BadOutput
 from simgap.common.files import atomic_write, check_unlocked
-from simgap.common.interruption import (
-    END_SIGNALS,
-    Interrupted,
-    defer_interrupts,
-    raise_on_signals,
-    report_interruption,
-)
-from tests.marsarm.command import ROOT, marsarm
+from tests.marsarm.command import ROOT, marsarm, marsarm_json
 from tests.marsarm.telemetry.lab import cycle_at
 
 RUN = [sys.executable, "-c", "from marsarm.__main__ import start; start()"]
 
 
-@contextmanager
-def signals_raise() -> Iterator[None]:
-    """Let signals raise `Interrupted` in a block."""
-    before = {number: signal.getsignal(number) for number in END_SIGNALS}
-    for number in END_SIGNALS:
-        signal.signal(number, signal.SIG_DFL)  # pytest in the background of a shell ignores SIGINT
-    raise_on_signals()
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 @pytest.fixture(autouse=True)
-def no_late_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def end_by_signals(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let no test be ended by the grace of a signal that another one has survived."""
     monkeypatch.setattr("simgap.common.interruption._end_late", lambda number: None)
+    with handlers_kept():
+        for number in interruption.END_SIGNALS:
+            signal.signal(number, signal.SIG_DFL)  # pytest in the background of a shell ignores SIGINT
+        yield
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_verb_says_so_in_one_sentence(tmp_path, monkeypatch, number, status):
     monkeypatch.setattr(IkModel, "solve", lambda *_: signal.raise_signal(number))
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        done = marsarm(tmp_path, "reach", "--json")
-    finally:
-        signal.signal(signal.SIGINT, before)
+    done = marsarm(tmp_path, "reach", "--json")
     sentence = f"interrupted by {number.name} before the end"
     assert (done.returncode, done.stderr) == (status, f"{sentence}\n")
     assert json.loads(done.stdout) == {"error": sentence}
@@ -69,8 +49,9 @@ def test_an_interrupted_verb_says_so_in_one_sentence(tmp_path, monkeypatch, numb
 
 def test_a_signal_in_a_deferred_section_is_raised_at_its_end():
     done = []
-    with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:  # noqa: PT012
-        with defer_interrupts:
+    interruption.raise_on_signals()
+    with pytest.raises(interruption.Interrupted, match="SIGINT"), interruption.defer_interrupts:  # noqa: PT012
+        with interruption.defer_interrupts:
             signal.raise_signal(signal.SIGINT)
             done.append("inner")
         done.append("outer")
@@ -78,30 +59,28 @@ def test_a_signal_in_a_deferred_section_is_raised_at_its_end():
 
 
 def test_a_second_signal_does_not_disturb_the_end():
-    with signals_raise():
-        with pytest.raises(Interrupted):
-            signal.raise_signal(signal.SIGINT)
+    interruption.raise_on_signals()
+    with pytest.raises(interruption.Interrupted):
         signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGTERM)
 
 
-def test_a_signal_while_an_extension_is_imported_is_an_interruption(
-    capsys,
-):
+def test_a_signal_while_an_extension_is_imported_is_an_interruption(capsys):
     def import_extension() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
-        except Interrupted as interrupted:
+        except interruption.Interrupted as interrupted:
             raise ImportError("initialization failed") from interrupted
 
-    with signals_raise(), pytest.raises(SystemExit) as end, report_interruption():
+    with pytest.raises(SystemExit) as end, interruption.report_interruption():
         import_extension()
     assert end.value.code == 130
     assert capsys.readouterr().err == "interrupted by SIGINT before the end\n"
 
 
 def test_another_error_is_no_interruption():
-    with signals_raise(), pytest.raises(ImportError), report_interruption():
+    with pytest.raises(ImportError), interruption.report_interruption():
         raise ImportError("no such module")
 
 
@@ -112,17 +91,17 @@ def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path):
         assert [one.suffix for one in tmp_path.iterdir()] == [".part"]
         signal.raise_signal(signal.SIGINT)
 
-    with signals_raise(), pytest.raises(SystemExit), report_interruption():
+    with pytest.raises(SystemExit), interruption.report_interruption():
         write()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
     log = tmp_path / "run.mcap"
-    with pytest.raises(Interrupted), Recorder(log, {"seed": "1"}) as recorder:  # noqa: PT012
+    with pytest.raises(interruption.Interrupted), Recorder(log, {"seed": "1"}) as recorder:  # noqa: PT012
         for tick in range(8):
             recorder.write(cycle_at(tick))
-        raise Interrupted(signal.SIGINT)
+        raise interruption.Interrupted(signal.SIGINT)
     read = read_log(log)
     assert (read.end, read.interrupted_by, read.truncated, len(read["/joint"])) == (
         "interrupted", "SIGINT", False, 8,
@@ -132,7 +111,7 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path):
         done = marsarm(tmp_path, "log", words[0], "run.mcap", *words[1:])
         assert (done.returncode, done.stderr) == (0, f"log run.mcap: {sentence}\n")
     assert f" {sentence}\n" in marsarm(tmp_path, "log", "info", "run.mcap").stdout
-    document = json.loads(marsarm(tmp_path, "log", "info", "run.mcap", "--json").stdout)
+    document = marsarm_json(tmp_path, "log", "info", "run.mcap")
     end = {name: document[name] for name in ("closed", "end", "interrupted_by")}
     assert end == {"closed": False, "end": "interrupted", "interrupted_by": "SIGINT"}
     recover(log, tmp_path / "good.mcap", lambda *_: None)
@@ -180,14 +159,7 @@ SLOW_ENDS = [("swallow", "; it did not end by itself"), ("end slowly", "")]
 
 @pytest.mark.parametrize(("what", "rest"), slow_but(SLOW_ENDS, SLOW_ENDS[0]))
 def test_an_interruption_that_takes_long_is_ended_with_one_sentence(tmp_path, what, rest):
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", LATE, what, "--json"], cwd=tmp_path, timeout=50, check=False,
-            env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
-        )  # fmt: skip
-    finally:
-        signal.signal(signal.SIGINT, before)
+    done = run_python(tmp_path, "-c", LATE, what, "--json", timeout_s=50, PYTHONPATH=str(ROOT))
     sentence = f"interrupted by SIGINT before the end{rest}"
     assert (done.returncode, done.stderr) == (130, f"{sentence}\n")
     assert json.loads(done.stdout) == {"error": sentence}
@@ -197,11 +169,7 @@ def test_an_interruption_that_takes_long_is_ended_with_one_sentence(tmp_path, wh
 def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path):
     words = ["place", "--log", "run.mcap", "--no-picture"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the run inherits
-    try:
-        first = subprocess.Popen([*RUN, *words], cwd=tmp_path, env=env, text=True, stderr=subprocess.PIPE)
-    finally:
-        signal.signal(signal.SIGINT, before)
+    first = subprocess.Popen([*RUN, *words], cwd=tmp_path, env=env, text=True, stderr=subprocess.PIPE)
     try:
         while not (tmp_path / "run.mcap").exists():
             time.sleep(0.05)

@@ -1,9 +1,6 @@
 """Options of verbs and of their requests are the same, and checked as declared; options without a verb."""
 
 import inspect
-import os
-import subprocess
-import sys
 from dataclasses import MISSING, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +9,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 import pytest
 
+from helpers.command import run_python
 from helpers.marks import slow_but
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.cli import analysis, diagnosis, runs
@@ -21,7 +19,6 @@ from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from simgap.command import app
 from simgap.command import request as simgap_request
-from simgap.command.request import CheckRequest
 from simgap.common.app import give_address
 from simgap.common.errors import BadRequest
 from simgap.common.options import Option, check_options, option_fields
@@ -42,7 +39,7 @@ VERBS = {
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
     NextRequest: diagnosis.propose,
-    CheckRequest: app.check,
+    simgap_request.CheckRequest: app.check,
     simgap_request.DiagnoseRequest: app.diagnose,
     simgap_request.NextRequest: app.propose,
 }
@@ -72,8 +69,7 @@ def test_a_verb_has_the_options_of_its_request(request_type):
 
 def test_the_command_line_loads_no_domain_before_a_verb_runs():
     ask = f"import sys, marsarm.cli.app; print([name for name in {HEAVY} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", ask], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert run_python(ROOT, "-c", ask).stdout == "[]\n"
 
 
 @dataclass(frozen=True)
@@ -181,19 +177,15 @@ COMPLETIONS = {"marsarm re": {"reach", "replay"}, "marsarm ik --js": {"--json"}}
 @pytest.mark.parametrize("words", slow_but(COMPLETIONS, "marsarm ik --js"))
 def test_the_shell_completes_verbs_and_options(words):
     asked = {"_MARSARM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-    command = [sys.executable, "-c", AS_INSTALLED]
-    done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | asked, capture_output=True, text=True, check=True
-    )
+    done = run_python(ROOT, "-c", AS_INSTALLED, **asked)
     assert set(done.stdout.split()) == COMPLETIONS[words]
 
 
 @pytest.mark.parametrize(("shell", "begin"), [("fish", "--"), ("zsh", '"--')])
 def test_the_shell_shows_the_help_of_each_option_as_it_stands_on_one_line(shell, begin):
     words = {"_TYPER_COMPLETE_ARGS": "marsarm place --", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
-    env = os.environ | words | {"_MARSARM_COMPLETE": f"complete_{shell}"}
-    command = [sys.executable, "-c", AS_INSTALLED]
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    words |= {"_MARSARM_COMPLETE": f"complete_{shell}"}
+    done = run_python(ROOT, "-c", AS_INSTALLED, **words)
     lines = done.stdout.removeprefix("_arguments '*: :((").splitlines()
     assert len(lines) > 10
     assert all(line.startswith(begin) for line in lines)

@@ -19,7 +19,7 @@ from marsarm.common.pool import Runner, WorkersDied, in_order, run_here, select_
 from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm_json
 from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
 
 pytestmark = [
@@ -184,10 +184,8 @@ def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
 
 def test_the_option_alone_takes_the_cluster_of_the_environment(nodes, tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", nodes.address)
-    words = ("monte-carlo", "--cluster", "--arms", "3", "--move-model", "statics", "--json")
-    done = marsarm(tmp_path, *words)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["arms"] == 3
+    words = ("monte-carlo", "--cluster", "--arms", "3", "--move-model", "statics")
+    assert marsarm_json(tmp_path, *words)["arms"] == 3
 
 
 # Last: it has a cluster of its own, and a process is connected to one at a time.

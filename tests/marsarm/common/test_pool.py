@@ -11,6 +11,7 @@ from multiprocessing import active_children
 
 import pytest
 
+from helpers.command import handlers_kept
 from marsarm.common.pool import WorkersDied, in_order, local_runner, run_here, select_runner
 from marsarm.ik.reach import reach
 from marsarm.ik.request import ReachRequest
@@ -87,14 +88,12 @@ with report_interruption():
 def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
     (tmp_path / "slow.py").write_text(SLOW_TO_LOAD)
     (tmp_path / "main.py").write_text(MAIN)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the process inherits
-    try:
+    with handlers_kept():
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # which the process inherits
         process = subprocess.Popen(
             [sys.executable, "main.py"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
             stderr=subprocess.PIPE, text=True, process_group=0,
         )  # fmt: skip
-    finally:
-        signal.signal(signal.SIGINT, before)
     while not (tmp_path / "starts").exists():
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGINT)

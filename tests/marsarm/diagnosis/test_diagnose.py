@@ -17,8 +17,8 @@ from simgap.report.sentences import level, verdict_word
 from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, world
 
 
-def _diagnose(made, campaign, rng, t=None, extra=None):
-    return select_and_diagnose(campaign, made.measured(rng, t, extra), seed=1)
+def _diagnose(made, campaign, rng, t, extra=0.0):
+    return select_and_diagnose(campaign, made.measured(rng, t) + extra, seed=1)
 
 
 def test_every_case_has_its_verdict_and_level(results):
@@ -66,7 +66,7 @@ def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, c
 
 
 def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(made, campaign, rng):
-    left = replace(campaign, left_out_effect=made.hypotheses[4].effect)
+    left = replace(campaign, left_out_effect=made.hypotheses[4].name)
     assert {4, *campaign.equivalence_class(4)} <= left.left_out
     diagnosis = _diagnose(made, left, rng, sized(made, campaign, 4, 6.0))
     assert verdict_word(diagnosis) != "none"

@@ -24,7 +24,7 @@ class World(Sensitivities):
             t[self.owner == self.hypotheses.index(hypothesis)] = departures
         return self.effect @ t + self.curve @ t**2
 
-    def measured(self, rng, t=None, extra=None, robot=None):
+    def measured(self, rng, t=None, robot=None):
         """Return the residual of a case: amplitudes t (k,) in typical sizes, random nuisances, and noise.
 
         A robot, by number, has the same nuisances in every campaign.
@@ -34,8 +34,6 @@ class World(Sensitivities):
         value = layout.sigma * rng.standard_normal(layout.size)
         if t is not None:
             value += self.effect @ t + self.curve @ t**2
-        if extra is not None:
-            value += extra
         for index, nuisance in enumerate(self.nuisances):
             each = nuisance.random_per_block
             draw = rng.standard_normal(block_of[-1] + 1) if each else same.standard_normal(1)

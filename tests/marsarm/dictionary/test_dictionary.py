@@ -1,20 +1,16 @@
 """The dictionary: its entries, and the command that shows them."""
 
-import json
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
 from typing import get_args
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import Command, Stop
-from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
-from marsarm.cli.app import app
 from marsarm.dictionary.entries import Dictionary, build_dictionary
 from marsarm.telemetry.schema import arm_names, array_shape, unit_of
 from marsarm.telemetry.topics import PACKET_TOPICS
@@ -22,38 +18,26 @@ from sim.arms import arm_named, nominal_params
 from sim.effects.catalogue import catalogue
 from sim.loop import ClosedLoop, Setup
 from sim.setting import World
-from tests.marsarm.command import marsarm
-
-RUN = CliRunner()
+from tests.marsarm.command import marsarm, marsarm_json
 
 
-def out(*words: str, status: int = 0) -> str:
-    result = RUN.invoke(app, ["dictionary", *words])
-    assert result.exit_code == status, result.output
-    return str(result.output if status else result.stdout)
-
-
-def test_the_document_has_all_sections_and_nothing_else_is_printed():
-    whole = json.loads(out("--json"))
-    assert {name: bool(entries) for name, entries in whole.items()} == {
-        "commands": True,
-        "evrs": True,
-        "packets": True,
-        "parameters": True,
-    }
+def test_the_document_has_all_sections_and_nothing_else_is_printed(tmp_path):
+    whole = marsarm_json(tmp_path, "dictionary")
+    assert whole.keys() == {"commands", "evrs", "packets", "parameters"}
+    assert all(whole.values())
     elbow = next(one for one in whole["parameters"] if one["name"] == "joints.elbow.speed_rad_s")
     assert (elbow["unit"], elbow["low"], elbow["high"]) == ("rad/s", 1e-3, 0.1)
 
 
 @pytest.mark.parametrize("pattern", ["MoveTool", "movetool", "MOVE_TOOL"])
-def test_a_command_is_found_by_either_name(pattern):
-    part = json.loads(out(pattern, "--json"))
+def test_a_command_is_found_by_either_name(tmp_path, pattern):
+    part = marsarm_json(tmp_path, "dictionary", pattern)
     assert [entry["name"] for entry in part["commands"]] == ["MoveTool"]
     assert part["evrs"] == part["packets"] == part["parameters"] == []
 
 
-def test_a_pattern_narrows_to_the_fields_that_match():
-    part = json.loads(out("*current_A", "--json"))
+def test_a_pattern_narrows_to_the_fields_that_match(tmp_path):
+    part = marsarm_json(tmp_path, "dictionary", "*current_A")
     assert [(p["name"], [f["name"] for f in p["fields"]]) for p in part["packets"]] == [
         ("/sensors", ["current_A"])
     ]
@@ -63,28 +47,29 @@ def test_a_pattern_narrows_to_the_fields_that_match():
     assert "OverCurrent" in fits
 
 
-def test_people_read_a_table_that_marks_the_truth():
-    text = out("/truth")
+def test_people_read_a_table_that_marks_the_truth(tmp_path):
+    text = marsarm(tmp_path, "dictionary", "/truth").stdout
     assert "flight software never sees it" in " ".join(text.split())
     assert "kinetic_energy_J" in text
 
 
-def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant():
-    assert "did you mean OverCurrent?" in out("OverCurent", status=2)
-    assert "did you mean /joint.motor_rad?" in out("/joint/moter_rad", status=2)
+def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant(tmp_path):
+    for pattern, meant in (("OverCurent", "OverCurrent"), ("/joint/moter_rad", "/joint.motor_rad")):
+        done = marsarm(tmp_path, "dictionary", pattern)
+        assert done.returncode == 2
+        assert f"did you mean {meant}?" in done.stderr
 
 
 @pytest.mark.parametrize("pattern", ["/joint.motor_rad", "/joint/motor_rad", "/JOINT/motor_*d"])
-def test_a_channel_is_found_in_either_spelling(pattern):
-    (packet,) = json.loads(out(pattern, "--json"))["packets"]
+def test_a_channel_is_found_in_either_spelling(tmp_path, pattern):
+    (packet,) = marsarm_json(tmp_path, "dictionary", pattern)["packets"]
     assert packet["name"] == "/joint"
     assert "motor_rad" in [one["name"] for one in packet["fields"]]
 
 
 def test_the_catalogue_is_one_document(tmp_path):
-    done = marsarm(tmp_path, "dictionary", "--effects", "--json")
-    assert done.returncode == 0, done.stderr
-    listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
+    effects = marsarm_json(tmp_path, "dictionary", "--effects")["effects"]
+    listed = {one["name"]: one for one in effects}
     assert set(listed) == set(catalogue())
     bending = listed["link-bending"]
     assert bending["place_fields"] == ["frame", "axis"]
@@ -122,7 +107,7 @@ def test_every_entry_and_every_field_has_a_text(whole):
 
 
 def test_every_command_evr_topic_and_fault_is_there(whole):
-    all_kinds = (*Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
+    all_kinds = (*evrs.Evr.__subclasses__(), *Fault.__subclasses__())  # the ground has events of its own
     kinds = {kind.__name__ for kind in all_kinds if kind.__module__.startswith("fsw.")}
     assert {entry.name for entry in whole.commands} == {kind.__name__ for kind in get_args(Command)}
     assert {entry.name for entry in whole.evrs} == kinds - {"Fault"}

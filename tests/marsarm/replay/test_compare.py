@@ -139,10 +139,8 @@ def test_events_are_missing_added_or_changed():
 
 
 def test_the_order_within_a_tick_counts():
-    assert kinds([evr(3, "A"), evr(3, "B")], [evr(3, "B"), evr(3, "A")]) == [
-        ("changed", 3, "A"),
-        ("changed", 3, "B"),
-    ]
+    was, now = [evr(3, "A"), evr(3, "B")], [evr(3, "B"), evr(3, "A")]
+    assert kinds(was, now) == [("changed", 3, "A"), ("changed", 3, "B")]
 
 
 def test_within_a_tolerance_fields_are_compared_and_words_are_not():

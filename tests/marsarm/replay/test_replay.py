@@ -18,7 +18,7 @@ from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.recorder import Recorder, run_header
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm, marsarm_json
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
@@ -51,9 +51,7 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
     for found in (report, replayed(tmp_path, TURNS_SLOWER, log=log, channel="/joint.*")):
         assert any(note in line for line in replay_parts(found))
         assert note in replay_document(found)["notes"][-1]
-    done = marsarm(tmp_path, "replay", str(log), "--params", "other.toml", "--json")
-    assert done.returncode == 3
-    document = json.loads(done.stdout)
+    document = marsarm_json(tmp_path, "replay", str(log), "--params", "other.toml", status=3)
     assert document["evrs"][0]["recorded"]["name"] == "Booted"
     assert {"channel", "first_tick", "ticks", "greatest", "at_first"} <= document["channels"][0].keys()
 
@@ -117,10 +115,11 @@ def with_header(**values: str | None) -> Log:
     return replace(RECORDED, header=header)
 
 
-def with_params(group: str, **values: object) -> Log:
-    params = json.loads(RECORDED.header["params"])
-    params[group] |= values
-    return with_header(params=json.dumps(params))
+def edited(key: str, group: str, **values: object) -> Log:
+    """Return the log with other values in a group of an entry of its header."""
+    entry = json.loads(RECORDED.header[key])
+    entry[group] |= values
+    return with_header(**{key: json.dumps(entry)})
 
 
 def with_sensor_ticks(ticks: np.ndarray) -> Log:
@@ -129,8 +128,8 @@ def with_sensor_ticks(ticks: np.ndarray) -> Log:
     return replace(RECORDED, packets=packets, time_ns=times)
 
 
-def with_commands(*entries: CommandEntry) -> Log:
-    return replace(RECORDED, commands=entries)
+def with_command(name: str, fields: str) -> Log:
+    return replace(RECORDED, commands=(CommandEntry(0, name, fields),))
 
 
 def without_field(name: str) -> Log:
@@ -139,22 +138,19 @@ def without_field(name: str) -> Log:
     return replace(RECORDED, packets={**RECORDED.packets, "/sensors": sensors[kept]})
 
 
-def with_boot(**values: object) -> Log:
-    boot = json.loads(RECORDED.header["boot"])
-    boot["reference"] |= values
-    return with_header(boot=json.dumps(boot))
-
-
 REFUSED = {
     "a log without a start": (with_header(boot=None, params=None), "its header has no params, boot, so its"),
-    "other parameters": (with_params("motion", settle_time_s=0.26), "do not match their own digest"),
+    "other parameters": (edited("params", "motion", settle_time_s=0.26), "do not match their own digest"),
     "torn parameters": (with_header(params="{"), "params: is not JSON (Expecting property name"),
     "parameters of another kind": (with_header(params="[]"), "params: [] is not the fields of a Params"),
     "no boot": (with_header(boot="[]"), "boot: must be mode and reference"),
     "no such mode": (with_header(boot='{"mode": "ASLEEP", "reference": null}'), "boot.mode: 'ASLEEP'"),
-    "a reference of four joints": (with_boot(zero_rad=[0.0] * 4), "boot.reference.zero_rad: has shape (4,)"),
-    "no such command": (with_commands(CommandEntry(0, "Jump", "{}")), "command: 'Jump' is not known"),
-    "torn arguments": (with_commands(CommandEntry(0, "Stop", "{")), "Expecting property name"),
+    "a reference of four joints": (
+        edited("boot", "reference", zero_rad=[0.0] * 4),
+        "boot.reference.zero_rad: has shape (4,)",
+    ),
+    "no such command": (with_command("Jump", "{}"), "command: 'Jump' is not known"),
+    "torn arguments": (with_command("Stop", "{"), "Expecting property name"),
     "no sensors": (replace(RECORDED, packets={}), "has no /sensors, so there is nothing to replay; give"),
     "a late beginning": (with_sensor_ticks(np.arange(5, 9)), "begins at tick 5; the state of flight"),
     "one tick": (replace(with_sensor_ticks(np.arange(1)), truncated=True), "no tick that is surely complete"),

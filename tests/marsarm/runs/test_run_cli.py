@@ -2,9 +2,6 @@
 
 import gc
 import json
-import os
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +13,7 @@ import pytest
 from fsw.dictionary.commands import MoveJoint, Process
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.faults import StalledEarly
+from helpers.command import run_python
 from marsarm.runs.execution import FRAME_CYCLES, choose_log, draw_picture, execute
 from marsarm.runs.place import place
 from marsarm.runs.report import place_document, place_parts
@@ -34,7 +32,7 @@ from sim.world import build
 from simgap.common.errors import BadOutput
 from simgap.common.progress import no_progress
 from simgap.common.report import print_parts
-from tests.marsarm.command import ROOT, SHORT_RUN, largest_file, marsarm
+from tests.marsarm.command import ROOT, SHORT_RUN, largest_file, marsarm, marsarm_json
 from tests.sim import lab
 
 REFUSED = SHORT_RUN + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
@@ -58,9 +56,7 @@ def folder(tmp_path):
 def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(folder):
     words = ("--arm", "calibrated:1", "--tilt", "3", "-4", "--log", "run.mcap")
     files = ("--picture", "run.png", "--page", "run.html")
-    done = marsarm(folder, "run", "short.toml", "--json", *files, *words)
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+    report = marsarm_json(folder, "run", "short.toml", *files, *words)
     assert (report["scenario"], report["outcome"], report["passed"]) == ("short", "done", True)
     assert report["arm"] == "calibrated:1"
     assert report["tilt_deg"] == {"roll": pytest.approx(3), "pitch": pytest.approx(-4)}
@@ -103,9 +99,7 @@ def test_a_picture_is_written_whole_or_not_at_all(tmp_path):
 @pytest.mark.slow
 def test_a_full_disk_does_not_end_the_run_and_an_event_tells(folder):
     with largest_file(100_000):
-        done = marsarm(folder, "run", "short.toml", "--json", "--log", "run.mcap")
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+        report = marsarm_json(folder, "run", "short.toml", "--log", "run.mcap")
     assert (report["outcome"], report["passed"]) == ("done", True)
     said = report["evrs"][-1]
     assert (said["name"], said["severity"]) == ("LogNotWritten", "WARNING_HI")
@@ -133,7 +127,7 @@ def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(built_in_scenarios())
-    listed = json.loads(marsarm(tmp_path, "run", "--list", "--json").stdout)["scenarios"]
+    listed = marsarm_json(tmp_path, "run", "--list")["scenarios"]
     assert [scenario["name"] for scenario in listed] == list(built_in_scenarios())
     assert all(scenario["summary"] in line for scenario, line in zip(listed, lines, strict=True))
     assert "TOOL_CHANGE" in {scenario["name"]: scenario for scenario in listed}["tool-change"]["commands"]
@@ -187,9 +181,7 @@ def test_one_joint_is_found_and_drawn_and_people_see_a_table_and_what_was_said(t
 
 @pytest.mark.slow
 def test_every_as_built_joint_finds_its_zero_in_the_cold_one_after_the_other(tmp_path):
-    done = marsarm(tmp_path, "hardstop", "--arm", "as-built:3", "--temperature", "-55", "--json")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    document = marsarm_json(tmp_path, "hardstop", "--arm", "as-built:3", "--temperature", "-55")
     assert set(document["joints"]) == {joint.name.lower() for joint in Joint}
     for joint, params in zip(Joint, nominal_params().joints.in_order(), strict=True):
         found = document["joints"][joint.name.lower()]
@@ -201,9 +193,7 @@ def test_every_as_built_joint_finds_its_zero_in_the_cold_one_after_the_other(tmp
 
 
 def test_a_load_that_hides_the_hardstop_is_refused(tmp_path):
-    done = marsarm(tmp_path, "hardstop", "--joint", "elevation", "--scene", "earth", "--json")
-    assert done.returncode == 3
-    document = json.loads(done.stdout)
+    document = marsarm_json(tmp_path, "hardstop", "--joint", "elevation", "--scene", "earth", status=3)
     assert (document["outcome"], document["max_current_ratio"]) == ("refused", 0.0)
     assert "gravity presses it on its hardstop" in document["evrs"][-1]["message"]
 
@@ -264,9 +254,7 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(shown):
 @pytest.mark.slow
 @pytest.mark.usefixtures("is_initialised")
 def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path):
-    done = marsarm(tmp_path, "place", "--no-surface", "--json", "--log", "run.mcap")
-    assert done.returncode == 3, done.stderr
-    report = json.loads(done.stdout)
+    report = marsarm_json(tmp_path, "place", "--no-surface", "--log", "run.mcap", status=3)
     assert report["outcome"] == "faulted"
     assert report["error_mm"] is None
     assert "NoContact" in [evr["name"] for evr in report["evrs"]]
@@ -279,16 +267,8 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path)
 @pytest.mark.slow
 @pytest.mark.parametrize("value", ["nonsense", " OFF "])
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
-    command = [
-        sys.executable,
-        "-c",
-        "from marsarm.__main__ import start; start()",
-        "place",
-        "--tool",
-        "spoon",
-    ]
-    env = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": value}
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    words = ("-c", "from marsarm.__main__ import start; start()", "place", "--tool", "spoon")
+    done = run_python(tmp_path, *words, PYTHONPATH=str(ROOT), MUJOCO_GL=value)
     assert done.returncode == 2
     assert "tool: 'spoon' cannot be placed" in done.stderr
 

@@ -8,9 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
-from typer.testing import CliRunner
 
-from marsarm.cli.app import app
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.format import TICK_NS
@@ -19,6 +17,7 @@ from marsarm.telemetry.import_table import ImportedLog, convert_table, import_ta
 from marsarm.telemetry.read import Log, read_log
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import no_progress
+from tests.marsarm.command import marsarm, marsarm_json
 from tests.marsarm.telemetry.lab import cycle_at, record
 
 GRID_S = np.arange(4) / 64
@@ -293,8 +292,7 @@ def test_times_that_do_not_fit_are_refused(mapped, t, grid, why):
 def test_the_verb_reports_what_was_made(tmp_path):
     parquet.write_table(pa.table({"t": GRID_S, "a": [0, 1, 1, 0]}), tmp_path / "t.parquet")
     (tmp_path / "m.toml").write_text(f'[time]\ncolumn = "t"\n{FLAG}')
-    words = ["log", "import", *(str(tmp_path / name) for name in ("t.parquet", "m.toml", "out.mcap"))]
-    result = CliRunner().invoke(app, [*words, "--json"])
-    assert result.exit_code == 0
-    assert json.loads(result.stdout)["topics"] == [{"topic": "/drive", "messages": 4, "first_tick": 0}]
-    assert "4 messages from cycle 0 on" in " ".join(CliRunner().invoke(app, words).output.split())
+    words = ("log", "import", "t.parquet", "m.toml", "out.mcap")
+    topics = marsarm_json(tmp_path, *words)["topics"]
+    assert topics == [{"topic": "/drive", "messages": 4, "first_tick": 0}]
+    assert "4 messages from cycle 0 on" in " ".join(marsarm(tmp_path, *words).stdout.split())

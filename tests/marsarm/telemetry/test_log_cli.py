@@ -24,7 +24,7 @@ from sim.record import CycleRecord
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from simgap.files.mcap_log import BadMessage, make_decoder
-from tests.marsarm.command import SHORT_RUN, marsarm
+from tests.marsarm.command import SHORT_RUN, marsarm, marsarm_json
 from tests.marsarm.runs.conftest import initialise_exactly
 from tests.marsarm.telemetry.lab import cycle_at, packet_of, record
 from validation.benchmarks import record_log
@@ -49,47 +49,43 @@ def folder(tmp_path, written):
     return tmp_path
 
 
-def run_json(folder, *words):
-    ran = marsarm(folder, "log", *words, "--json")
-    assert ran.returncode == 0, ran.stderr
-    return json.loads(ran.stdout)
-
-
 def test_a_log_cut_short_is_said_to_be(folder):
-    found = run_json(folder, "info", "cut.mcap")
+    found = marsarm_json(folder, "log", "info", "cut.mcap")
     assert not found["closed"]
     assert 0 < found["cycles"] < CYCLES
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
 
 
 def test_channels_of_a_part(folder):
-    found = run_json(folder, "info", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
+    words = ("/joint/tick", "--from", "0.5", "--to", "1")
+    found = marsarm_json(folder, "log", "info", "run.mcap", *words)["channels"]
     assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
 
 
 def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
     for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
-        (found,) = run_json(folder, "info", "run.mcap", pattern)["channels"]
+        (found,) = marsarm_json(folder, "log", "info", "run.mcap", pattern)["channels"]
         assert (found["channel"], found["type"]) == ("/joint.motor_rad[2]", "float64")
         assert (found["min"], found["max"]) == (values.min(), values.max())
 
 
 def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
-    found = run_json(folder, "recover", "broken.mcap", "good.mcap")
+    found = marsarm_json(folder, "log", "recover", "broken.mcap", "good.mcap")
     assert found["saved"]["/joint"] == CYCLES - 1
-    assert run_json(folder, "info", "good.mcap")["lost"] == found["lost"]
+    assert marsarm_json(folder, "log", "info", "good.mcap")["lost"] == found["lost"]
     assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
     assert "recovered" not in marsarm(folder, "log", "info", "run.mcap").stdout
 
 
 def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     (folder / "two.mcap").write_bytes(written + written)
-    found = run_json(folder, "info", "two.mcap")
+    found = marsarm_json(folder, "log", "info", "two.mcap")
     assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("info", "two.mcap", "*")):
         assert "after the end of the log" in marsarm(folder, "log", *words).stderr
-    assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+    found = marsarm_json(folder, "log", "recover", "two.mcap", "g.mcap")
+    assert "after the end of the log" in found["notes"][0]
 
 
 def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written):
@@ -325,8 +321,7 @@ def short_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "short.toml").write_text(SHORT_RUN.replace("[[command]]", ROCK))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("marsarm.runs.execution.initialise_joints", initialise_exactly)
-        ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
-    assert ran.returncode == 0, ran.stderr
+        marsarm_json(made, "run", "short.toml", "--log", "run.mcap")
     data = bytearray((made / "run.mcap").read_bytes())
     chunks = read_records(bytes(data)).chunks
     data[chunks[len(chunks) // 2][0] + 80] ^= 1

@@ -142,13 +142,8 @@ def test_a_log_whose_last_chunk_is_whole_but_whose_length_is_not_is_not_taken_fo
         read_log(tmp_path / "cut.mcap")
 
 
-@pytest.fixture(scope="module")
-def log_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("log") / "run.mcap"
-    return record(path, map(cycle_at, range(12)), chunk_cycles=1).read_bytes()
-
-
-def test_a_chunk_taken_out_is_missed(tmp_path, log_bytes):
+def test_a_chunk_taken_out_is_missed(tmp_path, path):
+    log_bytes = path.read_bytes()
     chunks = [at for at, _ in read_records(log_bytes).chunks]
     without_second = log_bytes[: chunks[1]] + log_bytes[chunks[2] : chunks[4]]
     (tmp_path / "short.mcap").write_bytes(without_second)
@@ -225,10 +220,8 @@ def test_a_topic_that_got_nothing_is_missing_by_name(tmp_path):
 
 def test_the_header_comes_back_and_an_empty_run_is_a_log(tmp_path):
     log = read_log(record(tmp_path / "run.mcap", []))
-    assert {name: text for name, text in log.header.items() if name != "channels"} == {
-        "seed": "1",
-        "arm": "nominal",
-    }
+    header = {name: text for name, text in log.header.items() if name != "channels"}
+    assert header == {"seed": "1", "arm": "nominal"}
     assert not log.truncated
     assert (dict(log.packets), log.evrs, log.commands) == ({}, (), ())
 

@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,6 +18,7 @@ from mcap.reader import make_reader
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
+from helpers.command import run_python
 from marsarm.replaying.replay import ReplayRequest, replay
 from marsarm.telemetry.format import CHUNK_CYCLES, LogNotWritable
 from marsarm.telemetry.read import read_log
@@ -27,10 +26,8 @@ from marsarm.telemetry.recorder import Recorder, record_commands
 from marsarm.telemetry.recover import recover
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
-from tests.marsarm.command import largest_file
+from tests.marsarm.command import ROOT, largest_file
 from tests.marsarm.telemetry.lab import cycle_at, record
-
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize(
@@ -76,15 +73,6 @@ def test_a_log_is_written_where_a_link_points_to(tmp_path):
     record(tmp_path / "last.mcap", [cycle_at(0)])
     assert (tmp_path / "last.mcap").is_symlink()
     assert len(read_log(tmp_path / "run.mcap")["/sensors"]) == 1
-
-
-def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a program on this tree; all warnings are errors except that of a fork with threads."""
-    fork = "ignore:This process:DeprecationWarning"
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-W", fork, "-c", program, *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
 
 
 def record_and_end(
@@ -150,7 +138,8 @@ for end in (sys.exit, close_and_end):
     os.waitpid(child, 0)
 recorder.write(cycle_at(40))
 """
-    done = python(program, str(tmp_path / "run.mcap"))
+    warnings = ("-W", "error", "-W", "ignore:This process:DeprecationWarning")  # a fork with threads
+    done = run_python(tmp_path, *warnings, "-c", program, "run.mcap", PYTHONPATH=str(ROOT))
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("written by the process that opened it") == 2
     log = read_log(tmp_path / "run.mcap")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from marsarm.view.page import OpenedPage, make_page, save_page
-from tests.marsarm.command import marsarm
+from tests.marsarm.command import marsarm, marsarm_json
 from tests.marsarm.view.lab import arm_at, between
 
 MOST_BYTES = 5_000_000
@@ -173,9 +173,7 @@ def test_a_page_fits_the_screen_and_draws_the_arm(run, browser, tmp_path, width,
 
 
 def test_a_page_is_written_and_reported(log, tmp_path):
-    ran = marsarm(tmp_path, "view", str(log), "--html", "run.html", "--json")
-    assert ran.returncode == 0, ran.stderr
-    document = json.loads(ran.stdout)
+    document = marsarm_json(tmp_path, "view", str(log), "--html", "run.html")
     assert document["html_bytes"] == (tmp_path / "run.html").stat().st_size
     assert document["has_truth"]
     table = marsarm(tmp_path, "view", str(log), "--html", "run.html")

@@ -131,10 +131,8 @@ def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor):
 @pytest.mark.parametrize("delay_s", slow_but([0.03, 0.06], 0.03))
 def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s):
     joint = Joint.AZIMUTH
-    behind = (
-        turn_nominal(joint).motor_rad[-64:]
-        - bench.turn_joint(joint, joints.CommandDelay(joint, delay_s)).motor_rad[-64:]
-    )
+    late = bench.turn_joint(joint, joints.CommandDelay(joint, delay_s))
+    behind = turn_nominal(joint).motor_rad[-64:] - late.motor_rad[-64:]
     assert behind.mean() == pytest.approx(bench.SPEED_RAD_S[joint] * delay_s, rel=0.02)
 
 

@@ -113,11 +113,8 @@ def test_a_hypothesis_has_one_place_and_its_sizes_open():
 
 
 def test_places_that_a_class_refuses_are_none():
-    assert {place["frame"] for place in all_places(LinkBending)} == {*Frame} - {
-        Frame.ARM1,
-        Frame.ARM6,
-        Frame.TOOL,
-    }
+    bending = {place["frame"] for place in all_places(LinkBending)}
+    assert bending == {*Frame} - {Frame.ARM1, Frame.ARM6, Frame.TOOL}
     of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
     assert of_tools == list(TOOLS)
     assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": "mahli"}) == "tool.mahli"

@@ -12,30 +12,9 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Sensors
 from helpers.marks import slow_but
 from sim.arms import nominal_params
-from sim.effects import geometry
+from sim.effects import geometry, sensors, structure
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias
-from sim.effects.sensors import (
-    CurrentBias,
-    CurrentCrosstalk,
-    CurrentGain,
-    EncoderScale,
-    EncoderZero,
-    GravityDirection,
-    ResolverEccentricity,
-    ResolverScale,
-)
-from sim.effects.structure import (
-    LinkBending,
-    LinkCreep,
-    LinkMass,
-    LinkStiffness,
-    LinkTorsion,
-    RoverCompliance,
-    StandInTurret,
-    TurretCentre,
-    TurretMass,
-)
 from sim.setting import World
 from sim.tolerances import SPRING_FRAMES
 from tests.sim import lab
@@ -64,16 +43,16 @@ TURNS = [
     geometry.ToolTurn(TOOL, "y", 1e-3),
 ]
 SPRINGS = [
-    LinkTorsion(Frame.ARM3, 5e-6),
-    LinkTorsion(Frame.ARM4, 5e-6),
-    LinkBending(Frame.ARM2, "y", 5e-6),
-    LinkBending(Frame.ARM3, "z", 5e-6),
-    LinkBending(Frame.ARM4, "y", 5e-6),
-    LinkBending(Frame.ARM5, "z", 5e-6),
-    RoverCompliance("x", 5e-6),
-    RoverCompliance("y", 5e-6),
+    structure.LinkTorsion(Frame.ARM3, 5e-6),
+    structure.LinkTorsion(Frame.ARM4, 5e-6),
+    structure.LinkBending(Frame.ARM2, "y", 5e-6),
+    structure.LinkBending(Frame.ARM3, "z", 5e-6),
+    structure.LinkBending(Frame.ARM4, "y", 5e-6),
+    structure.LinkBending(Frame.ARM5, "z", 5e-6),
+    structure.RoverCompliance("x", 5e-6),
+    structure.RoverCompliance("y", 5e-6),
 ]
-MASSES = [TurretMass(2.0), TurretCentre("x", 0.02), TurretCentre("z", -0.02)]
+MASSES = [structure.TurretMass(2.0), structure.TurretCentre("x", 0.02), structure.TurretCentre("z", -0.02)]
 
 
 def rigid_shift_m(*effects: Effect) -> lab.Array:
@@ -138,10 +117,10 @@ TOLD = [
     *SHIFTS,
     *TURNS[:3],
     *SPRINGS,
-    *(LinkStiffness(frame, 0.6) for frame in SPRING_FRAMES),
+    *(structure.LinkStiffness(frame, 0.6) for frame in SPRING_FRAMES),
     *MASSES,
-    *(LinkMass(frame, 1.3, (0.02, -0.03, 0.04)) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
-    *(StandInTurret(mass_kg) for mass_kg in (0.0, 8.0, 19.0)),
+    *(structure.LinkMass(frame, 1.3, (0.02, -0.03, 0.04)) for frame in [*SPRING_FRAMES[1:], Frame.ARM6]),
+    *(structure.StandInTurret(mass_kg) for mass_kg in (0.0, 8.0, 19.0)),
     geometry.ThermalGradient(Frame.ARM3, "z", 20.0),
 ]
 
@@ -163,7 +142,7 @@ def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(eff
 
 @pytest.mark.parametrize("joint", Joint)
 def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(joint):
-    effect = EncoderZero(joint, 3e-3)
+    effect = sensors.EncoderZero(joint, 3e-3)
     believed = lab.LEFT_RAD + 3e-3 * (np.arange(5) == joint)
     true, arm = forward(ARM, lab.LEFT_RAD), build_arm(effect.on_params(PARAMS))
     poses: list[Pose] = [tool_pose(ARM, true, TOOL), tool_pose(arm, forward(arm, believed), TOOL)]
@@ -173,7 +152,11 @@ def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(
 
 def test_a_link_creeps_under_its_load_as_far_as_a_softer_link_bends_and_no_farther():
     places = []
-    for effect in (None, LinkCreep(Frame.ARM3, "y", 2e-5, 2.0), LinkBending(Frame.ARM3, "y", 2e-5)):
+    for effect in (
+        None,
+        structure.LinkCreep(Frame.ARM3, "y", 2e-5, 2.0),
+        structure.LinkBending(Frame.ARM3, "y", 2e-5),
+    ):
         plant, hardware = bench.build_arm(*([effect] if effect else []), world=TILTED)
         plant.place(lab.READY_RAD, 4.0)
         seen = []
@@ -208,14 +191,14 @@ def read(
 @FACTORS
 @JOINTS
 def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(joint, times):
-    effect = ResolverEccentricity(joint, 1e-3 * times, -2e-3 * times)
+    effect = sensors.ResolverEccentricity(joint, 1e-3 * times, -2e-3 * times)
     angles = np.linspace(-0.3, 5.5, 9) if joint is not Joint.AZIMUTH else np.linspace(-3.0, 1.5, 9)
     for angle in angles:
         pose = np.where(np.arange(5) == joint, angle, lab.LEFT_RAD)
         plant, hardware = bench.build_arm(effect)
-        sensors = bench.avionics(bench.set_angles(plant, pose), hardware).sense()
-        encoder = sensors.encoder_count * hardware.rad_per_count + hardware.counter_zero_rad
-        apart = sensors.resolver_rad - encoder
+        sensed = bench.avionics(bench.set_angles(plant, pose), hardware).sense()
+        encoder = sensed.encoder_count * hardware.rad_per_count + hardware.counter_zero_rad
+        apart = sensed.resolver_rad - encoder
         expected = times * (1e-3 * np.cos(angle) - 2e-3 * np.sin(angle))
         np.testing.assert_allclose(
             apart, np.where(np.arange(5) == joint, expected, 0.0), atol=0.6 * RESOLVER_LSB_RAD
@@ -225,41 +208,40 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
 @JOINTS
 def test_gain_and_bias_of_a_current_sensor_and_biases_of_a_resolver_are_in_its_readings(joint):
     here = np.arange(5) == joint
-    gain, bias = (
-        read(effect, current_A=1.5) for effect in (CurrentGain(joint, 1.3), CurrentBias(joint, -0.2))
-    )
+    gain = read(sensors.CurrentGain(joint, 1.3), current_A=1.5)
+    bias = read(sensors.CurrentBias(joint, -0.2), current_A=1.5)
     np.testing.assert_allclose(gain.current_A, 1.5 * np.where(here, 1.3, 1.0))
     np.testing.assert_allclose(bias.current_A - 1.5, -0.2 * here, atol=1e-12)
     more = read(ResolverBias(joint, 2e-3), ResolverBias(joint, 1e-3)).resolver_rad - read().resolver_rad
     np.testing.assert_allclose(more, 3e-3 * here, atol=RESOLVER_LSB_RAD)
     # a lost count is not there yet when joints look for their hardstops
     assert ResolverBias.built_in
-    assert not EncoderZero.built_in
+    assert not sensors.EncoderZero.built_in
 
 
 def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before():
     currents_A = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
-    more = read(CurrentCrosstalk(Joint.WRIST, 0.1), current_A=currents_A).current_A - currents_A
+    more = read(sensors.CurrentCrosstalk(Joint.WRIST, 0.1), current_A=currents_A).current_A - currents_A
     np.testing.assert_allclose(more, [0.0, 0.0, 0.0, -0.3, 0.0], atol=1e-12)
     with pytest.raises(ValueError, match="azimuth has no joint between itself and the rover"):
-        CurrentCrosstalk(Joint.AZIMUTH, 0.1)
+        sensors.CurrentCrosstalk(Joint.AZIMUTH, 0.1)
 
 
 @FACTORS
 @JOINTS
 def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(joint, times):
     error = 3e-3 * times
-    more = read(ResolverScale(joint, error)).resolver_rad - read().resolver_rad
+    more = read(sensors.ResolverScale(joint, error)).resolver_rad - read().resolver_rad
     expected = error * np.where(np.arange(5) == joint, lab.LEFT_RAD, 0.0)
     np.testing.assert_allclose(more, expected, atol=RESOLVER_LSB_RAD)
-    counts = read(EncoderScale(joint, error)).encoder_count - read().encoder_count
+    counts = read(sensors.EncoderScale(joint, error)).encoder_count - read().encoder_count
     from_zero = lab.LEFT_RAD - nominal_hardware().counter_zero_rad
     expected = expected * from_zero / lab.LEFT_RAD / nominal_hardware().rad_per_count
     np.testing.assert_allclose(counts, expected, atol=1.0)
 
 
 def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle():
-    effect = EncoderScale(Joint.ELBOW, 2e-3)
+    effect = sensors.EncoderScale(Joint.ELBOW, 2e-3)
     known = configure(effect.on_params(nominal_params())).rad_per_count
     np.testing.assert_allclose(known, effect.on_hardware(nominal_hardware()).rad_per_count, rtol=1e-12)
 
@@ -268,7 +250,7 @@ def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle(
 @JOINTS
 def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(joint, times):
     offset = 3e-3 * times
-    plant, hardware = bench.build_arm(EncoderZero(joint, offset))
+    plant, hardware = bench.build_arm(sensors.EncoderZero(joint, offset))
     drawn, lost = (
         bench.avionics(*found)
         for found in (bench.build_arm(), (bench.set_angles(plant, lab.LEFT_RAD), hardware))
@@ -284,7 +266,7 @@ def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(j
 def test_an_imu_mounted_askew_sees_gravity_turned(axis, sign, times):
     """Down is z: a rotation about x tilts it to -y, one about y to +x."""
     angle = 5e-3 * times
-    g = read(GravityDirection(axis, angle)).gravity_R_m_s2
+    g = read(sensors.GravityDirection(axis, angle)).gravity_R_m_s2
     size = np.linalg.norm(World().gravity_N_m_s2)
     leaning = 1 if axis == "x" else 0
     expected = np.zeros(3)

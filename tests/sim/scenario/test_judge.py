@@ -160,12 +160,8 @@ def test_preloaded_is_within_its_share_at_the_end(force_N, passed):
 
 def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go_but_not_where_the_tool_hardly_presses():
     check = data.Preloaded(2, "drill", 300.0)
-    run = [
-        press(3.0),
-        press(150.0, 45.0, 1e-4),
-        press(300.0, 60.0, 2e-4),
-        press(250.0, 75.0, 8e-4, command=3),
-    ]
+    pressed = [press(3.0), press(150.0, 45.0, 1e-4), press(300.0, 60.0, 2e-4)]
+    run = [*pressed, press(250.0, 75.0, 8e-4, command=3)]
     found = results(check, *run)
     assert found["lateral over normal force"].value == pytest.approx(0.30)
     assert found["slip"].value == pytest.approx(8e-4)

@@ -62,12 +62,8 @@ def test_without_power_the_arm_is_braked_and_refuses():
     cut = Injection(PowerLoss(1.0), during=2)
     result = run(scenario(A_LITTLE, BACK, A_LITTLE, checks=(Faulted("FollowingErrorHigh"),), faults=(cut,)))
     assert (result.outcome, result.command) == (Outcome.FAULTED, 2)
-    assert [measured.name for measured in result.checks] == [
-        "FollowingErrorHigh",
-        "braked",
-        "refuses",
-        "every fault came",
-    ]
+    names = [measured.name for measured in result.checks]
+    assert names == ["FollowingErrorHigh", "braked", "refuses", "every fault came"]
     assert all(measured.passed for measured in result.checks[1:]), result.evrs
 
 

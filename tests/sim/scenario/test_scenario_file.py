@@ -242,11 +242,8 @@ ARM = arm_named("nominal")
 ROCK = Surface((2.0, 0.0, -0.2), (0.0, 0.0, -1.0))
 HERE, ABOVE = (vector3(p_R_from_N([2.0, 0.0, z_m])) for z_m in (-0.2, -0.3))
 DOWN, UP_T = (0.0, 0.0, 1.0), (-0.02, 0.0, -1.0)
-MOVE, PLACE, TOUCH = (
-    MoveTool("apxs", ABOVE, DOWN),
-    PlaceTool("apxs", HERE, DOWN),
-    GuardedMove("apxs", HERE, DOWN),
-)
+MOVE, PLACE = MoveTool("apxs", ABOVE, DOWN), PlaceTool("apxs", HERE, DOWN)
+TOUCH = GuardedMove("apxs", HERE, DOWN)
 CHANGE, HOVER = ToolChange("mahli"), ToolChange("mahli", hover_m=0.05)
 PRESS, RELEASE = Preload("apxs", 50.0), Preload("apxs", 0.0)
 BACK = Retract("apxs", 0.1)

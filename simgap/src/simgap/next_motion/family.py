@@ -1,6 +1,7 @@
 """Family of motions of a robot: one joint goes to and fro, within what its logs have shown.
 
-Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain, conditions and power.
+Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain, conditions, temperature
+and power.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,8 +36,8 @@ JUMP: Final = 5.0
 """Step of a command between two samples, over that of the usual speed, from which on it is a jump."""
 PATH_MODES: Final = (ControlMode.POSITION, ControlMode.VELOCITY)
 """Modes in which the commands of a motion follow from its path."""
-MOST: Final = 300
-"""Most motions that are compared; of more, a random part."""
+MOST: Final = 100
+"""Most motions that are compared; of more, a random part: more take their time and are hardly better."""
 PEAK: Final = 1.875
 """Largest over mean speed of a polynomial of fifth order that begins and ends at rest."""
 
@@ -56,6 +57,8 @@ class Plan:
     gain: Mapping[str, float]
     """Value of the gain column of each joint."""
     conditions: Mapping[str, float]
+    temperatures_degC: Mapping[str, float]
+    """Temperature of each joint that has a log of it."""
     off_s: float = np.inf
     """Time from which the joint, and all with its column of power, have none; infinite if they keep it."""
 
@@ -71,6 +74,7 @@ class Plan:
         gained = [name for name, one in (robot.file.joints if robot.file else {}).items() if one.gain_column]
         gains = {f"gain {self.gain[name]:g}" for name in gained}
         given = [*held, *sorted(gains), *(f"{name} = {value:g}" for name, value in self.conditions.items())]
+        given += [f"{heat:g} degC" for name, heat in self.temperatures_degC.items() if name == self.joint]
         more = f"; {', '.join(given)}" if given else ""
         return f"{self.joint} from {low} to {high} and back {speed}{rests}{more}"
 
@@ -97,17 +101,17 @@ def list_plans(
     names = [joint.name for joint in robot.joints]
     moving = [one for one in names if one in places] if set(places) & {*names} else names
     targets = {name: _targets(motions, name) for name in names}
-    gains = _some([*{tuple(one.gain.items()): one.gain for one in motions}.values()])
-    given = _some([*{tuple(one.conditions.items()): one.conditions for one in motions}.values()])
+    gains, given = _some([one.gain for one in motions]), _some([one.conditions for one in motions])
+    heats = _some([_round_temperatures(one) for one in motions])
     offs = {name: _list_offs(motions, name) if is_simulated else (np.inf,) for name in names}
     poses = POSES if len(names) > 1 else POSES[:1]
     plans = [
-        Plan(name, ends, speed, rest_s, held, gain, conditions, off_s)
+        Plan(name, ends, speed, rest_s, held, gain, conditions, heat, off_s)
         for name in moving
         for pose in poses
         for held in [{one: float(np.quantile(targets[one], pose)) for one in names if one != name}]
         for ends, speed in _strokes(robot, motions, name, targets[name])
-        for rest_s, gain, conditions, off_s in product(RESTS_s, gains, given, offs[name])
+        for rest_s, gain, conditions, heat, off_s in product(RESTS_s, gains, given, heats, offs[name])
         if _has_time(ends, speed, rest_s)
     ]
     order = np.random.default_rng(1).permutation(len(plans))
@@ -118,8 +122,15 @@ def list_plans(
 
 def _some(values: Sequence[Mapping[str, float]]) -> Sequence[Mapping[str, float]]:
     """Return the least, the middle and the greatest of some settings."""
-    ordered = sorted(values, key=lambda one: tuple(one.values()))
+    unique = {tuple(one.items()): one for one in values}
+    ordered = sorted(unique.values(), key=lambda one: tuple(one.values()))
     return [ordered[k] for k in sorted({0, len(ordered) // 2, len(ordered) - 1})]
+
+
+def _round_temperatures(motion: Motion) -> Mapping[str, float]:
+    """Return the temperature of each joint that has a log of it, in whole degrees: none is met closer."""
+    logs = {name: one.temperature for name, one in motion.joints.items()}
+    return {name: float(np.round(np.mean(one.value))) for name, one in logs.items() if one is not None}
 
 
 def _list_offs(motions: Sequence[Motion], joint: str) -> tuple[float, ...]:
@@ -213,8 +224,8 @@ def make_motion(robot: Robot, plan: Plan, logged: Motion, name: str = NAME) -> M
         values["enabled"] = still + (is_on | (time_s < plan.off_s))
         if joint.mode in PATH_MODES:
             values["command"] = path if joint.mode is ControlMode.POSITION else speed
-        if log.temperature is not None:
-            values["temperature"] = np.full(time_s.size, float(np.mean(log.temperature.value)))
+        if joint.name in plan.temperatures_degC:
+            values["temperature"] = still + plan.temperatures_degC[joint.name]
         known = {key for key in values if getattr(log, key)} | ({"enabled"} if plan.off_s < np.inf else set())
         there = {key: Signal(time_s, own) for key, own in values.items() if key in known}
         joints[joint.name] = JointLog(**there)

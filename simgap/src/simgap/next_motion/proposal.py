@@ -112,7 +112,7 @@ def propose_motion(
         done.extend(some)
         return family.differentiate(some)
 
-    choice = choose_motion(predictions, differentiate)
+    choice = choose_motion(predictions, differentiate, [one.p for one in group])
     if not choice.motions:
         raise RobotError("in each motion a rival is faster than the logs or touches anew; log more motions")
     best = choice.motions[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.common.errors import RobotError
 from simgap.effects.variation import Dependent
-from simgap.result import Rival
+from simgap.result import Finding, Rival
 from simgap.selection.context import Context, FittedModel
 from simgap.selection.verdict import EXCLUDED, ConfidenceSet
 
@@ -24,15 +24,22 @@ def can_be_settled(found: ConfidenceSet) -> bool:
     return has_rivals and not isinstance(found.effect, Dependent)
 
 
-def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> list[Rival]:
-    """List the finding and the effects that may stand in its place, then those that hardly may.
+def list_rivals(
+    context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet], findings: Sequence[Finding]
+) -> tuple[Rival, ...]:
+    """List each finding and the effects that may stand in its place, then those that hardly may.
 
     With an effect that no catalogue has, the best of those that were excluded may be wrong as the finding is.
+    All are alike in doubt if the finding is not named: a model that lacks something excluded the others.
     """
-    if not can_be_settled(found):
-        return []
+    every = [
+        (found, bool(finding.effects), one)
+        for found, finding in zip(sets, findings, strict=True)
+        for one in (*found.alternatives, *found.excluded)[:MOST_RIVALS]
+        if can_be_settled(found)
+    ]
     rivals = []
-    for one in (*found.alternatives, *found.excluded)[:MOST_RIVALS]:
+    for found, is_named, one in every:
         sizes = chosen.sizes.copy()
         sizes[context.union.columns([found.effect])] = 0.0
         sizes[one.columns] = one.sizes[one.columns]
@@ -45,14 +52,14 @@ def list_rivals(context: Context, chosen: FittedModel, found: ConfidenceSet) -> 
             Rival(
                 finding=found.effect.key,
                 effect=one.effect.key,
-                p=one.p,
+                p=one.p if is_named else 1.0,
                 kind=context.model.kind,
                 effects=tuple(effect for effect, _ in (*fitted, *beside)),
                 sizes=tuple(tuple(sizes[columns].tolist()) for _, columns in (*fitted, *beside)),
                 n_fitted=len(fitted),
             )
         )
-    return rivals
+    return tuple(rivals)
 
 
 def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:

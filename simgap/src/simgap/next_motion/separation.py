@@ -20,6 +20,7 @@ from scipy.stats import norm
 
 from simgap.arrays import Array
 from simgap.selection.chance import FALSE_ALARM
+from simgap.selection.fit import STEP
 
 LEAST_POWER: Final = 0.5
 """Probability from which on a motion tells two rivals apart: more often than not."""
@@ -52,9 +53,13 @@ class Choice:
 
 
 def choose_motion(
-    predictions: Sequence[Array], differentiate: Callable[[Sequence[int]], Sequence[Slopes]]
+    predictions: Sequence[Array],
+    differentiate: Callable[[Sequence[int]], Sequence[Slopes]],
+    chances: Sequence[float],
 ) -> Choice:
-    """Choose the motion that leaves the fewest pairs of rivals confused.
+    """Choose the motion that leaves the fewest pairs of rivals confused, by their chances.
+
+    Earlier motions tell what they exclude apart already: it has a small weight beside what is in doubt.
 
     What sizes can imitate only lessens a difference, so the plain one is a bound. Derivatives are simulated
     while a bound is better than the best motion: the result is that of all motions.
@@ -63,29 +68,33 @@ def choose_motion(
         predictions: What the rivals predict for each motion, (n_rivals, n) each, in units of the noise; n may
             differ from motion to motion. NaN where a rival cannot make the motion, which is left out.
         differentiate: Returns the slopes of some motions.
+        chances: Probability of each rival, (n_rivals,).
     """
     pairs = tuple(combinations(range(len(predictions[0])), 2))
+    weights = np.array([max(chances[i] * chances[j], 1e-12) for i, j in pairs])
     bounds = np.array([[np.linalg.norm(one[i] - one[j]) for i, j in pairs] for one in predictions])
-    hopes = np.where(np.isfinite(bounds).all(axis=1), count_confused(np.nan_to_num(bounds)), np.inf)
+    hopes = np.where(np.isfinite(bounds).all(axis=1), count_confused(np.nan_to_num(bounds), weights), np.inf)
     order = [int(m) for m in np.argsort(hopes, kind="stable") if np.isfinite(hopes[m])]
     done: list[tuple[float, int, Array]] = []
     while order and (not done or hopes[order[0]] < min(done)[0]):
         part, order = order[:AT_ONCE], order[AT_ONCE:]
         for m, slopes in zip(part, differentiate(part), strict=True):
             sigma = np.array([find_sigma(predictions[m], slopes, *pair) for pair in pairs])
-            done.append((float(count_confused(sigma)), m, sigma))
+            done.append((float(count_confused(sigma, weights)), m, sigma))
     done.sort(key=lambda one: one[:2])
     sigmas = np.array([sigma for *_, sigma in done]).reshape(-1, len(pairs))
     return Choice(tuple(m for _, m, _ in done), sigmas, pairs)
 
 
-def count_confused(sigmas: Array) -> Array:
+def count_confused(sigmas: Array, weights: Array) -> Array:
     """Return the share of pairs that stay confused on average, (...), at separations (..., n_pairs)."""
-    return np.asarray(np.mean(norm.sf(sigmas - norm.isf(FALSE_ALARM)), axis=-1))
+    return np.asarray(np.average(norm.sf(sigmas - norm.isf(FALSE_ALARM)), axis=-1, weights=weights))
 
 
 def find_sigma(values: Array, slopes: Slopes, i: int, j: int) -> float:
     """Return the separation of two rivals, whichever is the cause, in standard deviations.
+
+    Derivatives are known to about STEP: as much of what sizes imitate counts as an error of them.
 
     Args:
         values: Predictions of all rivals, (n_rivals, n), in units of the noise.
@@ -93,8 +102,9 @@ def find_sigma(values: Array, slopes: Slopes, i: int, j: int) -> float:
     d, least = values[i] - values[j], np.inf
     for own in (slopes[i], slopes[j]):
         along = own.T @ d
-        gram = own.T @ own + np.eye(own.shape[1])
-        least = min(least, float(d @ d - along @ np.linalg.solve(gram, along)))
+        delta = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), along)
+        error = STEP * np.linalg.norm(own @ delta)
+        least = min(least, float(d @ d - along @ delta - error**2))
     return float(np.sqrt(max(least, 0.0)))
 
 

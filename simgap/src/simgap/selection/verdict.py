@@ -44,7 +44,7 @@ class Alternative:
     """(n_sizes,) of the union."""
     p: float
     """Probability that the finding fits so much better, or more, if this is the cause; where that is at most
-    EXCLUDED, that of so much better predictions of left-out motions if it is larger."""
+    EXCLUDED, that of so much better predictions of left-out motions if larger; a half if it came back."""
     fits_as_well: bool
     """True if the first probability exceeds EXCLUDED."""
     columns: Integers
@@ -199,6 +199,7 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
         for wanted in (True, False)
     )
+    back = tuple(replace(one, p=0.5) for one in back)  # chance has such an error as often as a larger one
     return replace(found, alternatives=(*found.alternatives, *back), excluded=excluded)
 
 

@@ -36,7 +36,6 @@ def currents(joint, ampere):
 def moving(command=None):
     rig = Rig(CONFIG, start_rad=START)
     rig.until_moving(command or MoveJoints(floats(START + 0.05)))
-    rig.evrs.clear()
     return rig
 
 
@@ -44,7 +43,6 @@ def moving(command=None):
 def in_guarded_motion(tool="apxs"):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps
-    rig.evrs.clear()
     return rig
 
 

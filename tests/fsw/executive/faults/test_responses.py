@@ -10,66 +10,27 @@ from fsw.dictionary import faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Stop
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted
-from fsw.dictionary.faults import (
-    ContactInFreeSpace,
-    CycleCountWrong,
-    CyclesMissed,
-    Fault,
-    FollowingErrorHigh,
-    GravityImplausible,
-    MotorStalled,
-    NotSettled,
-    OverCurrent,
-    OverTemperature,
-    ResolverDisagrees,
-    SensorFrozen,
-    SensorNotFinite,
-    SetpointUnsafe,
-    SoftLimitPassed,
-    StructureTemperatureImplausible,
-    TiltChanged,
-    UnderTemperature,
-)
 from fsw.motion.move import Phase
 from fsw.protect.responses import RESPONSE_TO, Response
 from fsw.state import Sequence
 from helpers.marks import slow_but
-from tests.fsw.executive.faults.lab import (
-    BOUNDS,
-    CONFIG,
-    REFUSED,
-    START,
-    STOPPED,
-    UNPOWERED,
-    braked,
-    closed,
-    currents,
-    encoders_at,
-    found,
-    in_guarded_motion,
-    misplanned,
-    moving,
-    off_set_point,
-    resolver_off,
-    skip,
-    windings,
-)
+from tests.fsw.executive.faults import lab
 from tests.fsw.protect.lab import persistence_of
 from tests.fsw.rig import Rig, alive, floats
 
 RESPONDED = {
-    Response.BRAKE_AND_REFUSE: REFUSED,
-    Response.POWER_OFF: UNPOWERED,
-    Response.STOP_AND_BRAKE: STOPPED,
+    Response.BRAKE_AND_REFUSE: lab.REFUSED,
+    Response.POWER_OFF: lab.UNPOWERED,
+    Response.STOP_AND_BRAKE: lab.STOPPED,
 }
-MISSED = {"missed": BOUNDS.missed_cycles + 1}
+MISSED = {"missed": lab.BOUNDS.missed_cycles + 1}
 LATEST = 3
 """Cycles from a persistence to the drive that answers it."""
 
 
 def tamper(rig):
     """Replace the path by one that asks for a jump."""
-    rig.state = misplanned(rig, rig.state.move.setpoint.motor_rad + 0.1)
+    rig.state = lab.misplanned(rig, rig.state.move.setpoint.motor_rad + 0.1)
     return {}
 
 
@@ -79,38 +40,31 @@ def seized(rig):
     return {"encoder_count": rig.stood}
 
 
-HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
+HIGHEST_RAD = lab.CONFIG.protection.highest_rad[Joint.ELBOW]
 BEYOND = {
-    SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
-    GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
-    StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
-    SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
-    CyclesMissed: lambda rig: MISSED,
-    CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
-    TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
-    SetpointUnsafe: tamper,
-    SoftLimitPassed: lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
-    MotorStalled: seized,
-    FollowingErrorHigh: lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025),
-    OverCurrent: lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
-    OverTemperature: lambda rig: windings(Joint.WRIST, 150.0),
-    UnderTemperature: lambda rig: windings(Joint.WRIST, -100.0),
-    ResolverDisagrees: lambda rig: resolver_off(rig, Joint.ELBOW, 1.0),
-    ContactInFreeSpace: lambda rig: closed("drt_1"),
+    faults.SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
+    faults.GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
+    faults.StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
+    faults.SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
+    faults.CyclesMissed: lambda rig: MISSED,
+    faults.CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
+    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    faults.SetpointUnsafe: tamper,
+    faults.SoftLimitPassed: lambda rig: lab.encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
+    faults.MotorStalled: seized,
+    faults.FollowingErrorHigh: lambda rig: lab.off_set_point(rig, Joint.ELBOW, -0.0025),
+    faults.OverCurrent: lambda rig: lab.currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
+    faults.OverTemperature: lambda rig: lab.windings(Joint.WRIST, 150.0),
+    faults.UnderTemperature: lambda rig: lab.windings(Joint.WRIST, -100.0),
+    faults.ResolverDisagrees: lambda rig: lab.resolver_off(rig, Joint.ELBOW, 1.0),
+    faults.ContactInFreeSpace: lambda rig: lab.closed("drt_1"),
 }
 """Readings of a moving arm that pass the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
 """Tested in tests/fsw/protect and in test_touch.py."""
 BY_THE_MOVE = {
-    faults.NoContact,
-    faults.NotSettled,
-    faults.StalledEarly,
-    faults.HardstopMissed,
-    faults.HardstopMoved,
-    faults.HardstopUnclear,
-    faults.HardstopImplausible,
-    faults.MotorStuck,
-    faults.CurrentImplausible,
+    *(faults.NoContact, faults.NotSettled, faults.StalledEarly, faults.MotorStuck, faults.CurrentImplausible),
+    *(faults.HardstopMissed, faults.HardstopMoved, faults.HardstopUnclear, faults.HardstopImplausible),
 }
 """Found by a move about itself; tested with the moves."""
 
@@ -138,22 +92,22 @@ def until_the_drive_differs(rig, twin, trouble):
 @pytest.mark.parametrize("kind", BEYOND, ids=lambda kind: kind.__name__)
 def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles(kind):
     persistence, trouble = persistence_of(kind), BEYOND[kind]
-    command = MoveJoints(floats(START + 0.3))
-    rig, twin = moving(command), moving(command)
+    command = MoveJoints(floats(lab.START + 0.3))
+    rig, twin = lab.moving(command), lab.moving(command)
     for _ in range(60):
         rig.cycle()
         twin.cycle()
     cycles = until_the_drive_differs(rig, twin, trouble)
     assert persistence <= cycles <= persistence + LATEST
-    assert isinstance(found(rig, Fault)[0], kind)
+    assert isinstance(lab.found(rig, faults.Fault)[0], kind)
     assert RESPONDED[RESPONSE_TO[kind]] in rig.evrs
     assert (rig.state.mode is Mode.FAULTED) is (RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE)
 
 
 def test_stop_and_brake_ends_as_a_commanded_stop_does():
     ends = []
-    for trouble in (skip, lambda rig: rig.cycle(Stop())):
-        rig = moving(MoveJoints(floats(START + 0.3)))
+    for trouble in (lab.skip, lambda rig: rig.cycle(Stop())):
+        rig = lab.moving(MoveJoints(floats(lab.START + 0.3)))
         trouble(rig)
         rig.run()
         assert CommandAborted("MoveJoints") in rig.evrs
@@ -162,37 +116,38 @@ def test_stop_and_brake_ends_as_a_commanded_stop_does():
         ends.append((rig.state.mode, *rig.count))
     assert ends[0][0] is ends[1][0] is Mode.DEPLOYED
     # a fault is answered one cycle after a command that came with the same readings
-    cycle_rad = CONFIG.speed_rad_s / 64
-    apart_rad = np.abs(np.subtract(ends[0][1:], ends[1][1:])) * CONFIG.rad_per_count
+    cycle_rad = lab.CONFIG.speed_rad_s / 64
+    apart_rad = np.abs(np.subtract(ends[0][1:], ends[1][1:])) * lab.CONFIG.rad_per_count
     assert (apart_rad <= cycle_rad).all()
 
 
 @pytest.mark.parametrize("phase", [Phase.RELEASE, Phase.SETTLE])
 def test_stop_and_brake_of_a_move_that_is_not_on_its_way_brakes_at_once(phase):
-    rig = Rig(CONFIG, start_rad=START)
-    rig.until(MoveJoints(floats(START + 0.002)), lambda: rig.state.move.phase is phase)
-    assert not skip(rig).drive.brake_release.any()
+    rig = Rig(lab.CONFIG, start_rad=lab.START)
+    rig.until(MoveJoints(floats(lab.START + 0.002)), lambda: rig.state.move.phase is phase)
+    assert not lab.skip(rig).drive.brake_release.any()
     rig.run()
     assert CommandAborted("MoveJoints") in rig.evrs
     assert rig.state.mode is Mode.DEPLOYED
 
 
 def test_while_the_arm_is_being_stopped_another_stop_is_only_told_and_a_severer_fault_is_answered():
-    rig = moving(MoveJoints(floats(START + 0.3)))
+    rig = lab.moving(MoveJoints(floats(lab.START + 0.3)))
     rig.cycle(Stop())
     stopping = rig.state.move
-    skip(rig)
+    lab.skip(rig)
     assert rig.state.move.plan.paths == stopping.plan.paths
-    assert rig.evrs[-2:] == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
-    rig.cycle(**closed("drill_1"))
+    most = lab.BOUNDS.missed_cycles
+    assert rig.evrs[-2:] == [faults.CyclesMissed(most + 1, most), lab.STOPPED]
+    rig.cycle(**lab.closed("drill_1"))
     assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
+    assert lab.braked(rig)
 
 
-SEQUENCE = Sequence("CalibrateAll", (MoveJoints(floats(START)), MoveJoints(floats(START + 0.1))))
+SEQUENCE = Sequence("CalibrateAll", (MoveJoints(floats(lab.START)), MoveJoints(floats(lab.START + 0.1))))
 TROUBLES = {
     Response.STOP_AND_BRAKE: {"winding_C": np.full(5, -100.0)},
-    Response.BRAKE_AND_REFUSE: {"switch_closed": closed("drt_1")["switch_closed"]},
+    Response.BRAKE_AND_REFUSE: {"switch_closed": lab.closed("drt_1")["switch_closed"]},
     Response.POWER_OFF: {"winding_C": np.full(5, 150.0)},
 }
 
@@ -200,7 +155,7 @@ TROUBLES = {
 @pytest.mark.parametrize("clearing", [(), (ClearFault(),)], ids=["at the end", "in every cycle"])
 @pytest.mark.parametrize("response", Response)
 def test_a_sequence_does_not_go_on_after_any_response(response, clearing):
-    rig = moving()
+    rig = lab.moving()
     rig.state = replace(rig.state, sequence=SEQUENCE)
     while RESPONDED[response] not in rig.evrs:
         rig.cycle(**TROUBLES[response])
@@ -214,23 +169,23 @@ def test_a_sequence_does_not_go_on_after_any_response(response, clearing):
 
 
 def test_brakes_hold_before_power_goes_off_and_let_go_before_anything_moves():
-    rig = Rig(CONFIG, start_rad=START)
+    rig = Rig(lab.CONFIG, start_rad=lab.START)
     start = rig.count.copy()
-    rig.cycle(MoveJoints(floats(START + 0.002)))
+    rig.cycle(MoveJoints(floats(lab.START + 0.002)))
     released_for = 0
     while np.array_equal(rig.outputs.drive.setpoint_count, start):
         assert rig.outputs.drive.power_on.all()
         assert rig.outputs.drive.brake_release.all()
         released_for += 1
         rig.cycle()
-    assert released_for >= ticks(CONFIG.params.motion.brake_delay_s)
+    assert released_for >= ticks(lab.CONFIG.params.motion.brake_delay_s)
     while rig.outputs.drive.brake_release.any():
         rig.cycle()
     powered_for = 0
     while rig.outputs.drive.power_on.any():
         powered_for += 1
         rig.cycle()
-    assert powered_for >= ticks(CONFIG.params.motion.brake_delay_s)
+    assert powered_for >= ticks(lab.CONFIG.params.motion.brake_delay_s)
 
 
 CLEAR_OF_THE_ROVER = [
@@ -242,10 +197,10 @@ CLEAR_OF_THE_ROVER = [
 @pytest.mark.parametrize(("joint", "end"), CLEAR_OF_THE_ROVER)
 def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
     outward = 1 if end == "max" else -1
-    pose = START.copy()
-    limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    pose[joint] = limit + outward * (BOUNDS.soft_limit_margin_rad + 1e-3)
-    rig = Rig(CONFIG, start_rad=pose)
+    pose = lab.START.copy()
+    limit = getattr(lab.CONFIG.arm, f"soft_{end}_rad")[joint]
+    pose[joint] = limit + outward * (lab.BOUNDS.soft_limit_margin_rad + 1e-3)
+    rig = Rig(lab.CONFIG, start_rad=pose)
     rig.cycle(current_A=[np.nan] * 5)
     rig.cycle(ClearFault())
     assert rig.state.mode is Mode.DEPLOYED
@@ -257,15 +212,15 @@ def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
 @pytest.mark.parametrize("joint", Joint)
 @pytest.mark.parametrize("wrong", ["nan", "jump"])
 def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the_motors(joint, wrong):
-    rig = moving()
+    rig = lab.moving()
     before = rig.outputs.drive.setpoint_count
     last = rig.state.move.setpoint.motor_rad
     wanted = np.nan if wrong == "nan" else last[joint] + 0.1
-    rig.state = misplanned(rig, np.where(np.arange(5) == joint, wanted, last))
+    rig.state = lab.misplanned(rig, np.where(np.arange(5) == joint, wanted, last))
     drive = rig.cycle().drive
-    assert isinstance(rig.evrs[0], SetpointUnsafe)
+    assert isinstance(rig.evrs[0], faults.SetpointUnsafe)
     assert rig.evrs[0].joint is joint
-    assert rig.evrs[1] == REFUSED
+    assert rig.evrs[1] == lab.REFUSED
     assert rig.state.mode is Mode.FAULTED
     assert not drive.brake_release.any()
     assert not drive.setpoint_rate_rad_s.any()
@@ -278,32 +233,32 @@ def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the
 @pytest.mark.parametrize("joint", slow_but(Joint, Joint.ELBOW, Joint.TURRET))
 def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
     """From the very start of the motion to its end, and on the way to a contact."""
-    commands = (MoveJoints(floats(START + 0.02)), MoveJoints(floats(START)))
+    commands = (MoveJoints(floats(lab.START + 0.02)), MoveJoints(floats(lab.START)))
     for command in commands:
-        rig = Rig(CONFIG, start_rad=START)
+        rig = Rig(lab.CONFIG, start_rad=lab.START)
         rig.cycle(command)
         while rig.outputs.joint.busy:
             rate = rig.outputs.drive.setpoint_rate_rad_s[joint]
-            behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
-            lag = resolver_off(rig, joint, -0.9 * behind)  # the output lags as its motor does
-            rig.cycle(**off_set_point(rig, joint, -0.9 * behind), **lag)
-        assert not found(rig, Fault)
-    rig = in_guarded_motion()
+            behind = lab.BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
+            lag = lab.resolver_off(rig, joint, -0.9 * behind)  # the output lags as its motor does
+            rig.cycle(**lab.off_set_point(rig, joint, -0.9 * behind), **lag)
+        assert not lab.found(rig, faults.Fault)
+    rig = lab.in_guarded_motion()
     for _ in range(100):
-        rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
-    assert not found(rig, Fault)
+        rig.cycle(**lab.off_set_point(rig, joint, -0.9 * lab.BOUNDS.stall_error_rad))
+    assert not lab.found(rig, faults.Fault)
 
 
 def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
-    rig = moving(MoveJoints(floats(START + 0.002)))
-    settle_error = CONFIG.params.motion.settle_error_rad
+    rig = lab.moving(MoveJoints(floats(lab.START + 0.002)))
+    settle_error = lab.CONFIG.params.motion.settle_error_rad
     cycles = 0
     while rig.outputs.joint.busy and cycles < 2000:
-        rig.cycle(**off_set_point(rig, Joint.TURRET, 3 * settle_error))
+        rig.cycle(**lab.off_set_point(rig, Joint.TURRET, 3 * settle_error))
         cycles += 1
-    (evr,) = found(rig, NotSettled)
+    (evr,) = lab.found(rig, faults.NotSettled)
     assert evr.joint is Joint.TURRET
     assert evr.error_rad == pytest.approx(3 * settle_error, rel=0.2)
-    assert REFUSED in rig.evrs
+    assert lab.REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
-    assert cycles > CONFIG.settle_timeout_ticks
+    assert cycles > lab.CONFIG.settle_timeout_ticks

@@ -25,10 +25,9 @@ from sim.plant import SCREW_AXES
 
 
 @pytest.fixture(scope="module")
-def rests(recordings: list[Recording]) -> FeatureSet:
-    """Features of the rests of a session with poses."""
-    whole = build_feature_set([one for one in recordings if one.tracker_poses.tick.size][:1])
-    return FeatureSet((), whole.rests)
+def features(recordings: list[Recording]) -> FeatureSet:
+    """Return the features of the rests of a session with poses."""
+    return build_feature_set(recordings[:1])
 
 
 def test_under_a_constant_load_a_link_creeps_exponentially():
@@ -50,27 +49,25 @@ def test_under_a_changing_load_a_link_follows_its_differential_equation():
 
 
 @pytest.mark.slow
-def test_a_creeping_link_rests_where_the_plant_does(rests):
+def test_a_creeping_link_rests_where_the_plant_does(features):
     """Oracle: the plant, stepped under the recorded drive, with the effect and without."""
-    (one,) = rests.rests
-    recording, effect = one.turning_points.recording, LinkCreep(Frame.ARM3, "y", 2e-5)
-    ticks = [one.turning_points.tick[k] for k in one.turning_points.rests]
+    (one,) = features.rests
+    at, effect = one.turning_points, LinkCreep(Frame.ARM3, "y", 2e-5)
+    ticks = [at.tick[k] for k in at.rests]
     with_it, without = (
-        simulate_open_loop(recording, effects, SHORT_SETTLING, frozenset(ticks)).X_RF
+        simulate_open_loop(at.recording, effects, SHORT_SETTLING, frozenset(ticks))[1]
         for effects in ((effect,), ())
     )
-    change = simulate_features(rests, (effect,), SHORT_SETTLING) - simulate_features(
-        rests, (), SHORT_SETTLING
-    )
-    shift = change[-3 * len(one.tracked) :].reshape(3, -1)
+    after, before = (simulate_features(features, some, SHORT_SETTLING) for some in ((effect,), ()))
+    shift = (after - before)[-3 * len(one.tracked) :].reshape(3, -1)
     for column, rest in zip(shift.T, one.tracked, strict=True):
         stepped = without[ticks[rest]].R.T @ (with_it[ticks[rest]].p - without[ticks[rest]].p)
         np.testing.assert_allclose(column, stepped, atol=0.03 * np.linalg.norm(stepped))
 
 
-def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests):
+def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(features):
     """Oracle: kinematics at the turned angle; all other joints were turned too."""
-    (one,) = rests.rests
+    (one,) = features.rests
     config, by_rad = configure(nominal_params()), 1e-5
     gravity = one.turning_points.recording.world.gravity_N_m_s2
     motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in one.tracked]]
@@ -78,17 +75,16 @@ def test_a_joint_that_was_turned_moves_its_resolver_and_the_poses(rests):
     for joint in Joint:
         turned = motor_rad + by_rad * (np.arange(len(Joint)) == joint)[:, None]
         before, after = (settle_output(config.arm, at, gravity).frames.X_RF[5] for at in (motor_rad, turned))
-        found = rests_moved_by(rests, change, joint)
+        found = rests_moved_by(features, change, joint)
         shift = found[-3 * motor_rad.shape[1] :].reshape(3, -1)
         expected = np.einsum("kin,kn->in", before.R, after.p - before.p)
         np.testing.assert_allclose(shift, expected, atol=0.02 * by_rad)
-        places = np.array([feature.place for feature in one.features])
-        resolvers = np.array([feature.channel == RESOLVER for feature in one.features])
-        own = places == joint.name.lower()
-        assert np.all(found[resolvers & own] == by_rad)
-        assert not np.any(found[resolvers & ~own])
-        read = rests_moved_by(rests, change, joint, turns=False)
-        np.testing.assert_array_equal(read, np.where(resolvers & own, by_rad, 0.0))
+        own = [
+            one.channel == RESOLVER and one.place == joint.name.lower() for one in features.rests[0].features
+        ]
+        read, resolvers = rests_moved_by(features, change, joint, turns=False), change != 0.0
+        np.testing.assert_array_equal(read, np.where(own, by_rad, 0.0))
+        np.testing.assert_array_equal(found[resolvers], read[resolvers])
 
 
 DRAWING = nominal_params()
@@ -100,9 +96,8 @@ def off(**screw: float) -> np.ndarray:
 
 
 def test_a_shift_moves_every_tool_by_as_much():
-    found = compute_tool_error(
-        KEYS, [off(tx=3e-3, ty=4e-3), off(tx=3e-3), off(tz=1e-3)], off(tx=2e-3), DRAWING
-    )
+    rows = [off(tx=3e-3, ty=4e-3), off(tx=3e-3), off(tz=1e-3)]
+    found = compute_tool_error(KEYS, rows, off(tx=2e-3), DRAWING)
     assert found is not None
     assert (found.nominal, found.base, found.explained) == pytest.approx((5e-3, 3e-3, 1e-3))
     assert found.noise_floor == pytest.approx(2e-3)
@@ -123,17 +118,10 @@ BRIEF = SimulationOptions(settle_s=1.0)
 
 def candidates_at_ends() -> Iterator[Any]:
     """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
-    for one in {candidate.effect: candidate for candidate in list_hypotheses()}.values():
+    for one in {candidate.name: candidate for candidate in list_hypotheses()}.values():
         ends = np.transpose([parameter.departure_range for parameter in one.parameters])
         for end, departures in zip(("least", "most"), ends, strict=True):
             yield pytest.param(one.switch_on(departures), id=f"{one.key}, {end}")
-
-
-@pytest.fixture(scope="module")
-def features(recordings: list[Recording]) -> FeatureSet:
-    """Return the features of a motion of all joints, and of its rests."""
-    (recording,) = (one for one in recordings if one.name == "poses-level-1")
-    return build_feature_set([recording])
 
 
 @pytest.mark.slow
