@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -20,7 +19,16 @@ from sim.arms import nominal_params
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm_json
-from tests.marsarm.common.work import die, die_once, interrupted_after, power, rest, square
+from tests.marsarm.common.work import (
+    die,
+    die_once,
+    interrupted_after,
+    node_id,
+    power,
+    rest,
+    square,
+    square_or_fail,
+)
 
 pytestmark = [
     pytest.mark.slow,
@@ -110,13 +118,6 @@ def test_both_nodes_work(run):
     pytest.fail(f"only {found} worked")
 
 
-def node_id(_: int) -> str:
-    import ray
-
-    time.sleep(0.3)
-    return str(ray.get_runtime_context().get_node_id())
-
-
 def test_a_worker_that_dies_costs_its_jobs_only(run, tmp_path):
     assert len(list(run(die_once, [tmp_path] * 20))) == 20
 
@@ -124,12 +125,6 @@ def test_a_worker_that_dies_costs_its_jobs_only(run, tmp_path):
 def test_a_job_at_which_every_worker_dies_ends_the_run(run):
     with pytest.raises(WorkersDied, match="3 of them died"):
         list(run(die, [1]))
-
-
-def square_or_fail(x: int) -> int:
-    if x == 900:
-        raise BadRequest("900 is not allowed")
-    return x * x
 
 
 def test_an_error_names_the_node(run):

@@ -1,4 +1,4 @@
-"""Work for runners: short, slow, deadly for its process, and interrupted."""
+"""Work that a node of a cluster can load: short, slow, deadly for its process, and interrupted."""
 
 import os
 import signal
@@ -7,8 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from simgap.common.errors import BadRequest
+
 
 def square(x: int) -> int:
+    return x * x
+
+
+def square_or_fail(x: int) -> int:
+    if x == 900:
+        raise BadRequest("900 is not allowed")
     return x * x
 
 
@@ -28,6 +36,13 @@ def die_once(folder: Path) -> int:
 
 def die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def node_id(_: int) -> str:
+    import ray
+
+    time.sleep(0.3)
+    return str(ray.get_runtime_context().get_node_id())
 
 
 def rest(_: int) -> None:
