@@ -89,14 +89,15 @@ LOCATIONS: Final = (
 )
 """Locations of effects whose place is an axis or the whole arm."""
 
-REST_ONLY_EFFECTS: Final[tuple[type[Effect], ...]] = (
-    geometry.FrameError,
-    *FAMILIES[Family.GEOMETRY],
-    *FAMILIES[ArmFamily.STRUCTURE],
-    *FAMILIES[Family.CONTACT],
+REST_ONLY_EFFECTS: Final = (
+    *(geometry.FrameError, geometry.LinkLength, geometry.LinkAngle, geometry.ToolOffset, geometry.ToolTurn),
+    *(geometry.ThermalGradient, geometry.Expansion, geometry.LinkWarming, geometry.Warming),
+    *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
+    *(structure.RoverCompliance, environment.ContactStiffness, environment.SurfacePosition),
+    *(environment.Slip, joints.HardstopStiffness),
 )
-"""Effects that influence rests or nothing, but for a shifted hardstop; their change of motions is below the
-noise, and no motion of a campaign reaches a hardstop."""
+"""Effects that influence rests or nothing; their change of motions is below the noise, and no motion of a
+campaign reaches a hardstop. An effect that is not listed is simulated in motions too."""
 ROUNDING: Final = 1e-9
 """Differences below this, relative or in SI, are those of floating-point numbers."""
 
@@ -173,7 +174,7 @@ def locate(effect: str, place: str) -> str:
 
 def moves(effect: Effect, one: MotionFeatures) -> bool:
     """Check that an effect can influence a motion: at a joint if it moves, geometry never."""
-    if isinstance(effect, REST_ONLY_EFFECTS) and not isinstance(effect, joints.HardstopAngle):
+    if isinstance(effect, REST_ONLY_EFFECTS):
         return False
     joint = joint_at(effect)
     return joint is None or any(segment.joint is joint for segment in one.segments)
