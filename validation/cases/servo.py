@@ -179,7 +179,7 @@ def list_accepted(
     pairs, _ = pair_up(replace(case, equivalents=classes), list(findings))
     right = [one for one in pairs if one.finding and first_choice(one.finding) in one.accepted]
     own = [one for one in right if one.finding and _key(one.finding) == key]
-    return [one.accepted for one in own or pairs if own or one not in right]
+    return [one.accepted for one in own or [pair for pair in pairs if pair not in right]]
 
 
 def say_what_is_open(case: SealedCase, result: Document, key: str, known: Set[str]) -> str:
