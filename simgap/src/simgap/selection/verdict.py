@@ -26,7 +26,15 @@ from simgap.selection.context import (
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
-from simgap.selection.selection import FEW_ITERATIONS, SHARES, explain_loss, is_at_bound, start_refit
+from simgap.selection.selection import (
+    AGAIN_ITERATIONS,
+    FEW_ITERATIONS,
+    RIVAL_SHARE,
+    SHARES,
+    explain_loss,
+    is_at_bound,
+    start_refit,
+)
 from simgap.selection.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -92,6 +100,8 @@ def find_layer_sets(
     needed = min(explain_loss(context, fit, residuals) for fit in findings)
     for share in SHARES:
         fitting.advance(FEW_ITERATIONS)
+        if share == RIVAL_SHARE:
+            fitting.begin_again(AGAIN_ITERATIONS, findings)
         explained = [explain_loss(context, one, residuals) for one in fitting.descents]
         kept = [k for k, one in enumerate(explained) if one > share * needed]
         fitting.keep(kept)
