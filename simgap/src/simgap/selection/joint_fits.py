@@ -35,8 +35,8 @@ TOO_WIDE: Final = 2.0
 MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 STARTS_KEPT: Final = ((8, 2), (MAX_ITERATIONS, 1))
-"""Iterations of the starts of a joint, and how many then go on. In 7 sealed cases of servos, one of the best two
-after 8 had the least loss at the end."""
+"""Iterations of the starts of a joint, and how many then go on. In 7 sealed cases of servos, one of the best
+two after 8 had the least loss at the end."""
 BASE_ROUNDS_AFTER: Final = 2.5
 """Rounds that are expected after the base parameters, for the progress: one, and what is expected after it.
 
