@@ -23,7 +23,7 @@ from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
-from simgap.selection.acceptance import Candidate, pays, step_without
+from simgap.selection.acceptance import Candidate, choose_simplest, pays, step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, start_context
 from simgap.selection.fit import Hypothesis, JointFit, Union
@@ -228,6 +228,23 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion():
     assert judge(one_motion, 2)
     assert not judge(one_motion, 3)
     assert judge(0.8 * before[rows] * np.linspace(0.9, 1.0, rows.size), 3)
+
+
+def test_of_effects_that_predict_as_well_the_likeliest_is_chosen():
+    toy = draw_toy(1, {})
+    context, present = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
+    rows, columns = np.flatnonzero(toy.joint_of == 0), np.arange(1)
+    left_out = np.random.default_rng(1).uniform(0.4, 0.6, (2, rows.size))
+
+    def judge(k, residual, gain):
+        fit = JointFit(
+            present.sizes, columns, 0, np.full(rows.size, residual), rows, np.zeros((rows.size, 1))
+        )
+        return Candidate(CATALOGUE[k], (0,), fit, left_out[k], False, gain, -20.0)
+
+    for first, second in ((0.010, 0.011), (0.011, 0.010)):
+        chosen = choose_simplest(context, [judge(0, first, 0.500), judge(1, second, 0.501)])
+        assert chosen.effect is CATALOGUE[0 if first < second else 1]
 
 
 def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name():
