@@ -101,7 +101,12 @@ class Descent:
         self.has_begun = True
 
     def loss_of(self, residuals: Array, x: Array) -> float:
-        """Compute the loss of residuals, (n_rows,), and of the priors of sizes, (n_sizes,)."""
+        """Compute the loss that residuals and the priors of sizes have.
+
+        Args:
+            residuals: Those of its joint, (n_rows,), in the unit of the model.
+            x: Sizes of the union, (n_sizes,), each in its own unit.
+        """
         loss = float(np.sum(pseudo_huber(residuals * self._weight)))
         loss += float(np.sum((x[self.free] * self._prior_weight) ** 2))
         return loss if np.isfinite(loss) else np.inf
