@@ -23,12 +23,12 @@ from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.residuals.residuals import refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
-from simgap.selection.acceptance import Candidate, pays, step_without
+from simgap.selection.acceptance import Candidate, choose_simplest, pays, step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, start_context
 from simgap.selection.fit import Hypothesis, JointFit, Union
 from simgap.selection.fitting import Fitting
-from simgap.selection.joint_fits import fit_base
+from simgap.selection.joint_fits import fit_base, list_starts
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import share_nothing
 from simgap.selection.verdict import find_confidence_sets, find_pushed, list_members
@@ -69,6 +69,47 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside():
     fitting = Fitting(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
     (fit,) = fitting.finish()
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
+
+
+class Folded(ToyResiduals):
+    """The gain acts by a curve with a maximum, at which a fit from below it ends."""
+
+    def residuals(self, effects, sizes):
+        gain = sizes[:, :1]
+        return super().residuals(effects, np.hstack([gain**3 - gain, sizes[:, 1:]]))
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_fit_begins_again_where_the_best_of_its_joint_is(is_known):
+    toy = draw_toy(1, {"near: square": 0.1})
+    model = Folded(toy.commands, toy.measured + 0.7 * toy.commands, NAMES)  # a gain of 1.32 moves as much
+    square, cube = CATALOGUE[:2]
+    union, sharing = Union((BASE[0], square, cube)), share_nothing(2, np.zeros(3, np.int64))
+    poor = Hypothesis(np.array([0, 1]), np.array([-1.0, 0.0, 0.0]), 0)
+    good = Hypothesis(np.array([0, 2]), np.array([1.0, 0.0, 0.0]), 0)
+    (best,) = Fitting(model, union, [good], np.full(2, 0.02), sharing=sharing).finish()
+    own = [poor] if is_known else [poor, good]
+    fitting = Fitting(model, union, own, np.full(2, 0.02), sharing=sharing)
+    fitting.advance()
+    assert fitting.descents[0].sizes[0] < 0.0
+    fitting.begin_again(40, [best] if is_known else [])
+    fit, *_ = fitting.finish()
+    np.testing.assert_allclose(fit.sizes, [1.3247, 0.1, 0.0], atol=0.005)
+
+
+def test_base_parameters_start_as_in_the_model_and_with_damping_and_armature():
+    robot = pendulum(kp=3.0, kd=0.0, damping=0.0)
+    logs = [swing(k, (TIME_s < 1.2).astype(float)) for k in range(4)]
+    raw = SimulationResiduals(robot, logs, n_threads=1)
+    context = start_context(raw, base_effects(robot, Logs(tuple(logs))), (), 1, Meter())
+    starts = list_starts(context, 0)
+    names = [size.name for size in context.union.sizes]
+    damped = np.array([names.index(name) for name in ("damping_Nms_rad", "kd_Nms_rad")])
+    armature = starts[:, names.index("armature_kgm2")]
+    assert not starts[0].any()
+    assert np.all(starts[1:, damped] > 0.0)
+    assert 0 < np.count_nonzero(armature[1:]) < len(armature) - 1
+    assert np.all(starts <= [size.high for size in context.union.sizes])
 
 
 def test_a_step_without_a_fold_goes_as_far_as_the_optimum_without_it():
@@ -187,6 +228,23 @@ def test_a_fourth_effect_of_a_joint_has_to_help_from_motion_to_motion():
     assert judge(one_motion, 2)
     assert not judge(one_motion, 3)
     assert judge(0.8 * before[rows] * np.linspace(0.9, 1.0, rows.size), 3)
+
+
+def test_of_effects_that_predict_as_well_the_likeliest_is_chosen():
+    toy = draw_toy(1, {})
+    context, present = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
+    rows, columns = np.flatnonzero(toy.joint_of == 0), np.arange(1)
+    left_out = np.random.default_rng(1).uniform(0.4, 0.6, (2, rows.size))
+
+    def judge(k, residual, gain):
+        fit = JointFit(
+            present.sizes, columns, 0, np.full(rows.size, residual), rows, np.zeros((rows.size, 1))
+        )
+        return Candidate(CATALOGUE[k], (0,), fit, left_out[k], False, gain, -20.0)
+
+    for first, second in ((0.010, 0.011), (0.011, 0.010)):
+        chosen = choose_simplest(context, [judge(0, first, 0.500), judge(1, second, 0.501)])
+        assert chosen.effect is CATALOGUE[0 if first < second else 1]
 
 
 def test_beside_a_finding_whose_cause_is_not_known_another_has_no_name():

@@ -102,6 +102,22 @@ def test_what_predicts_motions_as_well_that_took_no_part_and_can_tell_stays_in_t
     assert unnamed == [1.0] * len(named)
 
 
+def test_what_predicts_motions_that_took_no_part_worse_than_one_of_the_set_stays_out():
+    bent = Toy("near", "bent", lambda x: x**2 + 0.2 * x**3)
+    far = Toy("near", "far", lambda x: np.where(np.abs(x) > 1.0, bent.shape(x), x**2))
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, bent, far), seed=1)
+    judge = draw_toy(2, {})
+    judge.measured += 0.6 * judge.commands
+    judge.commands = 3.0 * judge.commands  # beyond those that were fitted
+    judge.measured[0] += 0.1 * far.shape(judge.commands[0])
+    ((_, (found,), _)) = assemble.select_sure(selection, judge)
+    assert {one.effect.key for one in found.alternatives} == {"near: square", "near: far"}
+    every = {one.effect.key: one.sizes for one in (*found.alternatives, *found.excluded)}
+    sizes = [every[f"near: {label}"] for label in ("far", "bent", "square")]
+    errors = np.mean(np.abs(simulate_models(selection.context, judge, sizes)), axis=1)
+    assert np.all(np.diff(errors) > 0.0)
+
+
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
     assert assemble.select_sure(selection, None)[2] == []

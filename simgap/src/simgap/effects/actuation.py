@@ -9,7 +9,6 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import (
-    DAMPING_STARTS,
     QUANTILE,
     AddedNumber,
     Effect,
@@ -54,7 +53,7 @@ class DampingGain(AddedNumber):
     name: ClassVar[str] = "damping gain"
     family: ClassVar[Family] = Family.ACTUATION
     number: ClassVar[str] = "kd_Nms_rad"
-    starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
+    starts: ClassVar[tuple[float, ...]] = (0.02, 0.02, 0.05, 0.5, 0.1)
 
     @property
     def nominal(self) -> float:

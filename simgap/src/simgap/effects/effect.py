@@ -159,7 +159,7 @@ class Effect(ABC):
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
     starts: ClassVar[tuple[float, ...]] = ()
-    """Shares of the largest first size from which a base parameter is fitted, beside that of the model."""
+    """Shares of the largest first size in each further start of the base parameters of a joint."""
     is_steady: ClassVar[bool] = False
     """True if `friction_Nm` and `torque_Nm` do not change within a window, whatever the joint does."""
     place: str
@@ -265,8 +265,6 @@ QUANTILE: Final = 0.995
 BASE_PRIOR: Final = 10.0
 """Width of the prior of a base effect in typical sizes; where the nominal value is larger, that is the width.
 Data that show a typical size outweigh it a hundredfold; data that show nothing leave the nominal value."""
-DAMPING_STARTS: Final = (0.1, 0.5)
-"""Starts of a damping that the model may lack: without any the model rings, from where a fit goes astray."""
 SPAN: Final = 5
 """Samples over which a difference gives a speed: fewer show the steps of the encoder."""
 

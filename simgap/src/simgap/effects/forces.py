@@ -9,7 +9,6 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import (
-    DAMPING_STARTS,
     AddedNumber,
     Effect,
     Family,
@@ -32,7 +31,7 @@ class ViscousFriction(AddedNumber):
     name: ClassVar[str] = "viscous friction"
     family: ClassVar[Family] = Family.FRICTION
     number: ClassVar[str] = "damping_Nms_rad"
-    starts: ClassVar[tuple[float, ...]] = DAMPING_STARTS
+    starts: ClassVar[tuple[float, ...]] = (0.02, 0.02, 0.05, 0.02, 0.5)
 
     @property
     def sizes(self) -> tuple[Size, ...]:

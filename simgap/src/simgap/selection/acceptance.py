@@ -146,10 +146,11 @@ def pays(context: Context, present: FittedModel, candidate: Candidate) -> bool:
 
 
 def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
-    """Choose the effect with the fewest sizes, and then the best, of those that do as well as the best.
+    """Choose the effect with the fewest sizes, and then the likeliest, of those that do as well as the best.
 
-    As well means within one standard error of the best, in pairs (Breiman and others 1984). Where the noise
-    is known, the chance of an effect counts its sizes.
+    As well means within one standard error of the best, in pairs (Breiman and others 1984). Of effects with
+    as many sizes, the likeliest leaves the least loss in all motions. Where the noise is known, the chance of
+    an effect counts its sizes.
     """
     if context.model.noise_std:
         return min(candidates, key=lambda one: one.log_chance)
@@ -160,7 +161,13 @@ def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candid
         for one in candidates
         if one is best or improvement_z(context, rows, one.left_out, best.left_out) <= 1.0
     ]
-    return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
+    return min(alike, key=lambda one: (len(one.effect.sizes), _loss(context, one)))
+
+
+def _loss(context: Context, candidate: Candidate) -> float:
+    """Return the loss that the fit of a candidate leaves in all motions."""
+    fit = candidate.fit
+    return float(np.sum(pseudo_huber(fit.residuals / context.scales[context.model.joint_of[fit.rows]])))
 
 
 def _improvement(context: Context, present: FittedModel, candidate: Candidate) -> float:

@@ -95,12 +95,18 @@ class Descent:
             self.has_converged |= is_last
 
     def _begin(self, found: list[Array]) -> None:
-        losses = [self._loss_of(residuals, x) for residuals, x in zip(found, self._starts, strict=True)]
+        losses = [self.loss_of(residuals, x) for residuals, x in zip(found, self._starts, strict=True)]
         best = int(np.argmin(losses))
         self.sizes, self.residuals, self.loss = self._starts[best], found[best], losses[best]
         self.has_begun = True
 
-    def _loss_of(self, residuals: Array, x: Array) -> float:
+    def loss_of(self, residuals: Array, x: Array) -> float:
+        """Compute the loss that residuals and the priors of sizes have.
+
+        Args:
+            residuals: Those of its joint, (n_rows,), in the unit of the model.
+            x: Sizes of the union, (n_sizes,), each in its own unit.
+        """
         loss = float(np.sum(pseudo_huber(residuals * self._weight)))
         loss += float(np.sum((x[self.free] * self._prior_weight) ** 2))
         return loss if np.isfinite(loss) else np.inf
@@ -160,7 +166,7 @@ class Descent:
 
     def _go(self, trial: Array, moved: Array, expected: float) -> None:
         """Go to the end of a step if the loss decreases enough; set the damping by what was expected."""
-        loss, was_exact = self._loss_of(moved, trial), self._is_exact
+        loss, was_exact = self.loss_of(moved, trial), self._is_exact
         decrease = self.loss - loss
         if decrease > LEAST_DECREASE * expected:
             is_small = decrease <= CONVERGED * self.loss
@@ -179,6 +185,14 @@ class Descent:
             self._damping = max(4.0 * self._damping, STEP**2)
             self._failures += 1
             self._unknown[:] = self._failures >= FAILURES
+
+    def begin_at(self, best: JointFit) -> Hypothesis:
+        """Return the hypothesis with the sizes, and derivatives by them, that it shares with a fit."""
+        start, jacobian = self.sizes.copy(), self._slopes().copy()
+        _, here, there = np.intersect1d(self.free, best.columns, return_indices=True)
+        start[self.free[here]] = best.sizes[self.free[here]]
+        jacobian[:, here] = best.jacobian[:, there]
+        return Hypothesis(self.free, start, self.joint, jacobian)
 
     def fit(self) -> JointFit:
         """Return the hypothesis as it is now."""

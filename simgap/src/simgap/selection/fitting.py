@@ -44,12 +44,16 @@ class Fitting:
         """Prepare the starts; `report` gets the number of candidates after each call of the model."""
         self.model = model
         self._evaluate = _Evaluator(model, union, sharing, report)
-        self.descents = [Descent(model, union, one, scales, sharing) for one in hypotheses]
+        self._start: Callable[[Hypothesis], Descent] = lambda one: Descent(model, union, one, scales, sharing)
+        self.descents = [self._start(one) for one in hypotheses]
         """One for each hypothesis, until some are given up."""
 
     def advance(self, iterations: int = MAX_ITERATIONS, *, is_sure: bool = False) -> None:
         """Let all hypotheses go on for some iterations, or to what are or seem to be their optima."""
-        running = [one.run(iterations, is_sure) for one in self.descents]
+        self._run(self.descents, iterations, is_sure)
+
+    def _run(self, descents: Sequence[Descent], iterations: int, is_sure: bool = False) -> None:
+        running = [one.run(iterations, is_sure) for one in descents]
         asked = {one: points for one in running if (points := next(one, None))}
         while asked:
             go_on = {}
@@ -63,6 +67,23 @@ class Fitting:
     def keep(self, places: Sequence[int]) -> None:
         """Give all hypotheses up but those at these places in the list."""
         self.descents = [self.descents[k] for k in places]
+
+    def begin_again(self, iterations: int, known: Sequence[JointFit] = ()) -> None:
+        """Let fits go on beside those that begin again with the sizes of the best fit of their joint.
+
+        Each has its own effect, and shares the others with that fit, which may be a known one. The better of
+        both stays. Joints that stick have many minima, and with one effect a fit may leave a poor one early.
+        """
+        again: dict[int, Descent] = {}
+        for joint in dict.fromkeys(one.joint for one in self.descents):
+            own = {k: one for k, one in enumerate(self.descents) if one.joint == joint}
+            first = min(own.values(), key=lambda one: one.loss)
+            fits = [(first.loss_of(one.residuals, one.sizes), one) for one in known if one.joint == joint]
+            least, best = min([(first.loss, first.fit()), *fits], key=lambda pair: pair[0])
+            again |= {k: self._start(one.begin_at(best)) for k, one in own.items() if one.loss > least}
+        self._run([*again.values()], iterations)
+        for k, one in again.items():
+            self.descents[k] = min(self.descents[k], one, key=lambda one: one.loss)
 
     def finish(self) -> list[JointFit]:
         """Let all hypotheses go on to their optima."""

@@ -73,6 +73,8 @@ The test of a set would exclude what explains less of an effect that is strong e
 FEW_ITERATIONS: Final = 4
 """Iterations before each of the SHARES. On the KR300, 4, 6 and 12 give one result; with 2, a set lacks a
 member, and a compliance has too narrow an interval."""
+AGAIN_ITERATIONS: Final = 2 * FEW_ITERATIONS
+"""Iterations of fits that begin again before the last of the SHARES: as many as the others had."""
 SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
 """Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
 each that was accepted had explained 0.9 of the best of its joint by then."""
@@ -263,6 +265,8 @@ def find_winners(
     fitting = start_fitting(context, [start_refit(context, present, score) for score in shortlist], "refit")
     for share in SHARES:
         fitting.advance(FEW_ITERATIONS)
+        if share == RIVAL_SHARE:
+            fitting.begin_again(AGAIN_ITERATIONS)
         hopeful = list_hopeful(context, present, effects, fitting.descents, share)
         fitting.keep(hopeful)
         effects = [effects[k] for k in hopeful]

@@ -26,7 +26,15 @@ from simgap.selection.context import (
 )
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
-from simgap.selection.selection import FEW_ITERATIONS, SHARES, explain_loss, is_at_bound, start_refit
+from simgap.selection.selection import (
+    AGAIN_ITERATIONS,
+    FEW_ITERATIONS,
+    RIVAL_SHARE,
+    SHARES,
+    explain_loss,
+    is_at_bound,
+    start_refit,
+)
 from simgap.selection.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -92,6 +100,8 @@ def find_layer_sets(
     needed = min(explain_loss(context, fit, residuals) for fit in findings)
     for share in SHARES:
         fitting.advance(FEW_ITERATIONS)
+        if share == RIVAL_SHARE:
+            fitting.begin_again(AGAIN_ITERATIONS, findings)
         explained = [explain_loss(context, one, residuals) for one in fitting.descents]
         kept = [k for k, one in enumerate(explained) if one > share * needed]
         fitting.keep(kept)
@@ -179,22 +189,25 @@ def start_competitor(
 
 
 def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualModel) -> ConfidenceSet:
-    """Take effects back that were excluded, but predict motions that took no part as well as the finding.
+    """Take effects back that were excluded, but predict motions that took no part as well as the set.
 
-    A test of fits excludes the cause where the model lacks something else. It then predicts no worse. Where
-    predictions differ by d standard deviations, chance does it too: the finding has less loss by d^2 +- 2 d.
+    A test of fits excludes the cause where the model lacks something else. It then predicts no worse than the
+    best of the set. Where predictions differ by d standard deviations, chance does it too: that one has less
+    loss by d^2 +- 2 d.
     """
     here = np.isin(held_out.joint_of, joints_of(context, found.effect))
     if not found.excluded or not here.any():
         return found
-    sizes = [found.alternatives[0].sizes, *(one.sizes for one in found.excluded)]
+    n = len(found.alternatives)
+    sizes = [one.sizes for one in (*found.alternatives, *found.excluded)]
     residuals = simulate_models(context, held_out, sizes)
-    own, *others = np.mean(np.abs(residuals[:, here]), axis=1)
+    errors = np.mean(np.abs(residuals[:, here]), axis=1)
+    best = int(np.argmin(errors[:n]))
     if isinstance(context.model, WhitenedResiduals):
         residuals = WhitenedResiduals(held_out, context.model.correlation).whiten(residuals)
-    apart = ((residuals[1:] - residuals[0]) / context.scales[held_out.joint_of])[:, here]
+    apart = ((residuals[n:] - residuals[best]) / context.scales[held_out.joint_of])[:, here]
     is_told = norm.sf(0.5 * np.linalg.norm(apart, axis=1)) <= EXCLUDED
-    is_back = [bool(error <= own and told) for error, told in zip(others, is_told, strict=True)]
+    is_back = [bool(flag) for flag in (errors[n:] <= errors[best]) & is_told]
     back, excluded = (
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
         for wanted in (True, False)
