@@ -26,6 +26,12 @@ AT_ONCE: Final = 100
 """Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
 MEMORY_BYTES: Final = 100_000_000
 """Residuals of all candidates in a call of the model, or of all points that wait for each other."""
+RIVAL_SHARE: Final = 0.5
+"""Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
+The test of a set would exclude what explains less of an effect that is strong enough for a name."""
+FEW_ITERATIONS: Final = 4
+"""Iterations before the first are given up, and again before the next. On the KR300, 4, 6 and 12 give one
+result; with 2, a set lacks a member, and a compliance has too narrow an interval."""
 
 
 class Fitting:
@@ -47,6 +53,8 @@ class Fitting:
         self._start: Callable[[Hypothesis], Descent] = lambda one: Descent(model, union, one, scales, sharing)
         self.descents = [self._start(one) for one in hypotheses]
         """One for each hypothesis, until some are given up."""
+        self.places = [*range(len(self.descents))]
+        """Where each is in the list of hypotheses."""
 
     def advance(self, iterations: int = MAX_ITERATIONS, *, is_sure: bool = False) -> None:
         """Let all hypotheses go on for some iterations, or to what are or seem to be their optima."""
@@ -65,8 +73,21 @@ class Fitting:
             asked = go_on
 
     def keep(self, places: Sequence[int]) -> None:
-        """Give all hypotheses up but those at these places in the list."""
+        """Give all hypotheses up but those at these places in the list of descents."""
         self.descents = [self.descents[k] for k in places]
+        self.places = [self.places[k] for k in places]
+
+    def compete(self, list_hopeful: Callable[[float], Sequence[int]], known: Sequence[JointFit] = ()) -> None:
+        """Let hypotheses go on, and give up those that soon explain too little.
+
+        `list_hopeful` returns the places in `descents` of those that explain this share of the best. Before
+        it is asked for RIVAL_SHARE, those left begin again for as many iterations as they had.
+        """
+        self.advance(FEW_ITERATIONS)
+        self.keep(list_hopeful(RIVAL_SHARE**2))
+        self.advance(FEW_ITERATIONS)
+        self.begin_again(2 * FEW_ITERATIONS, known)
+        self.keep(list_hopeful(RIVAL_SHARE))
 
     def begin_again(self, iterations: int, known: Sequence[JointFit] = ()) -> None:
         """Let fits go on beside those that begin again with the sizes of the best fit of their joint.

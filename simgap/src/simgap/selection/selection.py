@@ -15,7 +15,7 @@ from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import steady_effect
 from simgap.residuals.noise import count_independent
-from simgap.residuals.residuals import ResidualModel, pseudo_huber
+from simgap.residuals.residuals import ResidualModel
 from simgap.selection.acceptance import (
     MIN_SHARE,
     Candidate,
@@ -23,6 +23,7 @@ from simgap.selection.acceptance import (
     cross_validate_each,
     explainable_loss,
     improvement_share,
+    robust_loss,
 )
 from simgap.selection.chance import count_distinct
 from simgap.selection.checkpoint import Checkpoint, Meter
@@ -67,17 +68,6 @@ from simgap.selection.sharing import ALL_JOINTS
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged. In these cases, the accepted one was the fourth
 at worst."""
-RIVAL_SHARE: Final = 0.5
-"""Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
-The test of a set would exclude what explains less of an effect that is strong enough for a name."""
-FEW_ITERATIONS: Final = 4
-"""Iterations before each of the SHARES. On the KR300, 4, 6 and 12 give one result; with 2, a set lacks a
-member, and a compliance has too narrow an interval."""
-AGAIN_ITERATIONS: Final = 2 * FEW_ITERATIONS
-"""Iterations of fits that begin again before the last of the SHARES: as many as the others had."""
-SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
-"""Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
-each that was accepted had explained 0.9 of the best of its joint by then."""
 ROUNDING: Final = 1e-12
 """Change over the largest residual below which it is rounding."""
 
@@ -261,15 +251,13 @@ def find_winners(
 
     This is all that was refitted to the end and, with a gain of 0, the others that are hopeful.
     """
-    effects = [score.effect for score in shortlist]
     fitting = start_fitting(context, [start_refit(context, present, score) for score in shortlist], "refit")
-    for share in SHARES:
-        fitting.advance(FEW_ITERATIONS)
-        if share == RIVAL_SHARE:
-            fitting.begin_again(AGAIN_ITERATIONS)
-        hopeful = list_hopeful(context, present, effects, fitting.descents, share)
-        fitting.keep(hopeful)
-        effects = [effects[k] for k in hopeful]
+
+    def list_effects() -> list[Effect]:
+        return [shortlist[k].effect for k in fitting.places]
+
+    fitting.compete(lambda share: list_hopeful(context, present, list_effects(), fitting.descents, share))
+    effects = list_effects()
     joints = [fit.joint for fit in fitting.descents]
     kept = [k for k, joint in enumerate(joints) if joints[:k].count(joint) < FINALISTS]
     others = [Score(effects[k], fit.sizes, 0.0) for k, fit in enumerate(fitting.descents) if k not in kept]
@@ -301,8 +289,8 @@ def list_hopeful(
 
 def explain_loss(context: Context, fit: JointFit | Descent, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints."""
-    scale = context.scales[context.model.joint_of[fit.rows]]
-    return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
+    before = robust_loss(context, fit.rows, without[fit.rows])
+    return before - robust_loss(context, fit.rows, fit.residuals)
 
 
 def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:
