@@ -264,7 +264,25 @@ def find_winners(
     fitting.keep(kept)
     candidates = judge(context, present, [effects[k] for k in kept], fitting.finish())
     finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
-    return choose(context, present, candidates), [*finalists, *others]
+    return choose_alone(context, present, candidates), [*finalists, *others]
+
+
+def choose_alone(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Choose effects that are still the best when each is simulated alone.
+
+    Effects at several joints were fitted in shared candidates: what one does may have been another's.
+    """
+    alone = replace(context, sharing=context.sharing.alone())
+    shared = {joint for group in context.sharing.groups if len(group) > 1 for joint in group}
+    judged: dict[str, Candidate] = {}
+    while True:
+        chosen = choose(context, present, [judged.get(one.effect.key, one) for one in candidates])
+        new = [one for one in chosen if one.fit.joint in shared and one.effect.key not in judged]
+        if not new:
+            return chosen
+        residuals = simulate(alone, [(one.fit.joint, one.fit.sizes) for one in new], "refit")
+        fits = [replace(one.fit, residuals=rows) for one, rows in zip(new, residuals, strict=True)]
+        judged |= {one.effect.key: one for one in judge(alone, present, [one.effect for one in new], fits)}
 
 
 def list_hopeful(
