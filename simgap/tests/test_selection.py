@@ -43,7 +43,7 @@ def test_three_effects_at_two_joints_are_named_and_no_other(seed):
 
 
 class Crossed(ToyResiduals):
-    """The square of the near joint moves the far one too, at a twentieth of its typical size as at all of it."""
+    """The square of the near joint moves the far one too, at a twentieth of its typical size as at it."""
 
     def residuals(self, effects, sizes):
         rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)

@@ -140,7 +140,8 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
     """Find the finding that makes a joint of held-out motions worse than base parameters alone, and why.
 
-    At the joint that is worse by the largest ratio, beyond MAX_WORSE, it is the finding that is needed least.
+    At the joint that is worse by the largest ratio, beyond MAX_WORSE, it is the finding that is needed least:
+    one at that joint, else at no joint, else any.
     """
     context, chosen = selection.context, selection.chosen
     if not chosen.effects:
@@ -152,7 +153,8 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
         base, after = (float(np.mean(one[here])) for one in rows) if here.any() else (0.0, 0.0)
         own = [one for one in chosen.effects if one.place == name]
         own = own or [one for one in chosen.effects if one.place not in held_out.joints]
-        if own and base > 0.0 and after / base > worst:
+        own = own or [*chosen.effects]
+        if base > 0.0 and after / base > worst:
             worst = after / base
             unit = held_out.units[j]
             words = f"{quantity(base, unit)} to {quantity(after, unit)}"

@@ -3,7 +3,8 @@
 A step takes one simulation, and derivatives by differences take one for each size. So differences are taken
 seldom. Between them, derivatives are corrected so that they predict the residuals at all points that the
 descent has passed since: by least squares, in which near points count most (secants, after Broyden 1965).
-After as many secants as sizes, differences are taken anew: far from where they were, secants lead astray.
+After as many secants as sizes, and a step that counts, differences are taken anew: far from where they were,
+secants lead astray.
 """
 
 from collections.abc import Generator
@@ -113,7 +114,7 @@ class Descent:
         return loss if np.isfinite(loss) else np.inf
 
     def _difference_points(self) -> list[Point]:
-        """Return a point for each unknown derivative, one step away on the side of its farther bound."""
+        """Return a point for each unknown derivative, one step up, or down where that leaves the bounds."""
         at = self.sizes[self.free]
         step = STEP * np.maximum(self._typical, np.abs(at))
         step = np.where(at + step > self._high, -step, step)

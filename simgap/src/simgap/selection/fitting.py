@@ -19,15 +19,16 @@ from simgap.selection.fit import Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import Point, Sharing
 
 MAX_ITERATIONS: Final = 40
-"""Steps after which a fit is given up. On the logs of the XL330, 36 of 37 fits converge before. With 12,
-sizes were judged far from their optimum, and no effect was found there.
+"""Most steps of a fit that goes on to its end. On the logs of the XL330, 36 of 37 fits converge before. With
+12, sizes were judged far from their optimum, and no effect was found there.
 """
 AT_ONCE: Final = 100
 """Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
 MEMORY_BYTES: Final = 100_000_000
 """Residuals of all candidates in a call of the model, or of all points that wait for each other."""
 RIVAL_SHARE: Final = 0.5
-"""Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
+"""Least decrease of the loss, over that of the best of the joint, or the least of the findings that are left
+out, of an effect that is fitted to its end.
 The test of a set would exclude what explains less of an effect that is strong enough for a name."""
 FEW_ITERATIONS: Final = 8
 """Iterations before the first are given up, and again before the next. In a sealed case of a servo, the cause
@@ -90,10 +91,10 @@ class Fitting:
         self.keep(list_hopeful(RIVAL_SHARE))
 
     def begin_again(self, iterations: int, known: Sequence[JointFit] = ()) -> None:
-        """Let fits go on beside those that begin again with the sizes of the best fit of their joint.
+        """Let fits begin again with the sizes of the best fit of their joint; the better of both ends stays.
 
-        Each has its own effect, and shares the others with that fit, which may be a known one. The better of
-        both stays. Joints that stick have many minima, and with one effect a fit may leave a poor one early.
+        Each has its own effect, and shares the others with that fit, which may be a known one. Joints that
+        stick have many minima, and with one effect a fit may leave a poor one early.
         """
         again: dict[int, Descent] = {}
         for joint in dict.fromkeys(one.joint for one in self.descents):

@@ -14,6 +14,7 @@ import numpy as np
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import steady_effect
+from simgap.residuals.conditioned import Change
 from simgap.residuals.noise import count_independent
 from simgap.residuals.residuals import ResidualModel
 from simgap.selection.acceptance import (
@@ -335,22 +336,19 @@ def judge(
 def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: JointFit | Descent) -> bool:
     """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
-    A simulation works in steps: a delay of less than half a step is none in it.
+    A simulation works in steps: a delay of less than half a step is none in it. That a known effect is gone
+    is no bound of its change.
     """
-    own = context.union.columns([effect])
+    own = fit.sizes[context.union.columns([effect])]
     beside = {
         one.name: fit.sizes[context.union.columns([one])]
         for one in (*context.base, *others)
         if one.place == effect.place
     }
-    bounds = [(size.low, size.high) for size in effect.sizes]
     half_step = [0.5 * context.model.step_s if size.name == "delay_s" else 0.0 for size in effect.sizes]
-    is_none = bool(np.any(np.abs(fit.sizes[own]) < half_step))
-    return (
-        is_none
-        or not effect.is_plausible(fit.sizes[own], beside)
-        or any(
-            fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
-            for c, (low, high) in zip(own, bounds, strict=True)
-        )
-    )
+    if np.any(np.abs(own) < half_step) or not effect.is_plausible(own, beside):
+        return True
+    low, high = np.array([(size.low, size.high) for size in effect.sizes]).T
+    room = 1e-3 * (high - low)
+    is_gone = np.abs(own + effect.known) <= room if isinstance(effect, Change) else own == 0.0
+    return bool(np.any(~is_gone & (np.minimum(own - low, high - own) < room)))
