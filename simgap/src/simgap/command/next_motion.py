@@ -66,8 +66,8 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
     names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
     part = f" in a part of {split} that is fitted" if split else ""
     after = (
-        f"Begin each run at rest in the first row. Name the runs {names}{part}. Then diagnose the earlier logs "
-        "and those of this motion together."
+        f"Begin each run at rest in the first row. Name the runs {names}{part}. Then diagnose the earlier "
+        "logs and those of this motion together."
     )
     return [*lines, *next_tables(made.proposal), after]
 
