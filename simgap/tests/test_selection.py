@@ -93,6 +93,16 @@ def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     assert reason.startswith("it makes near worse on motions that took no part: ")
 
 
+def test_a_finding_that_harms_such_motions_beside_one_that_helps_is_withdrawn():
+    selection = select_effects(
+        draw_toy(1, {"near: square": 0.2, "near: sine": 0.05}), BASE, CATALOGUE, seed=1
+    )
+    assert len(selection.chosen.effects) == 2
+    sure, _, (rejected,) = assemble.select_sure(selection, draw_toy(2, {"near: square": 0.2}))
+    assert [effect.key for effect in sure.chosen.effects] == ["near: square"]
+    assert rejected.reason.startswith("it makes near worse on motions that took no part: ")
+
+
 @pytest.mark.parametrize(
     ("held_out", "scale", "members"),
     [("square", 1.0, ["square"]), ("bent", 1.0, ["square", "bent"]), ("bent", 0.1, ["square"])],
