@@ -1,7 +1,6 @@
 """Fits of all joints: coupled ones, common delays, bounds, joints without data, poor nominal models."""
 
 import tomllib
-from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -27,7 +26,6 @@ from simgap.residuals.simulation_residuals import SimulationResiduals, list_kind
 from simgap.selection.acceptance import Candidate, choose_simplest, pays, step_without
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, start_context
-from simgap.selection.descent import FAILURES, Descent
 from simgap.selection.fit import Hypothesis, JointFit, Union
 from simgap.selection.fitting import Fitting
 from simgap.selection.joint_fits import fit_base, list_starts
@@ -97,31 +95,6 @@ def test_a_fit_begins_again_where_the_best_of_its_joint_is(is_known):
     fitting.begin_again(40, [best] if is_known else [])
     fit, *_ = fitting.finish()
     np.testing.assert_allclose(fit.sizes, [1.3247, 0.1, 0.0], atol=0.005)
-
-
-class Valley(ToyResiduals):
-    """The way to the optimum is a curved valley (Rosenbrock 1960)."""
-
-    def residuals(self, effects, sizes):
-        gain, square = sizes[:, :1], sizes[:, 1:]
-        return super().residuals(effects, np.hstack([3.0 * (square - gain**2), 1.0 - gain]))
-
-
-def test_a_fit_takes_derivatives_anew_after_as_many_secants_as_sizes():
-    toy = draw_toy(1, {})
-    model, union = Valley(toy.commands, toy.measured, NAMES), Union((BASE[0], CATALOGUE[0]))
-    start, sharing = Hypothesis(np.arange(2), np.array([-0.8, 0.2]), 0), share_nothing(2, np.zeros(2, int))
-    descent = Descent(model, union, start, np.full(2, 0.02), sharing)
-    running, answer, asked = descent.run(40, True), None, []
-    with suppress(StopIteration):
-        while True:
-            points = running.send(answer)
-            asked.append("d" if len(points) > 1 else "s")
-            answer = [model.residuals(union.effects, x[None])[0][descent.rows] for _, x in points]
-    steps = [len(part) for part in "".join(asked).split("d")]
-    assert max(steps) <= len(start.columns) + FAILURES
-    assert descent.has_converged
-    np.testing.assert_allclose(descent.sizes[0], 1.0, atol=0.01)
 
 
 def test_base_parameters_start_as_in_the_model_and_with_damping_and_armature():

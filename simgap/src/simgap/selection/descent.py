@@ -3,8 +3,6 @@
 A step takes one simulation, and derivatives by differences take one for each size. So differences are taken
 seldom. Between them, derivatives are corrected so that they predict the residuals at all points that the
 descent has passed since: by least squares, in which near points count most (secants, after Broyden 1965).
-After as many secants as sizes, and a step that counts, differences are taken anew: far from where they were,
-secants lead astray.
 """
 
 from collections.abc import Generator
@@ -178,8 +176,7 @@ class Descent:
             self.loss, self._is_exact = loss, False
             self._damping *= 0.3 if decrease > 0.5 * expected else 1.0 if decrease > 0.2 * expected else 3.0
             self.has_converged = is_small and was_exact
-            self._unknown[:] = is_small or len(self._passed) >= len(self.free)
-            self._seems_converged = is_small
+            self._unknown[:], self._seems_converged = is_small, is_small
         elif was_exact:
             self._damping = max(10.0 * self._damping, STEP**2)
             self.has_converged = self._damping > MOST_DAMPING
