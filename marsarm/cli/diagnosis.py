@@ -61,7 +61,8 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
 
     In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
-    demonstration computes the sensitivities of the campaign, which takes five minutes; later ones take one.
+    demonstration computes the sensitivities of the campaign, which takes six minutes of one core; later ones
+    take one.
 
     Four lines say what the logs show; then come the truth, and whether the lines are right.
 

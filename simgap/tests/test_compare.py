@@ -179,6 +179,35 @@ def test_a_change_of_what_was_known_is_found_with_its_sign():
     assert Change("near", square, (0.4,)).sizes[0].low == pytest.approx(-5.4)
 
 
+def test_a_known_effect_that_is_gone_is_named_as_its_change():
+    model, gone = draw_toy(3, {}), replace(CATALOGUE[0], low=0.0)
+    known = {gone: np.array([0.2])}
+    found = select_effects(KnownResiduals(model, known), BASE, changes_of(known), seed=1)
+    (change,) = found.chosen.effects
+    size = found.chosen.sizes[found.context.union.columns([change])]
+    assert size == pytest.approx([-0.2], abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("\ndelay_s = 0.03", "\ndelay_s = nan", "delay_s is nan; write 0 to 0.2"),
+        ("\ndelay_s = 0.03", "\ndelay_s = 7.0", "delay_s is 7; write 0 to 0.2"),
+        ("joints = ", "joint = ", "joint: is not known; did you mean joints?"),
+        ("kp_Nm_rad = ", "kp_Nm_rad = 1", "mode, gains, limit or gear are not those of the robot file"),
+    ],
+)
+def test_a_result_that_is_damaged_or_of_another_joint_is_refused(tmp_path, late, old, new, said):
+    save_patch(MODEL, diagnosis(effects=(late,), sizes=((0.03,),)), tmp_path)
+    path = tmp_path / "effects.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(RobotError) as error:
+        read_found(MODEL, tmp_path)
+    assert said in str(error.value)
+
+
 def test_every_effect_of_the_catalogue_and_a_delay_of_all_joints_can_be_a_start(tmp_path):
     logs = Logs(tuple(motion(TIME_s, 0.1 * waves(TIME_s, k), waves(TIME_s, k), f"m{k}") for k in range(2)))
     effects = list(catalogue(MODEL, logs))

@@ -195,6 +195,20 @@ def test_a_position_that_never_changes_while_its_command_moves_is_refused(clean)
     assert not remarks(logs, RemarkKind.STILL)
 
 
+def test_a_command_that_never_changes_while_the_joint_moves_on_is_refused_unless_the_power_was_off(clean):
+    def hold(log):
+        return replace(log, command=replace(log.command, value=0.0 * log.command.value))
+
+    held = with_joint(clean, "elbow", hold)
+    (found,) = remarks(held, RemarkKind.CONSTANT)
+    assert "the command never changes, while the position spans" in found.text
+
+    def switch_off(log):
+        return replace(log, enabled=replace(log.command, value=0.0 * log.command.value))
+
+    assert not remarks(with_joint(held, "elbow", switch_off), RemarkKind.CONSTANT)
+
+
 def test_a_position_that_is_ahead_of_its_command_is_told(clean):
     def exchange(log):
         return replace(log, position=log.command, command=log.position)

@@ -138,6 +138,7 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
         ({"t": [0.0, None, 1.0, 0.0, 1.0, 2.0, 3.0]}, "time column 't' has rows without a time; remove them"),
         ({"gain": [2, 2, 1, 3, 3, 3, 3]}, "column 'gain' changes within motion 'slow'; divide the motion"),
         ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
+        ({"gain": [np.nan] * 3 + [3.0] * 4}, "column 'gain', motion 'slow': a row has no number; write one"),
         ({"motion": [["slow"]] * 7}, "column 'motion' has lists of 1: write the place of an item, such as"),
         ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
     ],

@@ -229,8 +229,16 @@ def test_a_finding_without_a_rival_and_a_joint_that_takes_torques_get_no_motion(
         list_plans(pendulum(ControlMode.TORQUE), LOGS.fit, ["swing"], True)
 
 
+def test_the_finding_in_most_doubt_has_the_most_probable_rival_whichever_comes_first():
+    sure, late = rival(DELAY, 0.02, 1.0), replace(rival(DELAY, 0.02, 1.0), finding=LATE_LOG.key)
+    back = [replace(rival(ZONE, 5e-5, p), finding=late.finding) for p in (0.08, 0.5)]
+    assert choose_rivals([sure, rival(ZONE, 5e-5, 0.2), late, *back])[0].finding == LATE_LOG.key
+    with pytest.raises(RobotError, match="keeps no rivals of a finding; diagnose without --start"):
+        choose_rivals([])
+
+
 def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
-    rivals = (rival(DELAY, 0.02, 1.0), rival(ZONE, 0.015))
+    rivals = (rival(DELAY, 0.02, 1.0), rival(ZONE, 5e-5))
     found = diagnosis(effects=rivals[0].effects, sizes=rivals[0].sizes, rivals=rivals)
     save_patch(ROBOT, found, tmp_path)
     for one, kept in zip(read_rivals(ROBOT, tmp_path), rivals, strict=True):

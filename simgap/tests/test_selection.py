@@ -23,6 +23,7 @@ from simgap.selection.selection import select_effects
 from simgap.selection.sharing import Sharing, share_nothing
 from simgap.selection.verdict import EXCLUDED, find_confidence_sets, size_intervals, unexplained_dependence
 
+SQUARE = CATALOGUE[0]
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
 
 
@@ -39,6 +40,23 @@ def test_without_an_effect_a_name_is_as_rare_as_its_probability_says():
 @pytest.mark.parametrize("seed", slow_but(range(5), 0))
 def test_three_effects_at_two_joints_are_named_and_no_other(seed):
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
+
+
+class Crossed(ToyResiduals):
+    """The square of the near joint moves the far one too, at a twentieth of its typical size as at it."""
+
+    def residuals(self, effects, sizes):
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        shares = [np.clip(20.0 * sizes[:, k], -1.0, 1.0) for k, one in enumerate(effects) if one == SQUARE]
+        rows[:, 1] -= 0.05 * sum(shares, np.zeros(len(sizes)))[:, None, None] * np.cos(9.0 * self.commands[0])
+        return rows.reshape(len(rows), -1)
+
+
+def test_what_an_effect_does_at_another_joint_names_no_effect_there():
+    toy = draw_toy(1, {SQUARE.key: 0.1})
+    model = Crossed(toy.commands, toy.measured, NAMES)
+    model.measured[1] += 0.05 * np.cos(9.0 * toy.commands[0])
+    assert named(model) == [SQUARE.key]
 
 
 @pytest.mark.parametrize(("delay_s", "expected"), [(0.1, ["far: delay_s"]), (0.04, [])])
@@ -73,6 +91,16 @@ def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     ((place, name, reason),) = [(one.place, one.effect, one.reason) for one in rejected]
     assert (place, name) == ("near", "toy")
     assert reason.startswith("it makes near worse on motions that took no part: ")
+
+
+def test_a_finding_that_harms_such_motions_beside_one_that_helps_is_withdrawn():
+    selection = select_effects(
+        draw_toy(1, {"near: square": 0.2, "near: sine": 0.05}), BASE, CATALOGUE, seed=1
+    )
+    assert len(selection.chosen.effects) == 2
+    sure, _, (rejected,) = assemble.select_sure(selection, draw_toy(2, {"near: square": 0.2}))
+    assert [effect.key for effect in sure.chosen.effects] == ["near: square"]
+    assert rejected.reason.startswith("it makes near worse on motions that took no part: ")
 
 
 @pytest.mark.parametrize(

@@ -100,8 +100,8 @@ def expand_logs(given: Sequence[Path], what: str) -> Logs:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
         elif not os.path.isfile(path):
             is_other = os.path.exists(path)
-            why = "is not a regular file; give a log" if is_other else "there is no such log"
-            raise BadRequest(f"{what} {path}: {why} or a folder")
+            why = "is not a regular file; give a log or a folder" if is_other else "no such log or folder"
+            raise BadRequest(f"{what} {path}: {why}")
         found += inside
     return tuple(found)
 

@@ -138,27 +138,35 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 
 
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
-    """Find the finding that makes a joint of held-out motions worse than base parameters alone, and why.
+    """Find the finding that makes a joint of held-out motions worse, and why.
 
-    At the joint that is worse by the largest ratio, beyond MAX_WORSE, it is the finding that is needed least.
+    With it, the joint is worse by the largest ratio, beyond MAX_WORSE, than without it. Where several do so
+    together, than base parameters alone, it is the finding that is needed least.
     """
     context, chosen = selection.context, selection.chosen
     if not chosen.effects:
         return None
-    rows = np.abs(simulate_models(context, held_out, [selection.base.sizes, chosen.sizes]))
-    worst, found = 1.0 + MAX_WORSE, None
-    for j, name in enumerate(held_out.joints):
-        here = held_out.joint_of == j
-        base, after = (float(np.mean(one[here])) for one in rows) if here.any() else (0.0, 0.0)
-        own = [one for one in chosen.effects if one.place == name]
-        own = own or [one for one in chosen.effects if one.place not in held_out.joints]
-        if own and base > 0.0 and after / base > worst:
-            worst = after / base
-            unit = held_out.units[j]
-            words = f"{quantity(base, unit)} to {quantity(after, unit)}"
-            reason = f"it makes {name} worse on motions that took no part: {words}"
-            found = min(own, key=lambda one: _left_out_gain(selection, one)), reason
-    return found
+    models = [chosen, selection.base, *(model for _, model in selection.left_out)]
+    rows = np.abs(simulate_models(context, held_out, [model.sizes for model in models]))
+    joints = np.unique(held_out.joint_of)
+    after, base, *without = np.array([np.mean(rows[:, held_out.joint_of == j], axis=1) for j in joints]).T
+    harms = []
+    for (layer, _), before in zip(selection.left_out, without, strict=True):
+        for effect in layer:
+            others = [j for one in layer if one is not effect for j in joints_of(context, one)]
+            harms.append((effect, np.where(np.isin(joints, others), after, before)))
+    worst = int(np.argmax(after / np.maximum(base, 1e-300)))
+    own = [one for one in chosen.effects if joints[worst] in joints_of(context, one)] or chosen.effects
+    least = min(own, key=lambda one: _left_out_gain(selection, one))
+    for tried in (harms, [(least, base)]):
+        ratios = np.array([after / np.maximum(before, 1e-300) for _, before in tried])
+        if np.max(ratios) > 1.0 + MAX_WORSE:
+            number, j = np.unravel_index(np.argmax(ratios), ratios.shape)
+            effect, before = tried[number]
+            name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
+            words = f"{quantity(before[j], unit)} to {quantity(after[j], unit)}"
+            return effect, f"it makes {name} worse on motions that took no part: {words}"
+    return None
 
 
 def _left_out_gain(selection: Selection, effect: Effect) -> float:

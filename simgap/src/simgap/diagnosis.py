@@ -213,6 +213,7 @@ def _add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
         effects=tuple(one for one, _ in total.values()),
         sizes=tuple(tuple(size.tolist()) for _, size in total.values()),
         start=tuple(tuple(before.get(key, 0.0 * size).tolist()) for key, (_, size) in total.items()),
+        findings=tuple(replace(one, next_motion="") for one in part.findings),
         rivals=(),  # their sizes are changes
         effect_kinds=(part.kind,) * len(total),
     )

@@ -21,6 +21,7 @@ class Toy(Effect):
     label: str
     shape: Callable[[Array], Array]
     prior_std: float = np.inf
+    low: float = -5.0
 
     @property
     def key(self):
@@ -28,7 +29,7 @@ class Toy(Effect):
 
     @property
     def sizes(self):
-        return (Size(self.label, -5.0, 5.0, 1.0, self.prior_std),)
+        return (Size(self.label, self.low, 5.0, 1.0, self.prior_std),)
 
 
 @dataclass(frozen=True)

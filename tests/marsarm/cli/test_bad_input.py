@@ -187,7 +187,7 @@ CASES = {
     "log recover header.mcap good.mcap": "nothing can be saved",
     "log recover run.mcap run.mcap": "this is the file of BAD too",
     "log info run.mcap /nosuch": "has no channel /nosuch",
-    "diagnose nosuch": "there is no such log or a folder",
+    "diagnose nosuch": "no such log or folder",
     "diagnose full": "holds no .mcap file",
     "diagnose run.mcap --patch one.toml --new-params one.toml": "this is the file of patch too",
     "diagnose run.mcap": "log run.mcap",

@@ -13,6 +13,7 @@ from simgap.checks.rates import audit_rates
 from simgap.checks.records import Audit, Faulty, RemarkKind
 from simgap.checks.signals import (
     describe_spikes,
+    find_dead_commands,
     find_idle_signals,
     find_late_starts,
     find_low_rates,
@@ -28,7 +29,7 @@ from simgap.robot import ControlMode, Robot
 
 TESTS: Final = (
     *(audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_low_rates),
-    *(find_late_starts, find_idle_signals),
+    *(find_late_starts, find_idle_signals, find_dead_commands),
 )
 """Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2

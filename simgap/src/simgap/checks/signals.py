@@ -222,6 +222,22 @@ def find_idle_signals(robot: Robot, motions: Sequence[Motion]) -> Iterator[recor
                 yield records.Remark(kind, joint.name, names, text, float(values[0]))
 
 
+def find_dead_commands(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
+    """Find joints under power that still move late in a motion, while their commands never change."""
+    for joint in (one for one in robot.joints if one.mode is ControlMode.POSITION):
+        logs = [one.joints[joint.name] for one in motions if joint.name in one.joints]
+        own = records.samples_of(motions, joint.name)
+        late_rad = [records.span(one.position[one.position.size // 2 :]) for one in own.values()]
+        is_dead = all(log.command is not None and np.ptp(log.command.value) == 0.0 for log in logs)
+        is_on = all(log.enabled is None or np.all(log.enabled.value >= 0.5) for log in logs)
+        if is_dead and is_on and max(late_rad, default=0.0) > records.COARSE_RAD * joint.per_rad:
+            text = (
+                f"the command never changes, while the position spans {joint.show(max(late_rad), '.3g')}: "
+                "is it the wrong column, or was the power off? Name the right one, or the signal enabled"
+            )
+            yield records.Remark(records.RemarkKind.CONSTANT, joint.name, tuple(own), text, max(late_rad))
+
+
 def find_low_rates(robot: Robot, motions: Sequence[Motion]) -> Iterator[records.Remark]:
     """Find joints that move so fast that a log has few samples of each wave."""
     for joint in robot.joints:

@@ -65,7 +65,10 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
     split = made.robot.file.split if made.robot.file else ""
     names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
     part = f" in a part of {split} that is fitted" if split else ""
-    after = f"Name its runs {names}{part}. Then diagnose the earlier logs and those of this motion together."
+    after = (
+        f"Begin each run at rest in the first row. Name the runs {names}{part}. Then diagnose the earlier "
+        "logs and those of this motion together."
+    )
     return [*lines, *next_tables(made.proposal), after]
 
 

@@ -53,7 +53,6 @@ class DampingGain(AddedNumber):
     name: ClassVar[str] = "damping gain"
     family: ClassVar[Family] = Family.ACTUATION
     number: ClassVar[str] = "kd_Nms_rad"
-    starts: ClassVar[tuple[float, ...]] = (0.02, 0.02, 0.05, 0.5, 0.1)
 
     @property
     def nominal(self) -> float:

@@ -158,8 +158,6 @@ class Effect(ABC):
 
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
-    starts: ClassVar[tuple[float, ...]] = ()
-    """Shares of the largest first size in each further start of the base parameters of a joint."""
     is_steady: ClassVar[bool] = False
     """True if `friction_Nm` and `torque_Nm` do not change within a window, whatever the joint does."""
     place: str

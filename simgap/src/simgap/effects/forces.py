@@ -31,7 +31,6 @@ class ViscousFriction(AddedNumber):
     name: ClassVar[str] = "viscous friction"
     family: ClassVar[Family] = Family.FRICTION
     number: ClassVar[str] = "damping_Nms_rad"
-    starts: ClassVar[tuple[float, ...]] = (0.02, 0.02, 0.05, 0.02, 0.5)
 
     @property
     def sizes(self) -> tuple[Size, ...]:

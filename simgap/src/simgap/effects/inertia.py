@@ -18,7 +18,6 @@ class Armature(AddedNumber):
     name: ClassVar[str] = "armature"
     family: ClassVar[Family] = Family.INERTIA
     number: ClassVar[str] = "armature_kgm2"
-    starts: ClassVar[tuple[float, ...]] = (0.0, 0.05, 0.05, 0.05, 0.05)
 
     @property
     def sizes(self) -> tuple[Size, ...]:

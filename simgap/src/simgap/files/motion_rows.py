@@ -177,13 +177,13 @@ class MotionRows:
         """Return the number of a column by motion; RobotError if it changes within one or is not finite."""
         values = self._log.numbers(column).value
         self._check_length(values, column)
-        named = zip(self.names, self._parts, strict=True)
-        found = [float(self._constant(values[part], column, name)) for name, part in named]
-        for name, value in zip(self.names, found, strict=True):
-            if not math.isfinite(value):
+        found = []
+        for name, part in zip(self.names, self._parts, strict=True):
+            if not np.isfinite(values[part]).all():
                 raise RobotError(
-                    f"{self._log.path}: column {column!r}, motion {name!r}: has no number; write one"
+                    f"{self._log.path}: column {column!r}, motion {name!r}: a row has no number; write one"
                 )
+            found.append(float(self._constant(values[part], column, name)))
         return found
 
     def gains(self, column: str) -> list[float]:

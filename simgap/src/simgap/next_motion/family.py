@@ -31,7 +31,7 @@ SPEED_SHARES: Final = (1.0, 0.3, 0.1, 0.03)
 """Largest speeds, in the usual speed of the logs."""
 RESTS_s: Final = (0.0, 0.5)
 POSES: Final = (0.5, 0.1, 0.9)
-"""Pose of the other joints: quantiles of their logged commands."""
+"""Pose of the other joints: quantiles of their logged positions."""
 JUMP: Final = 5.0
 """Step of a command between two samples, over that of the usual speed, from which on it is a jump."""
 PATH_MODES: Final = (ControlMode.POSITION, ControlMode.VELOCITY)
@@ -100,7 +100,7 @@ def list_plans(
         )
     names = [joint.name for joint in robot.joints]
     moving = [one for one in names if one in places] if set(places) & {*names} else names
-    targets = {name: _targets(motions, name) for name in names}
+    logged_rad = {name: _positions(motions, name) for name in names}
     gains, given = _some([one.gain for one in motions]), _some([one.conditions for one in motions])
     heats = _some([_round_temperatures(one) for one in motions])
     offs = {name: _list_offs(motions, name) if is_simulated else (np.inf,) for name in names}
@@ -109,8 +109,8 @@ def list_plans(
         Plan(name, ends, speed, rest_s, held, gain, conditions, heat, off_s)
         for name in moving
         for pose in poses
-        for held in [{one: float(np.quantile(targets[one], pose)) for one in names if one != name}]
-        for ends, speed in _strokes(robot, motions, name, targets[name])
+        for held in [{one: float(np.quantile(logged_rad[one], pose)) for one in names if one != name}]
+        for ends, speed in _strokes(robot, motions, name, logged_rad[name])
         for rest_s, gain, conditions, heat, off_s in product(RESTS_s, gains, given, heats, offs[name])
         if _has_time(ends, speed, rest_s)
     ]
@@ -139,8 +139,8 @@ def _list_offs(motions: Sequence[Motion], joint: str) -> tuple[float, ...]:
     return (np.inf, 0.5 * LENGTH_s) if any(one and np.any(one.value < 0.5) for one in logs) else (np.inf,)
 
 
-def _targets(motions: Sequence[Motion], joint: str) -> Array:
-    """Return where a joint was in the logs, (n,) [rad], at as many times in every motion, for all joints."""
+def _positions(motions: Sequence[Motion], joint: str) -> Array:
+    """Return where a joint was in the logs, (n,) [rad], at as many times in every motion."""
     parts = []
     for motion in motions:
         log = motion.joints.get(joint)
@@ -153,10 +153,10 @@ def _targets(motions: Sequence[Motion], joint: str) -> Array:
 
 
 def _strokes(
-    robot: Robot, motions: Sequence[Motion], joint: str, targets_rad: Array
+    robot: Robot, motions: Sequence[Motion], joint: str, logged_rad: Array
 ) -> Iterator[tuple[tuple[float, float], float]]:
     """Yield ends and speeds of a joint within what the logs show."""
-    low, high = float(targets_rad.min()), float(targets_rad.max())
+    low, high = float(logged_rad.min()), float(logged_rad.max())
     commands = [one.joints[joint].command for one in motions]
     known = [one for one in commands if one is not None and robot.joint(joint).mode is ControlMode.POSITION]
     if known:
@@ -189,7 +189,7 @@ def _poses(robot: Robot, plan: Plan) -> Array:
 
 def list_touching(robot: Robot, motions: Sequence[Motion]) -> set[tuple[int, int]]:
     """Return the `list_contacts` of logged poses; RobotError if a joint has no log."""
-    return list_contacts(robot, np.column_stack([_targets(motions, one.name) for one in robot.joints]))
+    return list_contacts(robot, np.column_stack([_positions(motions, one.name) for one in robot.joints]))
 
 
 def list_contacts(robot: Robot, q_rad: Array) -> set[tuple[int, int]]:

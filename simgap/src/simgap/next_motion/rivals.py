@@ -63,11 +63,15 @@ def list_rivals(
 
 
 def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
-    """Return the finding in most doubt with its rivals: the second of them is the most probable.
+    """Return the finding in most doubt, whose most probable rival is more so than others', and its rivals.
 
     Raises:
         RobotError: No finding has a rival.
     """
+    if not rivals:
+        raise RobotError(
+            "the result keeps no rivals of a finding; diagnose without --start, with effects that compete"
+        )
     groups = [list(own) for _, own in groupby(rivals, key=lambda one: (one.kind, one.finding))]
     doubtful = [own for own in groups if len(own) > 1]
     if not doubtful:
@@ -75,9 +79,14 @@ def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
             "no finding may have another cause, so that no motion is needed to tell causes apart; motions of "
             "another kind may show more"
         )
-    return max(doubtful, key=lambda own: own[1].p)
+    return max(doubtful, key=_doubt)
 
 
 def is_sure(group: Sequence[Rival]) -> bool:
     """Return whether the logs exclude every rival of a finding, as `choose_rivals` returns them."""
-    return group[1].p < EXCLUDED
+    return _doubt(group) < EXCLUDED
+
+
+def _doubt(group: Sequence[Rival]) -> float:
+    """Return the probability of the most probable rival of a finding, which comes first."""
+    return max(one.p for one in group[1:])

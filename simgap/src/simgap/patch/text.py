@@ -7,17 +7,18 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import inf
 from pathlib import Path
-from typing import Any, Final, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, cast, get_args, get_origin, get_type_hints
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser
 
 import mujoco
 import numpy as np
+from pydantic import Field
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.modules import load_module
-from simgap.common.toml import read_toml, toml_text
+from simgap.common.toml import Record, parse_record, read_toml, toml_text
 from simgap.effects.effect import Effect
 from simgap.result import Rival
 from simgap.robot import ControlMode, Robot, RobotJoint
@@ -200,14 +201,15 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
     try:
         kind = _effect_class(table)
         effect = cast(Effect, _build(kind, table["fields"]))
-        size = table["size"]
+        size = {name: float(value) for name, value in table["size"].items()}
     except (KeyError, TypeError, ValueError, ImportError, AttributeError, OSError) as error:
         name = table.get("effect", "an effect")
         raise RobotError(f"{path}: {name}: cannot be made ({error}); write the file again") from error
     names = [one.name for one in effect.sizes]
     if list(size) != names:
         raise RobotError(f"{path}: {effect.key}: size has {', '.join(size)}; it takes {', '.join(names)}")
-    return effect, np.array([float(size[name]) for name in names])
+    _check_sizes(effect, [*size.values()], path)
+    return effect, np.array([*size.values()])
 
 
 def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
@@ -276,26 +278,75 @@ def found_text(
     return toml_text(tables, [head])
 
 
+class FoundRival(Record):
+    """Rival of a finding in the file."""
+
+    finding: str
+    effect: str
+    p: Annotated[float, Field(ge=0, le=1)]
+    kind: str
+    n_fitted: int
+    sizes: dict[str, list[float]]
+    """Sizes of all effects that act, by the key of each."""
+
+
+class FoundFile(Record):
+    """Content of the file; see `found_text`."""
+
+    format: Literal["robot effects 1"]
+    joints: list[str]
+    effects: list[dict[str, Any]]
+    rival_effects: list[dict[str, Any]] = Field(default_factory=list)
+    rivals: list[FoundRival] = Field(default_factory=list)
+
+
 def read_found(robot: Robot, folder: Path) -> dict[Effect, Array]:
     """Read effects and sizes of a patch, and run files of effects of one's own; RobotError if it has none."""
     path, content = _read_file(robot, folder)
-    return {one: np.asarray(size) for one, size in (read_effect(each, path) for each in content["effects"])}
+    return dict(_read_effects(robot, content.effects, path))
 
 
 def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
     """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`."""
     path, content = _read_file(robot, folder)
-    tables = (*content["effects"], *content.get("rival_effects", ()))
-    effects = {one.key: one for one, _ in (read_effect(each, path) for each in tables)}
+    tables = (*content.effects, *content.rival_effects)
+    effects = {one.key: one for one, _ in _read_effects(robot, tables, path)}
     found = []
-    for table in content.get("rivals", ()):
-        sizes = {key: tuple(map(float, size)) for key, size in table["sizes"].items()}
-        unknown = next((key for key in sizes if key not in effects), "")
-        if unknown:
-            raise RobotError(f"{path}: rivals: no effect has the key {unknown!r}; write the patch again")
-        own = {name: table[name] for name in ("finding", "effect", "p", "kind", "n_fitted")}
-        found.append(Rival(**own, effects=tuple(effects[key] for key in sizes), sizes=tuple(sizes.values())))
+    for rival in content.rivals:
+        for key, size in rival.sizes.items():
+            if key not in effects:
+                raise RobotError(f"{path}: rivals: no effect has the key {key!r}; write the patch again")
+            _check_sizes(effects[key], size, path)
+        own = rival.model_dump(exclude={"sizes"})
+        acting, sizes = (tuple(effects[key] for key in rival.sizes), map(tuple, rival.sizes.values()))
+        found.append(Rival(**own, effects=acting, sizes=tuple(sizes)))
     return tuple(found)
+
+
+def _read_effects(
+    robot: Robot, tables: Sequence[Mapping[str, Any]], path: Path
+) -> list[tuple[Effect, Array]]:
+    """Read effects as `read_effect` does; RobotError if a joint of one is not as the robot has it."""
+    found = [read_effect(table, path) for table in tables]
+    for effect, _ in found:
+        joint = getattr(effect, "joint", None)
+        if joint is not None and joint != robot.joint(joint.name):
+            raise RobotError(
+                f"{path}: {effect.key}: mode, gains, limit or gear are not those of the robot file; give the "
+                "robot file of the earlier diagnosis"
+            )
+    return found
+
+
+def _check_sizes(effect: Effect, sizes: Sequence[float], path: Path) -> None:
+    """Raise RobotError unless there is a number for each size, within its bounds."""
+    if len(sizes) != len(effect.sizes):
+        raise RobotError(f"{path}: {effect.key}: has {len(sizes)} sizes; it takes {len(effect.sizes)}")
+    for one, value in zip(effect.sizes, sizes, strict=True):
+        if not one.low <= value <= one.high:
+            raise RobotError(
+                f"{path}: {effect.key}: {one.name} is {value:g}; write {one.low:g} to {one.high:g}"
+            )
 
 
 def _rival_table(one: Rival) -> dict[str, Any]:
@@ -304,14 +355,14 @@ def _rival_table(one: Rival) -> dict[str, Any]:
     return {**own, "sizes": sizes}
 
 
-def _read_file(robot: Robot, folder: Path) -> tuple[Path, dict[str, Any]]:
+def _read_file(robot: Robot, folder: Path) -> tuple[Path, FoundFile]:
     path = folder / FOUND_FILE
     if not path.is_file():
         raise RobotError(f"{folder}: has no {FOUND_FILE}; give the folder of a patch that a diagnosis wrote")
-    content = read_toml(path)
-    if content.get("format") != FORMAT:
-        raise RobotError(f"{path}: format: is not {FORMAT!r}; write the patch again")
-    own, named = [joint.name for joint in robot.joints], content.get("joints")
-    if named != own:
-        raise RobotError(f"{path}: joints: are {named}, and the robot has {own}; give the same robot file")
+    content = parse_record(FoundFile, read_toml(path), path)
+    own = [joint.name for joint in robot.joints]
+    if content.joints != own:
+        raise RobotError(
+            f"{path}: joints: are {content.joints}, and the robot has {own}; give the same robot file"
+        )
     return path, content

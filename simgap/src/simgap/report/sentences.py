@@ -133,8 +133,8 @@ def _much_left(errors: Sequence[JointError]) -> str:
     worst = max(known, key=lambda one: one.explained / one.noise_floor, default=None)
     if worst is None or worst.explained <= MUCH * worst.noise_floor:
         return ""
-    left = quantity(worst.explained, worst.unit)
-    return f", {left} at {worst.joint}, which is {worst.explained / worst.noise_floor:.2g} times the noise"
+    left, times = quantity(worst.explained, worst.unit), worst.explained / worst.noise_floor
+    return f", {left} at {worst.joint}, which is {times:{'.2g' if times < 100.0 else '.0f'}} times the noise"
 
 
 def rank_findings(diagnosis: Diagnosis) -> list[Finding]:

@@ -30,6 +30,11 @@ def explainable_loss(context: Context, rows: Integers, residuals: Array) -> floa
     return float(np.sum(pseudo_huber(residuals) - context.noise_loss[context.model.joint_of[rows]]))
 
 
+def robust_loss(context: Context, rows: Integers, residuals: Array) -> float:
+    """Return the loss of residuals in the unit of the model, (n_rows,)."""
+    return float(np.sum(pseudo_huber(residuals / context.scales[context.model.joint_of[rows]])))
+
+
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:
     """Return the improvement of the losses of left-out motions, over its standard error.
 
@@ -161,13 +166,9 @@ def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candid
         for one in candidates
         if one is best or improvement_z(context, rows, one.left_out, best.left_out) <= 1.0
     ]
-    return min(alike, key=lambda one: (len(one.effect.sizes), _loss(context, one)))
-
-
-def _loss(context: Context, candidate: Candidate) -> float:
-    """Return the loss that the fit of a candidate leaves in all motions."""
-    fit = candidate.fit
-    return float(np.sum(pseudo_huber(fit.residuals / context.scales[context.model.joint_of[fit.rows]])))
+    return min(
+        alike, key=lambda one: (len(one.effect.sizes), robust_loss(context, one.fit.rows, one.fit.residuals))
+    )
 
 
 def _improvement(context: Context, present: FittedModel, candidate: Candidate) -> float:

@@ -112,7 +112,7 @@ class Descent:
         return loss if np.isfinite(loss) else np.inf
 
     def _difference_points(self) -> list[Point]:
-        """Return a point for each unknown derivative, one step away on the side of its farther bound."""
+        """Return a point for each unknown derivative, one step up, or down where that leaves the bounds."""
         at = self.sizes[self.free]
         step = STEP * np.maximum(self._typical, np.abs(at))
         step = np.where(at + step > self._high, -step, step)

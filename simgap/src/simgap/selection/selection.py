@@ -14,8 +14,9 @@ import numpy as np
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
 from simgap.effects.variation import steady_effect
+from simgap.residuals.conditioned import Change
 from simgap.residuals.noise import count_independent
-from simgap.residuals.residuals import ResidualModel, pseudo_huber
+from simgap.residuals.residuals import ResidualModel
 from simgap.selection.acceptance import (
     MIN_SHARE,
     Candidate,
@@ -23,6 +24,7 @@ from simgap.selection.acceptance import (
     cross_validate_each,
     explainable_loss,
     improvement_share,
+    robust_loss,
 )
 from simgap.selection.chance import count_distinct
 from simgap.selection.checkpoint import Checkpoint, Meter
@@ -67,17 +69,6 @@ from simgap.selection.sharing import ALL_JOINTS
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged. In these cases, the accepted one was the fourth
 at worst."""
-RIVAL_SHARE: Final = 0.5
-"""Least decrease of the loss, over that of the best effect of the joint, of one that is fitted to its end.
-The test of a set would exclude what explains less of an effect that is strong enough for a name."""
-FEW_ITERATIONS: Final = 4
-"""Iterations before each of the SHARES. On the KR300, 4, 6 and 12 give one result; with 2, a set lacks a
-member, and a compliance has too narrow an interval."""
-AGAIN_ITERATIONS: Final = 2 * FEW_ITERATIONS
-"""Iterations of fits that begin again before the last of the SHARES: as many as the others had."""
-SHARES: Final = (RIVAL_SHARE**2, RIVAL_SHARE)
-"""Shares of what an effect has to explain, soon and a little later, to be fitted further. In 20 sealed cases,
-each that was accepted had explained 0.9 of the best of its joint by then."""
 ROUNDING: Final = 1e-12
 """Change over the largest residual below which it is rounding."""
 
@@ -261,22 +252,38 @@ def find_winners(
 
     This is all that was refitted to the end and, with a gain of 0, the others that are hopeful.
     """
-    effects = [score.effect for score in shortlist]
     fitting = start_fitting(context, [start_refit(context, present, score) for score in shortlist], "refit")
-    for share in SHARES:
-        fitting.advance(FEW_ITERATIONS)
-        if share == RIVAL_SHARE:
-            fitting.begin_again(AGAIN_ITERATIONS)
-        hopeful = list_hopeful(context, present, effects, fitting.descents, share)
-        fitting.keep(hopeful)
-        effects = [effects[k] for k in hopeful]
+
+    def list_effects() -> list[Effect]:
+        return [shortlist[k].effect for k in fitting.places]
+
+    fitting.compete(lambda share: list_hopeful(context, present, list_effects(), fitting.descents, share))
+    effects = list_effects()
     joints = [fit.joint for fit in fitting.descents]
     kept = [k for k, joint in enumerate(joints) if joints[:k].count(joint) < FINALISTS]
     others = [Score(effects[k], fit.sizes, 0.0) for k, fit in enumerate(fitting.descents) if k not in kept]
     fitting.keep(kept)
     candidates = judge(context, present, [effects[k] for k in kept], fitting.finish())
     finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
-    return choose(context, present, candidates), [*finalists, *others]
+    return choose_alone(context, present, candidates), [*finalists, *others]
+
+
+def choose_alone(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Choose effects that are still the best when each is simulated alone.
+
+    Effects at several joints were fitted in shared candidates: what one does may have been another's.
+    """
+    alone = replace(context, sharing=context.sharing.alone())
+    shared = {joint for group in context.sharing.groups if len(group) > 1 for joint in group}
+    judged: dict[str, Candidate] = {}
+    while True:
+        chosen = choose(context, present, [judged.get(one.effect.key, one) for one in candidates])
+        new = [one for one in chosen if one.fit.joint in shared and one.effect.key not in judged]
+        if not new:
+            return chosen
+        residuals = simulate(alone, [(one.fit.joint, one.fit.sizes) for one in new], "refit")
+        fits = [replace(one.fit, residuals=rows) for one, rows in zip(new, residuals, strict=True)]
+        judged |= {one.effect.key: one for one in judge(alone, present, [one.effect for one in new], fits)}
 
 
 def list_hopeful(
@@ -301,8 +308,8 @@ def list_hopeful(
 
 def explain_loss(context: Context, fit: JointFit | Descent, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints."""
-    scale = context.scales[context.model.joint_of[fit.rows]]
-    return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
+    before = robust_loss(context, fit.rows, without[fit.rows])
+    return before - robust_loss(context, fit.rows, fit.residuals)
 
 
 def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:
@@ -329,22 +336,19 @@ def judge(
 def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: JointFit | Descent) -> bool:
     """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
-    A simulation works in steps: a delay of less than half a step is none in it.
+    A simulation works in steps: a delay of less than half a step is none in it. That a known effect is gone
+    is no bound of its change.
     """
-    own = context.union.columns([effect])
+    own = fit.sizes[context.union.columns([effect])]
     beside = {
         one.name: fit.sizes[context.union.columns([one])]
         for one in (*context.base, *others)
         if one.place == effect.place
     }
-    bounds = [(size.low, size.high) for size in effect.sizes]
     half_step = [0.5 * context.model.step_s if size.name == "delay_s" else 0.0 for size in effect.sizes]
-    is_none = bool(np.any(np.abs(fit.sizes[own]) < half_step))
-    return (
-        is_none
-        or not effect.is_plausible(fit.sizes[own], beside)
-        or any(
-            fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
-            for c, (low, high) in zip(own, bounds, strict=True)
-        )
-    )
+    if np.any(np.abs(own) < half_step) or not effect.is_plausible(own, beside):
+        return True
+    low, high = np.array([(size.low, size.high) for size in effect.sizes]).T
+    room = 1e-3 * (high - low)
+    is_gone = np.abs(own + effect.known) <= room if isinstance(effect, Change) else own == 0.0
+    return bool(np.any(~is_gone & (np.minimum(own - low, high - own) < room)))

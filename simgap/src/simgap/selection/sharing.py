@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Final
 
@@ -37,6 +37,10 @@ class Sharing:
     """Columns of sizes at one joint that change any other joint by more than MAX_COUPLING."""
     joint_of_column: Integers
     """Joint whose residuals decide each size, or ALL_JOINTS, (n_sizes,)."""
+
+    def alone(self) -> "Sharing":
+        """Return the sharing with the same joints of columns in which each joint has its own candidates."""
+        return replace(self, groups=tuple((joint,) for group in self.groups for joint in group))
 
     def may_share(self, first: int, second: int) -> bool:
         """Return whether sizes in two columns scarcely change each other's joint; False at the same."""

@@ -27,10 +27,6 @@ from simgap.selection.context import (
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
 from simgap.selection.selection import (
-    AGAIN_ITERATIONS,
-    FEW_ITERATIONS,
-    RIVAL_SHARE,
-    SHARES,
     explain_loss,
     is_at_bound,
     start_refit,
@@ -98,15 +94,14 @@ def find_layer_sets(
     residuals = gather_residuals(without.fits, context.model.joint_of.size)
     findings = [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]
     needed = min(explain_loss(context, fit, residuals) for fit in findings)
-    for share in SHARES:
-        fitting.advance(FEW_ITERATIONS)
-        if share == RIVAL_SHARE:
-            fitting.begin_again(AGAIN_ITERATIONS, findings)
+
+    def list_hopeful(share: float) -> list[int]:
         explained = [explain_loss(context, one, residuals) for one in fitting.descents]
-        kept = [k for k, one in enumerate(explained) if one > share * needed]
-        fitting.keep(kept)
-        scores = [scores[k] for k in kept]
-    rivals = list(zip([score.effect for score in scores], fitting.finish(), strict=True))
+        return [k for k, one in enumerate(explained) if one > share * needed]
+
+    fitting.compete(list_hopeful, findings)
+    effects = [scores[k].effect for k in fitting.places]
+    rivals = list(zip(effects, fitting.finish(), strict=True))
     rivals.sort(key=lambda one: -explain_loss(context, one[1], residuals))
     return [
         find_set(context, selection, without, effect, fit, rivals)

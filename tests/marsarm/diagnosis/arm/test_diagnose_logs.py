@@ -56,7 +56,7 @@ def test_a_folder_is_all_logs_in_it(folder):
     ("logs", "held_out", "options", "said"),
     [
         (["empty"], [], {}, r"log .*empty: this folder holds no \.mcap file"),
-        (["logs"], ["n" * 300], {}, "there is no such log or a folder"),
+        (["logs"], ["n" * 300], {}, "no such log or folder"),
         (["logs"], ["/dev/null"], {}, "held-out log /dev/null: is not a regular file; give a log or a fol"),
         (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
         (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
