@@ -194,6 +194,7 @@ def test_a_known_effect_that_is_gone_is_named_as_its_change():
         ("\ndelay_s = 0.03", "\ndelay_s = nan", "delay_s is nan; write 0 to 0.2"),
         ("\ndelay_s = 0.03", "\ndelay_s = 7.0", "delay_s is 7; write 0 to 0.2"),
         ("joints = ", "joint = ", "joint: is not known; did you mean joints?"),
+        ('\nname = "swing"', '\nname = "lift"', "mode, gains, limit or gear are not those of the robot file"),
         ("kp_Nm_rad = ", "kp_Nm_rad = 1", "mode, gains, limit or gear are not those of the robot file"),
     ],
 )

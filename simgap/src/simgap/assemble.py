@@ -150,23 +150,26 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
     rows = np.abs(simulate_models(context, held_out, [model.sizes for model in models]))
     joints = np.unique(held_out.joint_of)
     after, base, *without = np.array([np.mean(rows[:, held_out.joint_of == j], axis=1) for j in joints]).T
+
+    def find_worst(before: Array) -> tuple[float, int, float]:
+        j = int(np.argmax(ratios := after / np.maximum(before, 1e-300)))
+        return float(ratios[j]), j, float(before[j])
+
     harms = []
     for (layer, _), before in zip(selection.left_out, without, strict=True):
         for effect in layer:
             others = [j for one in layer if one is not effect for j in joints_of(context, one)]
-            harms.append((effect, np.where(np.isin(joints, others), after, before)))
-    worst = int(np.argmax(after / np.maximum(base, 1e-300)))
-    own = [one for one in chosen.effects if joints[worst] in joints_of(context, one)] or chosen.effects
-    least = min(own, key=lambda one: _left_out_gain(selection, one))
-    for tried in (harms, [(least, base)]):
-        ratios = np.array([after / np.maximum(before, 1e-300) for _, before in tried])
-        if np.max(ratios) > 1.0 + MAX_WORSE:
-            number, j = np.unravel_index(np.argmax(ratios), ratios.shape)
-            effect, before = tried[number]
-            name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
-            words = f"{quantity(before[j], unit)} to {quantity(after[j], unit)}"
-            return effect, f"it makes {name} worse on motions that took no part: {words}"
-    return None
+            harms.append((effect, *find_worst(np.where(np.isin(joints, others), after, before))))
+    effect, ratio, j, error = max(harms, key=lambda one: one[1])
+    if ratio <= 1.0 + MAX_WORSE:
+        ratio, j, error = find_worst(base)
+        own = [one for one in chosen.effects if joints[j] in joints_of(context, one)] or chosen.effects
+        effect = min(own, key=lambda one: _left_out_gain(selection, one))
+    if ratio <= 1.0 + MAX_WORSE:
+        return None
+    name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
+    words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
+    return effect, f"it makes {name} worse on motions that took no part: {words}"
 
 
 def _left_out_gain(selection: Selection, effect: Effect) -> float:

@@ -330,7 +330,7 @@ def _read_effects(
     found = [read_effect(table, path) for table in tables]
     for effect, _ in found:
         joint = getattr(effect, "joint", None)
-        if joint is not None and joint != robot.joint(joint.name):
+        if joint is not None and joint not in robot.joints:
             raise RobotError(
                 f"{path}: {effect.key}: mode, gains, limit or gear are not those of the robot file; give the "
                 "robot file of the earlier diagnosis"

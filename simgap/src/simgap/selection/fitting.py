@@ -32,8 +32,8 @@ out, of an effect that is fitted to its end.
 The test of a set would exclude what explains less of an effect that is strong enough for a name."""
 FEW_ITERATIONS: Final = 4
 """Iterations before the first are given up, and again before the next. On the KR300, 4, 6 and 12 give one
-result; with 2, a set lacks a member. With 8 and more differences, one of nine sealed servos is named that is
-not, and a diagnosis of the XL330 takes half as long again."""
+result; with 2, a set lacks a member. With 8 and more differences, one more of nine sealed servos gets its
+right name, and a diagnosis of the XL330 takes half as long again."""
 
 
 class Fitting:
