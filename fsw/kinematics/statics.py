@@ -37,8 +37,8 @@ EQUILIBRIUM_TOLERANCE = 1e-11
 """Largest change of strain [rad, m] and angle [rad] in the last pass of a converged iteration."""
 MAX_PASSES = 30
 LARGEST_STRAIN: Final = 1.0
-"""Rotation [rad] or shift [m] of a link at which the arm counts as without equilibrium. Its springs are linear
-for small angles; an iteration that diverges would overflow."""
+"""Rotation [rad] or shift [m] of a link at which the arm counts as without equilibrium. Its springs are
+linear for small angles; an iteration that diverges would overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 import importlib
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from math import inf
 from pathlib import Path
@@ -202,10 +202,10 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
         kind = _effect_class(table)
         effect = cast(Effect, _build(kind, table["fields"]))
         size = {name: float(value) for name, value in table["size"].items()}
+        names = [one.name for one in effect.sizes]
     except (KeyError, TypeError, ValueError, ImportError, AttributeError, OSError) as error:
         name = table.get("effect", "an effect")
         raise RobotError(f"{path}: {name}: cannot be made ({error}); write the file again") from error
-    names = [one.name for one in effect.sizes]
     if list(size) != names:
         raise RobotError(f"{path}: {effect.key}: size has {', '.join(size)}; it takes {', '.join(names)}")
     _check_sizes(effect, [*size.values()], path)
@@ -246,7 +246,7 @@ def _build(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         known = {one.name: hints[one.name] for one in fields(kind)}
         made = {name: _build(known[name], each) for name, each in value.items()}
-        absent = {name: None for name in known if name not in made}
+        absent = {one.name: None for one in fields(kind) if one.name not in made and one.default is MISSING}
         return cast(Any, kind)(**made, **absent)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
@@ -285,7 +285,7 @@ class FoundRival(Record):
     effect: str
     p: Annotated[float, Field(ge=0, le=1)]
     kind: str
-    n_fitted: int
+    n_fitted: Annotated[int, Field(ge=1)]
     sizes: dict[str, list[float]]
     """Sizes of all effects that act, by the key of each."""
 
@@ -317,6 +317,8 @@ def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
             if key not in effects:
                 raise RobotError(f"{path}: rivals: no effect has the key {key!r}; write the patch again")
             _check_sizes(effects[key], size, path)
+        if rival.n_fitted > len(rival.sizes):
+            raise RobotError(f"{path}: rivals: n_fitted is {rival.n_fitted}; write 1 to {len(rival.sizes)}")
         own = rival.model_dump(exclude={"sizes"})
         acting, sizes = (tuple(effects[key] for key in rival.sizes), map(tuple, rival.sizes.values()))
         found.append(Rival(**own, effects=acting, sizes=tuple(sizes)))
@@ -330,7 +332,9 @@ def _read_effects(
     found = [read_effect(table, path) for table in tables]
     for effect, _ in found:
         joint = getattr(effect, "joint", None)
-        if joint is not None and joint not in robot.joints:
+        # as texts, because a NaN is not equal to itself
+        own = [k for k, one in enumerate(robot.joints) if repr(one) == repr(joint)]
+        if joint is not None and getattr(effect, "index", min(own, default=-1)) not in own:
             raise RobotError(
                 f"{path}: {effect.key}: mode, gains, limit or gear are not those of the robot file; give the "
                 "robot file of the earlier diagnosis"

@@ -268,6 +268,8 @@ def _remaining_part(diagnosis: Diagnosis) -> list[str]:
             depends = (one.depends_on, percent(one.depends_share))
         rows.append((one.joint, one.regime, quantity(one.mean_abs, one.unit), *depends))
     about = "No effect of the catalogue explains this part; it is apart from what was named."
+    if diagnosis.is_base_only:
+        about = "Base parameters do not explain this part; no effect was looked for."
     head = ("joint", "regime", "mean error", "depends on", "share of it")
     return _table_part("What remains", head, rows, about)
 
