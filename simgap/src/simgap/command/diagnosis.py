@@ -124,7 +124,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     if request.patch is not None:
         from simgap.patch.patch import make_patch
 
-        patch = make_patch(robot, *result.of_model(), result.rivals)
+        patch = make_patch(robot, *result.of_model(), result.rivals, result.fitted_motions)
     traces: tuple[Trace, ...] = ()
     if request.report is not None:
         made = trace_motions(robot, logs.judged or logs.fit, result, found.usable)

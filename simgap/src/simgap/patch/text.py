@@ -262,14 +262,19 @@ FORMAT: Final = "robot effects 1"
 
 
 def found_text(
-    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
+    robot: Robot,
+    effects: Sequence[Effect],
+    sizes: Sequence[Sequence[float]],
+    rivals: Sequence[Rival] = (),
+    motions: Sequence[str] = (),
 ) -> str:
-    """Return the text of the file, with the rivals of the findings."""
+    """Return the text of the file, with the rivals of the findings and the names of the fitted motions."""
     known = {one.key for one in effects}
     others = {one.key: one for rival in rivals for one in rival.effects if one.key not in known}
     tables = {
         "format": FORMAT,
         "joints": [joint.name for joint in robot.joints],
+        "motions": list(motions),
         "effects": [effect_table(one, size) for one, size in zip(effects, sizes, strict=True)],
         "rival_effects": [effect_table(one, [0.0] * len(one.sizes)) for one in others.values()],
         "rivals": [_rival_table(one) for one in rivals],
@@ -295,6 +300,8 @@ class FoundFile(Record):
 
     format: Literal["robot effects 1"]
     joints: list[str]
+    motions: list[str] = Field(default_factory=list)
+    """Names of those that were fitted."""
     effects: list[dict[str, Any]]
     rival_effects: list[dict[str, Any]] = Field(default_factory=list)
     rivals: list[FoundRival] = Field(default_factory=list)
@@ -306,9 +313,18 @@ def read_found(robot: Robot, folder: Path) -> dict[Effect, Array]:
     return dict(_read_effects(robot, content.effects, path))
 
 
-def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
-    """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`."""
+def read_rivals(robot: Robot, folder: Path, motions: Sequence[str]) -> tuple[Rival, ...]:
+    """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`.
+
+    The names of the fitted motions have to be those of the diagnosis.
+    """
     path, content = _read_file(robot, folder)
+    if content.motions and {*content.motions} != {*motions}:
+        shown = ", ".join([*content.motions[:3], *(["..."] if len(content.motions) > 3 else [])])
+        raise RobotError(
+            f"{path}: {len(content.motions)} motions were fitted ({shown}), of these logs "
+            f"{len(motions)} are: give the logs and the held-out motions of the diagnosis"
+        )
     tables = (*content.effects, *content.rival_effects)
     effects = {one.key: one for one, _ in _read_effects(robot, tables, path)}
     found = []

@@ -250,7 +250,12 @@ def _base_part(diagnosis: Diagnosis) -> list[str]:
         ends = "{:.4g} to {:.4g}".format(*one.interval) if one.is_identifiable else "not known"
         rows.append((one.place, one.name, f"{one.nominal:.4g}", f"{one.value:.4g}", ends))
     about = "Numbers that the model does not know for certain. They are fitted, and are no findings."
-    return _table_part("Base parameters", ("place", "parameter", "model", "fitted", "90 %"), rows, about)
+    return _table_part(
+        "Base parameters",
+        ("place", "parameter", "earlier result" if diagnosis.start else "model", "fitted", "90 %"),
+        rows,
+        about,
+    )
 
 
 def _table_part(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], about: str = "") -> list[str]:
