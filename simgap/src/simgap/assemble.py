@@ -17,13 +17,13 @@ from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
-from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
+from simgap.selection.acceptance import MAX_WORSE, chances_of_error, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
-from simgap.selection.elimination import drop_needless
-from simgap.selection.fit import select_rows
+from simgap.selection.elimination import drop_needless, left_out_gain
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
 from simgap.selection.verdict import (
+    EXCLUDED,
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
@@ -138,12 +138,13 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
     """Find the finding that makes a joint of held-out motions worse, and why.
 
-    With it, its own joint is worse than without it, or another one by more than MAX_WORSE. Where several
-    make one that much worse than base parameters alone, it is the finding that is needed least.
+    With it, its own joint is worse than without it, and not by chance, or another one by more than MAX_WORSE.
+    Where several make one that much worse than base parameters alone, it is the one that is needed least.
     """
     context, chosen = selection.context, selection.chosen
     models = [chosen, selection.base, *(model for _, model in selection.left_out)]
-    rows = np.abs(simulate_models(context, held_out, [model.sizes for model in models]))
+    residuals = simulate_models(context, held_out, [model.sizes for model in models])
+    rows = np.abs(residuals)
     joints = np.unique(held_out.joint_of)
     after, base, *without = np.array([np.mean(rows[:, held_out.joint_of == j], axis=1) for j in joints]).T
 
@@ -155,29 +156,23 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
         return max(here, elsewhere), j, float(before[j])
 
     harms = []
-    for (layer, _), before in zip(selection.left_out, without, strict=True):
+    for (layer, _), before, left in zip(selection.left_out, without, residuals[2:], strict=True):
         for effect in layer:
             others = [j for one in layer if one is not effect for j in joints_of(context, one)]
-            before_it = np.where(np.isin(joints, others), after, before)
-            harms.append((effect, *find_worst(before_it, joints_of(context, effect))))
+            before_it, mine = np.where(np.isin(joints, others), after, before), joints_of(context, effect)
+            here = np.isin(held_out.joint_of, mine)
+            (chance,) = chances_of_error(context, held_out, (left - residuals[0])[None], here)
+            harms.append((effect, *find_worst(before_it, mine if chance <= EXCLUDED else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
     if ratio <= 1.0:
         ratio, j, error = find_worst(base)
         own = [one for one in chosen.effects if joints[j] in joints_of(context, one)] or chosen.effects
-        effect = min(own, key=lambda one: _left_out_gain(selection, one))
+        effect = min(own, key=lambda one: left_out_gain(selection, one))
     if ratio <= 1.0:
         return None
     name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
     words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
     return effect, f"it makes {name} worse on motions that took no part: {words}"
-
-
-def _left_out_gain(selection: Selection, effect: Effect) -> float:
-    """Return the share of what can be explained that goes with a finding in left-out motions."""
-    context = selection.context
-    without = next(model for layer, model in selection.left_out if effect in layer)
-    rows = select_rows(context.model, context.joint_of(effect))
-    return improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
 
 
 def describe_finding(
