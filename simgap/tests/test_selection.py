@@ -109,7 +109,7 @@ def test_a_finding_that_makes_its_own_joint_a_few_percent_worse_is_withdrawn():
 
 def test_a_finding_stays_where_motions_that_took_no_part_are_too_weak_to_tell():
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
-    judge = draw_toy(3, {})
+    judge = draw_toy(10, {})
     judge.measured -= 0.27 * judge.commands
     judge.commands = 0.1 * judge.commands
     sizes = [selection.base.sizes, selection.chosen.sizes]
