@@ -85,6 +85,12 @@ class JointEstimate:
         side: Array = self.backlash_state[1]
         return side
 
+    @property
+    def uncertainty_rad(self) -> Array:
+        """Largest error of the likely gear angle, (5,); an error of the gear stiffness adds to it."""
+        uncertainty: Array = self.backlash_state[2]
+        return uncertainty
+
 
 def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimate:
     """Build the estimate before the first reading; gear angles are unknown until a load is known."""

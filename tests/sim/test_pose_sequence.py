@@ -64,7 +64,7 @@ def rest_at(loop: ClosedLoop, pose_rad: np.ndarray, backlash: str) -> Any:
         side=joints.side,
         true_side=np.sign(gear_rad) * (np.abs(gear_rad) > 0.95 * plant.half_backlash_rad),
         gear_error_rad=gear_rad - (joints.output_rad - joints.motor_rad),
-        uncertainty_rad=joints.backlash_state[2],
+        uncertainty_rad=joints.uncertainty_rad,
         load_Nm=loop.state.load.torque_Nm,
     )
 
