@@ -36,6 +36,9 @@ from fsw.kinematics.transforms import (
 EQUILIBRIUM_TOLERANCE = 1e-11
 """Largest change of strain [rad, m] and angle [rad] in the last pass of a converged iteration."""
 MAX_PASSES = 30
+LARGEST_STRAIN: Final = 1.0
+"""Rotation [rad] or shift [m] of a link at which the arm counts as without equilibrium. Its springs are
+linear for small angles; an iteration that diverges would overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +93,16 @@ def _equilibrium(
     for _ in range(MAX_PASSES):
         _, new_strain, torque = _place_and_load(arm, output, strain, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
+        new_strain = np.clip(new_strain, -LARGEST_STRAIN, LARGEST_STRAIN)
         step = np.maximum(
             np.abs(new_strain - strain).max(axis=(0, 1)), np.abs(new_output - output).max(axis=0)
         )
         strain, output = new_strain, new_output
         if (step < EQUILIBRIUM_TOLERANCE).all():
             break
-    return Equilibrium(output, strain, torque, forward(arm, output, strain), step < EQUILIBRIUM_TOLERANCE)
+    is_small = np.abs(strain).max(axis=(0, 1)) < LARGEST_STRAIN
+    converged = (step < EQUILIBRIUM_TOLERANCE) & is_small
+    return Equilibrium(output, strain, torque, forward(arm, output, strain), converged)
 
 
 def load_arm(

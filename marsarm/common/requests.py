@@ -86,8 +86,8 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise BadRequest(
-            f"params {path}: {problems[0]}{more}; no built arm is so far from its drawing: give parameters "
-            "of this arm, or --mismatch if it is meant"
+            f"params {path}: {problems[0]}{more}; no built arm is so far from its drawing: give the "
+            "--arm of these, parameters of this arm, or --mismatch if it is meant"
         )
     return params
 

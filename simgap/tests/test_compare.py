@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from helpers.marks import slow_but
-from helpers.pendulum import at_swing, motion, pendulum, recorded, waves
+from helpers.pendulum import at_swing, motion, pendulum, recorded, waves, with_signals
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from helpers.verdicts import LIFT, diagnosis, finding
 from simgap import diagnose, verdict_lines
 from simgap.arrays import Array
 from simgap.assemble import select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
-from simgap.compare import list_differences, list_limits, select_differences, tell_apart
+from simgap.compare import compare, list_differences, list_limits, select_differences, tell_apart
 from simgap.effects.actuation import GainError
 from simgap.effects.command import CommandDelay, CommonCommandDelay, CommonMeasurementDelay, MeasurementDelay
 from simgap.effects.effect import Size
@@ -23,11 +24,11 @@ from simgap.effects.variation import Difference, Variation
 from simgap.logs import Logs
 from simgap.patch.patch import save_patch
 from simgap.patch.text import read_found
-from simgap.report.document import comparison_details, comparison_lines
+from simgap.report.document import comparison_details, comparison_document, comparison_lines
 from simgap.report.traces import trace_motions
 from simgap.residuals.conditioned import Change, ConditionedResiduals, KnownResiduals, changes_of
 from simgap.residuals.residuals import residuals_by_motion
-from simgap.result import Comparison, Limit
+from simgap.result import Comparison, Limit, Refusal
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import Score
 from simgap.selection.selection import SHORTLIST, list_best, select_effects
@@ -120,6 +121,12 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen():
     assert following == "Not seen: smaller changes; the limits of each joint follow."
     limits = "Changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
     assert comparison_details(nothing)[-1] == limits
+    sure = replace(limit, low=0.01)
+    one_side = (
+        "Changes may lie within gain_ratio of lift from +0.01 to +0.03, not sure enough to be named (90 %)."
+    )
+    assert comparison_details(replace(nothing, limits=(sure,)))[-1] == one_side
+    assert comparison_document(nothing)["verdict"] == "none"
     beside = f"Beside what was found, c{limits[1:]}"
     assert comparison_details(Comparison(found, (limit,)))[-1] == beside
     assert comparison_lines(replace(nothing, limits=()))[3] == "No base parameter can be told."
@@ -144,10 +151,13 @@ def late():
     return next(one for one in catalogue(MODEL, logs) if one.key == "swing: command delay")
 
 
-def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path, late):
+@pytest.mark.parametrize("armature_kgm2", [0.0, 0.01])
+def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path, late, armature_kgm2):
+    """An armature of an earlier result may fall below that of the model, down to 0."""
     motions = [swing(k, late) for k in range(4)]
     base = base_effects(MODEL, Logs(tuple(motions)))
-    sizes: list[tuple[float, ...]] = [(0.3,) if one.name == "gain error" else (0.0,) for one in base]
+    known = {"gain error": 0.3, "armature": armature_kgm2}
+    sizes = [(known.get(one.name, 0.0),) for one in base]
     earlier = diagnosis(effects=(*base, late), sizes=(*sizes, (DELAY_s,)))
     save_patch(MODEL, earlier, tmp_path)
     start = read_found(MODEL, tmp_path)
@@ -160,6 +170,7 @@ def test_base_parameters_are_fitted_from_an_earlier_result_and_join_it(tmp_path,
     last = dict(zip((one.key for one in found.effects), found.sizes, strict=True))
     assert last["swing: command delay"] == (DELAY_s,)
     assert last["swing: gain error"] == pytest.approx([1 / 3], rel=0.02)
+    assert last["swing: armature"] == pytest.approx([0.0], abs=2e-4)
     assert " with the earlier result; with base parameters " in verdict_lines(found)[2]
     (trace,) = trace_motions(MODEL, motions[3:], found)
     assert np.mean(np.abs(trace.nominal)) == pytest.approx(error.nominal, rel=0.05)
@@ -195,6 +206,8 @@ def test_a_known_effect_that_is_gone_is_named_as_its_change():
         ("\ndelay_s = 0.03", "\ndelay_s = 7.0", "delay_s is 7; write 0 to 0.2"),
         ("joints = ", "joint = ", "joint: is not known; did you mean joints?"),
         ('\nname = "swing"', '\nname = "lift"', "mode, gains, limit or gear are not those of the robot file"),
+        ("\nindex = 0", "\nindex = 7", "mode, gains, limit or gear are not those of the robot file"),
+        ("[effects.fields.joint]", "[effects.fields.nothing]", "cannot be made"),
         ("kp_Nm_rad = ", "kp_Nm_rad = 1", "mode, gains, limit or gear are not those of the robot file"),
     ],
 )
@@ -237,3 +250,34 @@ def test_a_start_acts_beside_an_effect_that_follows_a_condition():
     alike = np.column_stack([np.full(load.size, 0.1), 0.01 * load])[None]
     expected = residuals_by_motion(toy, [BASE[0], square], alike)
     assert model.residuals([varied], np.array([[0.01]])) == pytest.approx(expected)
+
+
+def test_what_the_check_refuses_is_told_of_each_set_before_a_comparison(late):
+    before, after = swing(0, late), swing(1, late)
+    audits = [
+        Audit((), (), refused, {(one.name, "swing"): np.ones(TIME_s.size, dtype=bool)})
+        for one, refused in ((before, ()), (after, (Refusal("m1", "spike", 3),)))
+    ]
+    found = compare(MODEL, [before], [after], audits=audits)
+    assert found.found.refused == (Refusal("after:m1", "spike", 3),)
+    assert "after:m1: 3 samples took no part: spike." in comparison_details(found)
+
+
+@pytest.mark.parametrize("case", ["copy", "no command", "torque in one"])
+def test_sets_that_cannot_be_compared_are_refused(late, case):
+    before, after = swing(0, late), swing(1, late)
+    if case == "copy":
+        after, said = replace(before, name="m1"), "motion m1 after is a copy of m0 before"
+    elif case == "no command":
+        logs = [
+            replace(one.joints["swing"], command=None, secondary=one.joints["swing"].position)
+            for one in (before, after)
+        ]
+        before, after = (
+            replace(one, joints={"swing": log}) for one, log in zip((before, after), logs, strict=True)
+        )
+        said = "no command and no torque"
+    else:
+        after, said = with_signals(after, torque=0.0 * TIME_s), "joint swing: no torque is logged before"
+    with pytest.raises(RobotError, match=said):
+        compare(MODEL, [before], [after])

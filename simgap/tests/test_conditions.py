@@ -252,6 +252,7 @@ torque_constant_is_known = false
 def test_mass_and_centre_of_a_payload_are_found_with_the_scale_of_the_currents(tmp_path):
     robot = write_twin(tmp_path)
     write_twin_log(tmp_path / "unloaded.csv", 0.0, 1)
+    assert {one.conditions["loaded"] for one in load(robot, [tmp_path / "unloaded.csv"]).motions} == {0.0}
     write_twin_log(tmp_path / "loaded.csv", PAYLOAD_kg, 2)
     logs = load(robot, [tmp_path / "unloaded.csv", tmp_path / "loaded.csv"])
     found = diagnose(robot, logs.fit)

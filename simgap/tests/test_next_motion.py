@@ -241,7 +241,11 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
     rivals = (rival(DELAY, 0.02, 1.0), rival(ZONE, 5e-5))
     found = diagnosis(effects=rivals[0].effects, sizes=rivals[0].sizes, rivals=rivals)
     save_patch(ROBOT, found, tmp_path)
-    for one, kept in zip(read_rivals(ROBOT, tmp_path), rivals, strict=True):
+    with pytest.raises(
+        RobotError, match=r"motions were fitted .*: give the logs and the held-out motions of"
+    ):
+        read_rivals(ROBOT, tmp_path, ["other"])
+    for one, kept in zip(read_rivals(ROBOT, tmp_path, found.fitted_motions), rivals, strict=True):
         assert replace(one, effects=()) == replace(kept, effects=())
         assert [each.key for each in one.effects] == [each.key for each in kept.effects]
 

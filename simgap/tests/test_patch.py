@@ -253,6 +253,21 @@ def test_a_runtime_file_of_another_format_effect_or_model_is_refused(tmp_path, o
         read_runtime(tmp_path, patch.runtime.replace(old, new), patch.model_xml if old else "<mujoco/>")
 
 
+def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_another_shape_are_refused(
+    tmp_path,
+):
+    patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
+    with pytest.raises(RobotError, match="no actuator 'swing'"):
+        read_runtime(tmp_path, patch.runtime, PLAIN.model_xml)
+    for step_s in ("0.0013", "0.1"):
+        with pytest.raises(RobotError, match=f"{step_s} s is no whole part of the control period of 0.002 s"):
+            read_runtime(tmp_path, patch.runtime, patch.model_xml.replace('"0.002"', f'"{step_s}"', 1))
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
+    with pytest.raises(RobotError, match="give one for each of 1 joints"):
+        runtime.act(model, mujoco.MjData(model), np.zeros(2))
+
+
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
     robot = lab.pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
     effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})

@@ -93,6 +93,33 @@ def test_a_finding_that_harms_motions_that_took_no_part_is_withdrawn():
     assert reason.startswith("it makes near worse on motions that took no part: ")
 
 
+def test_a_finding_that_makes_its_own_joint_a_few_percent_worse_is_withdrawn():
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    judge = draw_toy(2, {"near: square": 0.042})
+    before, after = np.mean(
+        np.abs(simulate_models(selection.context, judge, [selection.base.sizes, selection.chosen.sizes])),
+        axis=1,
+        where=judge.joint_of == 0,
+    )
+    assert 1.01 < after / before < 1.1
+    sure, _, (rejected,) = assemble.select_sure(selection, judge)
+    assert sure.chosen.effects == ()
+    assert rejected.reason.startswith("it makes near worse")
+
+
+def test_a_finding_stays_where_motions_that_took_no_part_are_too_weak_to_tell():
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    judge = draw_toy(10, {})
+    judge.measured -= 0.27 * judge.commands
+    judge.commands = 0.1 * judge.commands
+    sizes = [selection.base.sizes, selection.chosen.sizes]
+    rows = np.abs(simulate_models(selection.context, judge, sizes))[:, judge.joint_of == 0]
+    assert np.diff(np.mean(rows, axis=1)) > 0.0
+    sure, _, rejected = assemble.select_sure(selection, judge)
+    assert [one.key for one in sure.chosen.effects] == ["near: square"]
+    assert rejected == []
+
+
 def test_a_finding_that_harms_such_motions_beside_one_that_helps_is_withdrawn():
     selection = select_effects(
         draw_toy(1, {"near: square": 0.2, "near: sine": 0.05}), BASE, CATALOGUE, seed=1

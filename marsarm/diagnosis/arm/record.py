@@ -133,8 +133,11 @@ def motion_text(motion: PlannedMotion) -> str:
 
 
 def read_motion(path: Path) -> PlannedMotion:
-    """Read the file of a motion; RobotError if it is wrong."""
-    return parse_record(PlannedMotion, read_toml(path), path)
+    """Read the file of a motion; BadRequest or RobotError if it is wrong."""
+    content = read_toml(path)
+    if "start_deg" not in content:
+        raise BadRequest(f"{path}: is no motion; give a file that `gap next --out` wrote")
+    return parse_record(PlannedMotion, content, path)
 
 
 HELD_OUT_FOLDER: Final = "held-out"
@@ -205,8 +208,10 @@ def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
 def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[plans.DiagnosisSession]:
     """Return the sessions of the campaign that a request asks for.
 
-    BadRequest if there is none, RobotError if the file of a motion is wrong.
+    BadRequest if there is none, that or RobotError if the file of a motion is wrong.
     """
+    if request.motion is not None and request.sessions != "*":
+        raise BadRequest("motion, sessions: they exclude each other; give one of the two")
     if request.motion is not None:
         return [make_session(read_motion(request.motion), arm.params)]
     every = plans.campaign_sessions(arm.params)

@@ -1,7 +1,6 @@
 """Assemble a diagnosis from what was selected, and judge it by motions that took no part.
 
-Residuals are arrays (n,) in the unit of their model; of several models, (n_models, n). Rows of a model are
-indices, (n_rows,).
+Residuals are arrays (n,) in the unit of their model, of several (n_models, n); rows are indices, (n_rows,).
 """
 
 from collections.abc import Sequence
@@ -18,13 +17,13 @@ from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
-from simgap.selection.acceptance import MAX_WORSE, improvement_share, knows_noise
+from simgap.selection.acceptance import MAX_WORSE, chances_of_error, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
-from simgap.selection.elimination import drop_needless
-from simgap.selection.fit import select_rows
+from simgap.selection.elimination import drop_needless, left_out_gain
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
 from simgap.selection.verdict import (
+    EXCLUDED,
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
@@ -70,8 +69,7 @@ def assemble(
         one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])])
     )
     sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
-    nominal = 0.0 * chosen.sizes
-    rows = simulate_models(context, held_out, [nominal, selection.base.sizes, chosen.sizes])
+    rows = simulate_models(context, held_out, [0.0 * chosen.sizes, selection.base.sizes, chosen.sizes])
     fitted = rows[2] if held_out is raw else simulate_models(context, raw, [chosen.sizes])[0]
     findings = tuple(doubt_names([describe_finding(context, chosen, one, sets) for one in sets]))
     return Diagnosis(
@@ -107,7 +105,7 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
-    while held_out is not None and (harm := find_harmful(selection, held_out)) is not None:
+    while held_out and selection.chosen.effects and (harm := find_harmful(selection, held_out)):
         rejected.append(Rejected(harm[0].place, harm[0].name, harm[1]))
         selection = drop_finding(selection, harm[0])
     while True:
@@ -140,44 +138,41 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
     """Find the finding that makes a joint of held-out motions worse, and why.
 
-    With it, the joint is worse by the largest ratio, beyond MAX_WORSE, than without it. Where several do so
-    together, than base parameters alone, it is the finding that is needed least.
+    With it, its own joint is worse than without it, and not by chance, or another one by more than MAX_WORSE.
+    Where several make one that much worse than base parameters alone, it is the one that is needed least.
     """
     context, chosen = selection.context, selection.chosen
-    if not chosen.effects:
-        return None
     models = [chosen, selection.base, *(model for _, model in selection.left_out)]
-    rows = np.abs(simulate_models(context, held_out, [model.sizes for model in models]))
+    residuals = simulate_models(context, held_out, [model.sizes for model in models])
+    rows = np.abs(residuals)
     joints = np.unique(held_out.joint_of)
     after, base, *without = np.array([np.mean(rows[:, held_out.joint_of == j], axis=1) for j in joints]).T
 
-    def find_worst(before: Array) -> tuple[float, int, float]:
-        j = int(np.argmax(ratios := after / np.maximum(before, 1e-300)))
-        return float(ratios[j]), j, float(before[j])
+    def find_worst(before: Array, own: Sequence[int] = ()) -> tuple[float, int, float]:
+        ratios, is_own = after / np.maximum(before, 1e-300), np.isin(joints, own)
+        elsewhere = float(np.max(ratios)) / (1.0 + MAX_WORSE)
+        here = float(np.mean(ratios[is_own])) if is_own.any() else 0.0
+        j = int(np.argmax(np.where(is_own | (here <= elsewhere), ratios, 0.0)))
+        return max(here, elsewhere), j, float(before[j])
 
     harms = []
-    for (layer, _), before in zip(selection.left_out, without, strict=True):
+    for (layer, _), before, left in zip(selection.left_out, without, residuals[2:], strict=True):
         for effect in layer:
             others = [j for one in layer if one is not effect for j in joints_of(context, one)]
-            harms.append((effect, *find_worst(np.where(np.isin(joints, others), after, before))))
+            before_it, mine = np.where(np.isin(joints, others), after, before), joints_of(context, effect)
+            here = np.isin(held_out.joint_of, mine)
+            (chance,) = chances_of_error(context, held_out, (left - residuals[0])[None], here)
+            harms.append((effect, *find_worst(before_it, mine if chance <= EXCLUDED else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
-    if ratio <= 1.0 + MAX_WORSE:
+    if ratio <= 1.0:
         ratio, j, error = find_worst(base)
         own = [one for one in chosen.effects if joints[j] in joints_of(context, one)] or chosen.effects
-        effect = min(own, key=lambda one: _left_out_gain(selection, one))
-    if ratio <= 1.0 + MAX_WORSE:
+        effect = min(own, key=lambda one: left_out_gain(selection, one))
+    if ratio <= 1.0:
         return None
     name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
     words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
     return effect, f"it makes {name} worse on motions that took no part: {words}"
-
-
-def _left_out_gain(selection: Selection, effect: Effect) -> float:
-    """Return the share of what can be explained that goes with a finding in left-out motions."""
-    context = selection.context
-    without = next(model for layer, model in selection.left_out if effect in layer)
-    rows = select_rows(context.model, context.joint_of(effect))
-    return improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
 
 
 def describe_finding(

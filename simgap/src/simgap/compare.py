@@ -10,7 +10,14 @@ from simgap.assemble import assemble, select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
-from simgap.diagnosis import check_names, choose_shown, refer_to_chosen
+from simgap.diagnosis import (
+    check_commands,
+    check_names,
+    choose_shown,
+    is_copy,
+    refer_to_chosen,
+    tell_remarks,
+)
 from simgap.effects.effect import Effect
 from simgap.effects.variation import Difference, unbound
 from simgap.logs import Logs, Motion
@@ -57,11 +64,10 @@ def compare(
         progress: Called with the share that is done, from 0 to 1, and a text.
 
     Raises:
-        RobotError: A set has no motion, the motions are too few, or the logs allow more than one kind of
-            comparison.
+        RobotError: A set has no motion, is a copy of the other, or does not follow its commands; or the logs
+            have nothing by which both can be compared.
     """
-    if not before or not after:
-        raise RobotError("a comparison needs motions before and after; one of the two sets is empty")
+    _check_sets(robot, before, after)
     motions = [*_rename(before, BEFORE), *_rename(after, AFTER)]
     usable = {
         (prefix + motion.name, joint): audit.is_usable(motion.name, joint)
@@ -69,7 +75,9 @@ def compare(
         for motion in part
         for joint in motion.joints
     }
-    kind = next(one for one in list_kinds(robot, motions, usable or None) if one.has_base)
+    kind = next((one for one in list_kinds(robot, motions, usable or None) if one.has_base), None)
+    if kind is None:
+        raise RobotError("the logs have no command and no torque; a comparison needs one of them")
     logs = Logs(tuple(motions))
     known = catalogue(robot, logs)
     check_names(known)
@@ -82,6 +90,7 @@ def compare(
     found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
     own = {(one.place, one.name) for one in list_differences(sure)}
     progress(1.0, "done")
+    told = [*zip((BEFORE, AFTER), audits, strict=False)]
     return Comparison(
         replace(
             found,
@@ -90,9 +99,34 @@ def compare(
             findings=tuple(one for one in found.findings if (one.place, one.effect) in own),
             rejected=tuple(rejected),
             fitted_motions=model.motions,
+            refused=tuple(
+                replace(one, motion=prefix + one.motion) for prefix, audit in told for one in audit.refused
+            ),
+            remarks=tuple(f"{prefix} {text}" for prefix, audit in told for text in tell_remarks(audit)),
         ),
         list_limits(sure),
     )
+
+
+def _check_sets(robot: Robot, before: Sequence[Motion], after: Sequence[Motion]) -> None:
+    """Refuse by RobotError two sets that cannot be compared."""
+    if not before or not after:
+        raise RobotError("a comparison needs motions before and after; one of the two sets is empty")
+    for one in after:
+        if copied := next((other.name for other in before if is_copy(one, other)), None):
+            raise RobotError(f"motion {one.name} after is a copy of {copied} before; give two logs")
+    check_commands(robot, (*before, *after))
+    for joint in robot.joints:
+        has_torque = [
+            any(one.joints[joint.name].torque is not None for one in part if joint.name in one.joints)
+            for part in (before, after)
+        ]
+        if len({*has_torque}) > 1:
+            without = ("before", "after")[has_torque.index(False)]
+            raise RobotError(
+                f"joint {joint.name}: no torque is logged {without}; leave `torque` out of the robot file to "
+                "compare positions"
+            )
 
 
 class SetResiduals(WrappedResiduals):

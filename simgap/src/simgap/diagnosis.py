@@ -13,7 +13,7 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.commands import count_foreign_commands
 from simgap.checks.records import COARSE_RAD, REFUSED, Audit, joint_samples
 from simgap.common.errors import RobotError
-from simgap.effects.effect import Effect
+from simgap.effects.effect import Effect, JointEffect
 from simgap.effects.variation import Variation, unbound
 from simgap.files.columns import hint_at
 from simgap.logs import Logs, Motion, Usable
@@ -94,7 +94,7 @@ def diagnose(
             # may refuse: before the long work
             judge = _know(kind.make(held_out, True), acting) if held_out else fitted
             shown, rejected = choose_shown(robot, kind, known)
-            base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
+            base = _list_base(robot, logs, kind, given)
             selection = select_effects(
                 fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
             )
@@ -105,16 +105,27 @@ def diagnose(
             part = _add_start(assemble(robot, fitted, selection, sets, judge), acting)
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
-    remarks = () if audit is None else audit.remarks
     return replace(
         convert_errors(robot, join_parts(parts)),
         seed=seed,
         is_base_only=base_only,
         refused=() if audit is None else audit.refused,
-        remarks=tuple(end_sentence(f"{one.joint or 'robot'}: {one.kind}: {one.text}") for one in remarks),
+        remarks=() if audit is None else tell_remarks(audit),
         fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
     )
+
+
+def _list_base(
+    robot: Robot, logs: Logs, kind: ResidualKind, start: Mapping[Effect, Array]
+) -> list[JointEffect]:
+    """List the base parameters of a kind of residual, which count from an earlier result."""
+    before = {one.key: float(size[0]) for one, size in start.items()}
+    return [
+        replace(one, known=before.get(one.key, 0.0))
+        for one in base_effects(robot, logs)
+        if kind.has_base and kind.shows(one)
+    ]
 
 
 def _list_kinds(
@@ -198,8 +209,9 @@ def _add_start(part: Diagnosis, start: Mapping[Effect, Array]) -> Diagnosis:
     for effect, size in zip(part.effects, part.sizes, strict=True):
         one = effect.effect if isinstance(effect, Change) else effect
         known = before.get(one.key, np.zeros(len(size)))
-        bounds = np.array([(each.low, each.high) for each in one.sizes]).T
-        total[one.key] = one, np.clip(known + size, *bounds)
+        whole, _ = total.get(one.key, (one, None))
+        bounds = np.array([(each.low, each.high) for each in whole.sizes]).T
+        total[one.key] = whole, np.clip(known + size, *bounds)
     base = []
     for each in part.base:
         place = next((key for key, (one, _) in total.items() if _is_base(one, each)), "")
@@ -249,10 +261,15 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
             )
     if not motions:
         raise RobotError("no motion is fitted; a diagnosis needs one at least, and better four")
+    check_commands(robot, (*motions, *held_out))
+
+
+def check_commands(robot: Robot, motions: Sequence[Motion]) -> None:
+    """Refuse by RobotError motions that do not follow their commands."""
     for joint in robot.joints:
         if joint.mode is not ControlMode.POSITION:
             continue
-        logs = [one.joints[joint.name] for one in (*motions, *held_out) if joint.name in one.joints]
+        logs = [one.joints[joint.name] for one in motions if joint.name in one.joints]
         moving = [
             (log.position, log.command)
             for log in logs
@@ -279,6 +296,11 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
         raise RobotError(
             f"no sample of the fitted motions can be used ({reasons}); `simgap check` shows where"
         )
+
+
+def tell_remarks(audit: Audit) -> tuple[str, ...]:
+    """Return a sentence for each remark on the logs."""
+    return tuple(end_sentence(f"{one.joint or 'robot'}: {one.kind}: {one.text}") for one in audit.remarks)
 
 
 def end_sentence(text: str) -> str:

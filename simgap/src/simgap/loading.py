@@ -191,20 +191,27 @@ def _name_motions(
 
 
 def _add_conditions(file: RobotFile, motions: list[Motion], members: Sequence[Member]) -> list[Motion]:
-    """Return motions with the conditions given by motion or file; RobotError for a wrong name or value."""
+    """Return motions with the conditions given by motion or file; RobotError for a wrong name or value.
+
+    Motions and files that are not among these logs may have a value too.
+    """
     for name, table in file.conditions.items():
         if not table.values:
             continue
         where = f"conditions.{name}.values"
         found: dict[str, float] = {}
+        known = {name for one in members for name in (one.motion, *one.others)}
         for key, value in table.values.items():
-            for motion in find_members([key], members, where):
+            for motion in find_members([key] if key in known else [], members, where):
                 if found.setdefault(motion, value) != value:
                     raise RobotError(
                         f"{where}: motion {motion!r} has {found[motion]:g} and {value:g}; give it one"
                     )
         without = next((one.name for one in motions if one.name not in found), None)
         if without is not None:
+            find_members(
+                [key for key in table.values if key not in known], members, where
+            )  # refuses a misspelling
             raise RobotError(f"{where}: motion {without!r} has no value; add it, or its log file")
         motions = [replace(one, conditions={**one.conditions, name: found[one.name]}) for one in motions]
     return motions

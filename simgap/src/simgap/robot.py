@@ -143,6 +143,13 @@ class Robot:
         """Read a robot file and compile its model; RobotError if one or the other is wrong."""
         return build_robot(read_model_file(Path(path)), Path(path))
 
+    def show(self, joint: str, position_rad: float) -> str:
+        """Return a position of a joint as text: degrees if its log has them, else rad; of a slide mm."""
+        table = None if self.file is None else self.file.joints.get(joint)
+        if table is not None and table.position.unit == "deg":
+            return f"{math.degrees(position_rad):.3g} deg"
+        return self.joint(joint).show(position_rad, ".3g")
+
     def under(self, conditions: Mapping[str, float]) -> "Robot":
         """Return the robot with numbers of its model that conditions set; RobotError if it has no such."""
         if self.file is None or not any(one.sets for one in self.file.conditions.values()):

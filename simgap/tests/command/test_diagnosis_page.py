@@ -215,6 +215,12 @@ def test_base_parameters_alone_are_fitted_without_the_catalogue(swinging, tmp_pa
     assert error["base"] < 0.01 * error["nominal"]
     (gain,) = [one["value"] for one in found["base"] if one["name"] == "gain_ratio"]
     assert gain == pytest.approx(0.2, abs=0.01)
+    again = run_simgap(swinging, *WORDS, "--terms", "none", "--start", str(tmp_path / "found"))
+    assert again.returncode == 0, again.stderr
+    (from_there,) = json.loads(again.stdout)["errors"]
+    assert from_there["nominal"] == pytest.approx(error["base"], rel=0.1)
+    back = ("--start", str(tmp_path), "--patch", str(tmp_path))
+    assert "this is the file of start too" in run_simgap(swinging, *WORDS, *back).stderr
 
 
 @pytest.mark.slow

@@ -264,10 +264,11 @@ def test_a_line_of_no_length_is_refused():
         assert plan == Refusal("the straight move has no length")
 
 
-def test_no_move_is_planned_for_an_arm_too_soft_to_come_to_rest():
+@pytest.mark.parametrize("softer", [100.0, 1e6])
+def test_no_move_is_planned_for_an_arm_too_soft_to_come_to_rest(softer):
     joints, soft = (
         joints_at(),
-        replace(CONFIG, arm=replace(CONFIG.arm, compliance=100 * CONFIG.arm.compliance)),
+        replace(CONFIG, arm=replace(CONFIG.arm, compliance=softer * CONFIG.arm.compliance)),
     )
     pose = joints.output_rad
     one = plan_joint(soft, joints, Joint.WRIST, pose[Joint.WRIST], Compensation())

@@ -110,6 +110,15 @@ def test_a_press_is_refused_where_no_joint_angles_keep_the_tool():
         assert plan_preload(rig.config, rig.state.joints, moved, 300.0).reason.startswith(reason)
 
 
+@pytest.mark.parametrize("softer", [100.0, 1e6])
+def test_a_press_is_refused_for_an_arm_too_soft_to_come_to_rest(softer):
+    rig = guarded_in_contact()
+    touch = model_contact(rig.config, rig.state.joints, "apxs")
+    soft = replace(rig.config, arm=replace(rig.config.arm, compliance=softer * rig.config.arm.compliance))
+    refusal = plan_preload(soft, rig.state.joints, touch, 300.0)
+    assert refusal == Refusal("no overdrive found from 2.0 to 300.0 N")
+
+
 def test_a_press_with_another_part_in_the_ground_or_by_a_small_change_is_refused():
     rig = guarded_in_contact()
     rig.config, height_m = in_the_open(rig.config), float(rig.tool_pose("apxs").p[2])

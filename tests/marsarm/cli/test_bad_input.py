@@ -147,6 +147,7 @@ CASES = {
     "monte-carlo --case venus": "case: 'venus' is not known; there are accuracy",
     "run short_run.toml --effect warming:warming_K=9e9": "warming_K: 9e+09 is outside -200 .. 200",
     "gap record --out new --effect rusty-gear": "'rusty-gear' is not known",
+    "gap record --out new --motion a.toml --sessions poses": "motion, sessions: they exclude each other",
     "gap record --out new --sessions poses-levl-*": "sessions: nothing is called 'poses-levl-*'",
     # parameters
     "place --params nosuch.toml": "nosuch.toml: cannot be read (No such file or directory)",

@@ -251,6 +251,11 @@ def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_it
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(RobotError, match=rf"next\.toml: {old.split()[0]}"):
         read_motion(path)
+    path.write_text('name = "servo arm"')
+    with pytest.raises(
+        BadRequest, match=r"next\.toml: is no motion; give a file that `gap next --out` wrote"
+    ):
+        read_motion(path)
 
 
 @pytest.mark.parametrize("arm", ["nominal", "m2020"])

@@ -167,7 +167,8 @@ def test_a_slippery_rock_lacks_a_share_of_the_friction_under_the_pads():
 
 
 def test_where_there_is_no_rock_there_is_nothing_to_shift():
-    bench.build_arm(SurfacePosition(1e-3))
+    drawn, shifted = (bench.build_arm(*some)[0].model for some in ((), (SurfacePosition(1e-3),)))
+    assert np.array_equal(shifted.geom_pos, drawn.geom_pos)
 
 
 FINER = 6

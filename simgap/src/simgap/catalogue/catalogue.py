@@ -139,7 +139,7 @@ def _common_delays(robot: Robot, found: Sequence[Effect]) -> list[Effect]:
     ]
 
 
-def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
+def base_effects(robot: Robot, logs: Logs) -> tuple[JointEffect, ...]:
     """List the nuisances of all joints that are not known.
 
     The sizes have priors. These decide only what the data do not: the armature of a joint that never

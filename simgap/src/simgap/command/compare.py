@@ -6,8 +6,8 @@ from simgap.checks.audit import audit
 from simgap.command.request import CompareRequest
 from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, no_progress
-from simgap.compare import compare
-from simgap.diagnosis import check_audit
+from simgap.compare import AFTER, BEFORE, compare
+from simgap.diagnosis import check_audit, end_sentence
 from simgap.loading import load
 from simgap.result import Comparison
 from simgap.robot import Robot
@@ -24,7 +24,7 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
     for found, logs in zip(audits, sets, strict=True):
         check_audit(found, logs.motions)
     before, after = (logs.motions for logs in sets)
-    return compare(
+    made = compare(
         robot,
         before,
         after,
@@ -32,3 +32,9 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
         seed=request.seed,
         progress=lambda share, text: progress(share, GUESS, text),
     )
+    losses = (
+        f"{prefix} {end_sentence(text)}"
+        for prefix, logs in zip((BEFORE, AFTER), sets, strict=True)
+        for text in logs.losses
+    )
+    return replace(made, found=replace(made.found, remarks=(*losses, *made.found.remarks)))

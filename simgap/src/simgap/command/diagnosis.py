@@ -62,7 +62,7 @@ def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -
     check_options(request)
     if request.split and request.held_out:
         raise BadRequest("split, held-out: they exclude each other; give one of the two")
-    check_distinct_files({"report": request.report, "patch": request.patch})
+    check_distinct_files({"report": request.report, "start": request.start, "patch": request.patch})
     _check_folder(request.patch)
     progress(0.0, 0.0, "reading")
     file = read_robot_file(request.robot)
@@ -124,7 +124,7 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     if request.patch is not None:
         from simgap.patch.patch import make_patch
 
-        patch = make_patch(robot, *result.of_model(), result.rivals)
+        patch = make_patch(robot, *result.of_model(), result.rivals, result.fitted_motions)
     traces: tuple[Trace, ...] = ()
     if request.report is not None:
         made = trace_motions(robot, logs.judged or logs.fit, result, found.usable)

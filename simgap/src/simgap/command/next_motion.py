@@ -46,8 +46,8 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     check_options(request)
     progress(0.0, 0.0, "reading")
     robot = Robot.from_toml(request.robot)
-    rivals = read_rivals(robot, request.start)
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
+    rivals = read_rivals(robot, request.start, [one.name for one in logs.fit])
     progress(0.0, 0.0, "auditing")
     usable = audit(robot, logs).usable
     proposal, motion = propose_motion(

@@ -124,7 +124,8 @@ def diagnose_poses(request: DiagnoseRequest, file: SerialFile, progress: Progres
         raise RobotError(f"{request.robot}: poses: has no mapping for {table.name}; has {known}")
     path, mapping = folder / file.serial_arm, folder / file.poses[table.name]
     if request.patch is not None:
-        check_distinct_files({"serial_arm": path, "patch": request.patch / ARM_FILE})
+        for name in (ARM_FILE, CALIBRATED_FILE):
+            check_distinct_files({"serial_arm": path, "patch": request.patch / name})
     arm = read_arm(path)
     series = read_series(arm, table, mapping)
     digests = digest_files({"robot": [request.robot, path, mapping], "log": [table]})

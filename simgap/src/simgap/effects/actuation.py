@@ -172,7 +172,8 @@ class BackEmf(JointEffect):
         elif joint.mode is ControlMode.VELOCITY:
             request = request - v_rad_s
         driving = np.sign(request) * v_rad_s
-        tick.torque_limit_Nm[:, j] *= np.maximum(1.0 - size[:, 0] * driving, 0.0)
+        # a factor of 0 would make NaN of a torque without a limit, which stays so
+        tick.torque_limit_Nm[:, j] *= np.maximum(1.0 - size[:, 0] * driving, np.finfo(float).tiny)
 
     def describe(self, size: Array) -> str:
         """Return the no-load speed."""

@@ -300,6 +300,8 @@ class JointEffect(Effect):
     scales: JointScales
     is_base: bool = False
     """True for a nuisance, which is always fitted and never named."""
+    known: float = 0.0
+    """Size in an earlier result, from which that of a nuisance counts."""
 
     @classmethod
     def at(cls, robot: Robot, place: str, scales: Mapping[str, JointScales]) -> Self:
@@ -310,7 +312,7 @@ class JointEffect(Effect):
     def size_of(self, name: str, low: float, high: float, typical: float) -> Size:
         """Return a size whose name has the unit of the joint; of a base effect, with a prior around 0."""
         prior_std = max(BASE_PRIOR * typical, -low) if self.is_base else math.inf
-        return Size(self.joint.name_of(name), low, high, typical, prior_std)
+        return Size(self.joint.name_of(name), low - self.known, high - self.known, typical, prior_std)
 
 
 @dataclass(frozen=True, slots=True)

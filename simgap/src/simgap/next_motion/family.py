@@ -64,13 +64,12 @@ class Plan:
 
     def describe(self, robot: Robot) -> str:
         """Return the motion in words."""
-        joint = robot.joint(self.joint)
-        low, high = (joint.show(one, ".3g") for one in self.ends_rad)
-        top = f"at up to {joint.show(self.speed_rad_s, '.3g')}/s"
+        low, high = (robot.show(self.joint, one) for one in self.ends_rad)
+        top = f"at up to {robot.show(self.joint, self.speed_rad_s)}/s"
         speed = top if self.speed_rad_s < np.inf else "in jumps"
         rests = f", with rests of {self.rest_s:g} s" if self.rest_s else ""
         rests += f", without power from {self.off_s:g} s" if self.off_s < np.inf else ""
-        held = [f"{name} at {robot.joint(name).show(at, '.3g')}" for name, at in self.others_rad.items()]
+        held = [f"{name} at {robot.show(name, at)}" for name, at in self.others_rad.items()]
         gained = [name for name, one in (robot.file.joints if robot.file else {}).items() if one.gain_column]
         gains = {f"gain {self.gain[name]:g}" for name in gained}
         given = [*held, *sorted(gains), *(f"{name} = {value:g}" for name, value in self.conditions.items())]

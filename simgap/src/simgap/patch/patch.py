@@ -92,7 +92,9 @@ class _Recorder:
 
 def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, ...]:
     """Write the files of a patch to a folder, made if need be; RobotError if MJCF cannot say an effect."""
-    return write_patch(make_patch(robot, *diagnosis.of_model(), diagnosis.rivals), folder)
+    return write_patch(
+        make_patch(robot, *diagnosis.of_model(), diagnosis.rivals, diagnosis.fitted_motions), folder
+    )
 
 
 def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
@@ -107,16 +109,23 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
 
 
 def make_patch(
-    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
+    robot: Robot,
+    effects: Sequence[Effect],
+    sizes: Sequence[Sequence[float]],
+    rivals: Sequence[Rival] = (),
+    motions: Sequence[str] = (),
 ) -> Patch:
-    """Return the patch of effects whose sizes are not 0, with rivals; RobotError if MJCF cannot say one."""
+    """Return the patch of effects whose sizes are not 0, with rivals and the names of fitted motions.
+
+    RobotError if MJCF cannot say an effect.
+    """
     active = [
         (one, np.asarray(size, float))
         for effect, size in zip(effects, sizes, strict=True)
         for one in effect.parts
         if any(size)
     ]
-    found = found_text(robot, effects, sizes, rivals)
+    found = found_text(robot, effects, sizes, rivals, motions)
     text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
     if varied:
         spec = mujoco.MjSpec.from_string(text)

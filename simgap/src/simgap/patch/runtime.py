@@ -69,11 +69,19 @@ class RuntimeEffects:
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
             joints: Joints in the order of commands.
             control_period_s: Time between two commands, a whole number of time steps.
+
+        Raises:
+            RobotError: It is no whole number of time steps.
         """
         names = [joint.name for joint in joints]
         self._period_s = control_period_s
         self.n_steps = round(control_period_s / model.opt.timestep)
         """Time steps of a control period."""
+        if self.n_steps < 1 or abs(self.n_steps * model.opt.timestep - control_period_s) > 1e-9:
+            raise RobotError(
+                f"time step: {model.opt.timestep:g} s is no whole part of the control period of "
+                f"{control_period_s:g} s; make the patch anew"
+            )
         self._joints = tuple(joints)
         self._qpos, self._dof = _places(model, [joint.joint for joint in joints])
         turned = [joint.rotor or joint.joint for joint in joints]
@@ -133,7 +141,14 @@ class RuntimeEffects:
             temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
             gain: Values of the gain columns of the robot file, (n_joints,).
             is_on: Whether the motors have torque, (n_joints,).
+
+        Raises:
+            RobotError: There is not a command for each joint.
         """
+        if np.shape(command) != self._qpos.shape:
+            raise RobotError(
+                f"command: has shape {np.shape(command)}; give one for each of {self._qpos.size} joints"
+            )
         if self._last_command is None:
             mujoco.mj_forward(model, data)
         self._remember(data)
@@ -256,4 +271,6 @@ def _actuator(model: mujoco.MjModel, name: str) -> int:
     if number >= 0:
         return int(number)
     driving = np.flatnonzero(model.actuator_trnid[:, 0] == model.joint(name).id)
+    if not driving.size:
+        raise KeyError(f"no actuator {name!r}")
     return int(driving[0])

@@ -3,7 +3,7 @@
 import importlib
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from math import inf
 from pathlib import Path
@@ -202,10 +202,10 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
         kind = _effect_class(table)
         effect = cast(Effect, _build(kind, table["fields"]))
         size = {name: float(value) for name, value in table["size"].items()}
+        names = [one.name for one in effect.sizes]
     except (KeyError, TypeError, ValueError, ImportError, AttributeError, OSError) as error:
         name = table.get("effect", "an effect")
         raise RobotError(f"{path}: {name}: cannot be made ({error}); write the file again") from error
-    names = [one.name for one in effect.sizes]
     if list(size) != names:
         raise RobotError(f"{path}: {effect.key}: size has {', '.join(size)}; it takes {', '.join(names)}")
     _check_sizes(effect, [*size.values()], path)
@@ -246,7 +246,7 @@ def _build(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         known = {one.name: hints[one.name] for one in fields(kind)}
         made = {name: _build(known[name], each) for name, each in value.items()}
-        absent = {name: None for name in known if name not in made}
+        absent = {one.name: None for one in fields(kind) if one.name not in made and one.default is MISSING}
         return cast(Any, kind)(**made, **absent)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
@@ -262,14 +262,19 @@ FORMAT: Final = "robot effects 1"
 
 
 def found_text(
-    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], rivals: Sequence[Rival] = ()
+    robot: Robot,
+    effects: Sequence[Effect],
+    sizes: Sequence[Sequence[float]],
+    rivals: Sequence[Rival] = (),
+    motions: Sequence[str] = (),
 ) -> str:
-    """Return the text of the file, with the rivals of the findings."""
+    """Return the text of the file, with the rivals of the findings and the names of the fitted motions."""
     known = {one.key for one in effects}
     others = {one.key: one for rival in rivals for one in rival.effects if one.key not in known}
     tables = {
         "format": FORMAT,
         "joints": [joint.name for joint in robot.joints],
+        "motions": list(motions),
         "effects": [effect_table(one, size) for one, size in zip(effects, sizes, strict=True)],
         "rival_effects": [effect_table(one, [0.0] * len(one.sizes)) for one in others.values()],
         "rivals": [_rival_table(one) for one in rivals],
@@ -285,7 +290,7 @@ class FoundRival(Record):
     effect: str
     p: Annotated[float, Field(ge=0, le=1)]
     kind: str
-    n_fitted: int
+    n_fitted: Annotated[int, Field(ge=1)]
     sizes: dict[str, list[float]]
     """Sizes of all effects that act, by the key of each."""
 
@@ -295,6 +300,8 @@ class FoundFile(Record):
 
     format: Literal["robot effects 1"]
     joints: list[str]
+    motions: list[str] = Field(default_factory=list)
+    """Names of those that were fitted."""
     effects: list[dict[str, Any]]
     rival_effects: list[dict[str, Any]] = Field(default_factory=list)
     rivals: list[FoundRival] = Field(default_factory=list)
@@ -306,9 +313,18 @@ def read_found(robot: Robot, folder: Path) -> dict[Effect, Array]:
     return dict(_read_effects(robot, content.effects, path))
 
 
-def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
-    """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`."""
+def read_rivals(robot: Robot, folder: Path, motions: Sequence[str]) -> tuple[Rival, ...]:
+    """Read the rivals that a patch keeps, if it keeps any; RobotError as for `read_found`.
+
+    The names of the fitted motions have to be those of the diagnosis.
+    """
     path, content = _read_file(robot, folder)
+    if content.motions and {*content.motions} != {*motions}:
+        shown = ", ".join([*content.motions[:3], *(["..."] if len(content.motions) > 3 else [])])
+        raise RobotError(
+            f"{path}: {len(content.motions)} motions were fitted ({shown}), of these logs "
+            f"{len(motions)} are: give the logs and the held-out motions of the diagnosis"
+        )
     tables = (*content.effects, *content.rival_effects)
     effects = {one.key: one for one, _ in _read_effects(robot, tables, path)}
     found = []
@@ -317,6 +333,8 @@ def read_rivals(robot: Robot, folder: Path) -> tuple[Rival, ...]:
             if key not in effects:
                 raise RobotError(f"{path}: rivals: no effect has the key {key!r}; write the patch again")
             _check_sizes(effects[key], size, path)
+        if rival.n_fitted > len(rival.sizes):
+            raise RobotError(f"{path}: rivals: n_fitted is {rival.n_fitted}; write 1 to {len(rival.sizes)}")
         own = rival.model_dump(exclude={"sizes"})
         acting, sizes = (tuple(effects[key] for key in rival.sizes), map(tuple, rival.sizes.values()))
         found.append(Rival(**own, effects=acting, sizes=tuple(sizes)))
@@ -330,7 +348,9 @@ def _read_effects(
     found = [read_effect(table, path) for table in tables]
     for effect, _ in found:
         joint = getattr(effect, "joint", None)
-        if joint is not None and joint not in robot.joints:
+        # as texts, because a NaN is not equal to itself
+        own = [k for k, one in enumerate(robot.joints) if repr(one) == repr(joint)]
+        if joint is not None and getattr(effect, "index", min(own, default=-1)) not in own:
             raise RobotError(
                 f"{path}: {effect.key}: mode, gains, limit or gear are not those of the robot file; give the "
                 "robot file of the earlier diagnosis"

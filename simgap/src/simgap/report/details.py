@@ -6,6 +6,7 @@ from typing import Final
 
 from simgap.common.console import pluralize
 from simgap.report.sentences import (
+    EARLIER,
     MAX_MEMBERS,
     base_words,
     certainty_words,
@@ -30,10 +31,14 @@ GAINS: Final = {
 
 def detail_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
+    return [*finding_lines(diagnosis), *log_lines(diagnosis)]
+
+
+def log_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return the remarks on the logs, and a sentence for all that took no part."""
     sizes = [(one, pluralize(one.n_samples, "sample")) for one in diagnosis.refused]
     refused = [f"{one.motion}: {size} took no part: {one.reason}." for one, size in sizes]
     return [
-        *finding_lines(diagnosis),
         *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),
         *_shorten(refused, "refusal"),
     ]
@@ -46,8 +51,9 @@ def finding_lines(diagnosis: Diagnosis) -> list[str]:
 
 def rest_lines(diagnosis: Diagnosis) -> list[str]:
     """Return sentences of what remains, is not named, and cannot be known."""
-    errors = map(error_sentence, diagnosis.errors if diagnosis.is_base_only else ())
-    base = [base_sentence(one) for one in list_differing(diagnosis)]
+    has_start = bool(diagnosis.start)
+    errors = [error_sentence(one, has_start) for one in diagnosis.errors if diagnosis.is_base_only]
+    base = [base_sentence(one, has_start) for one in list_differing(diagnosis)]
     return [
         *errors,
         *remainder_sentences(diagnosis.remaining, diagnosis.is_base_only),
@@ -98,18 +104,20 @@ def _evidence(finding: Finding) -> str:
     return own + (lost if isfinite(finding.share) else "")
 
 
-def base_sentence(one: Base) -> str:
+def base_sentence(one: Base, has_start: bool = False) -> str:
     """Return a base parameter that differs from the model with its interval and its own share."""
     low, high = one.interval
-    lost = f" With that of the model, {percent(one.share)} of the error of its joint comes back."
-    words = f"{base_words(one)}; with 90 % probability from {low:.4g} to {high:.4g}."
+    before = EARLIER if has_start else "model"
+    lost = f" With that of the {before}, {percent(one.share)} of the error of its joint comes back."
+    words = f"{base_words(one, has_start)}; with 90 % probability from {low:.4g} to {high:.4g}."
     return words + (lost if isfinite(one.share) else "")
 
 
-def error_sentence(one: JointError) -> str:
-    """Return the mean error of a joint, with the model as it is and with its base parameters fitted."""
+def error_sentence(one: JointError, has_start: bool = False) -> str:
+    """Return the mean error of a joint, before and after its base parameters are fitted."""
     nominal, base = (quantity(value, one.unit) for value in (one.nominal, one.base))
-    return f"Mean error of {one.joint}: {nominal} as it is, {base} with base parameters."
+    before = f"with the {EARLIER}" if has_start else "as it is"
+    return f"Mean error of {one.joint}: {nominal} {before}, {base} with base parameters."
 
 
 def remainder_sentences(remaining: Sequence[Remainder], is_base_only: bool = False) -> list[str]:

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any, Final
 
 from simgap.common.report import to_json
-from simgap.report.details import detail_lines, finding_lines
+from simgap.report.details import detail_lines, finding_lines, log_lines
 from simgap.report.sentences import level, verdict_lines, verdict_word
 from simgap.result import Base, Comparison, Diagnosis, Finding, Limit
 from simgap.units import quantity
@@ -88,6 +88,8 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
         where = "Where: nowhere; one model fits both sets of logs."
+        if made.found.remaining:
+            where = "Where: nowhere that these logs show; one model leaves an error in both sets."
         what = "What: nothing changed that these logs show."
         return where, what, f"How far: {_how_far(made)}", limits
     asked = following if "record" in following else limits
@@ -95,11 +97,15 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
 
 
 def comparison_details(made: Comparison) -> list[str]:
-    """Return a sentence for each change, for each one that is not named, and the limits of all joints."""
+    """Return sentences of changes, of what is not named or took no part, and the limits of all joints."""
     joints = dict.fromkeys(one.place for one in made.limits)
     limits = (_limit_words([one for one in made.limits if one.place == joint]) for joint in joints)
     beside = "Beside what was found, changes" if made.found.findings else "Changes"
-    return [*finding_lines(made.found), *(f"{beside} may lie within {one}." for one in limits)]
+    return [
+        *finding_lines(made.found),
+        *log_lines(made.found),
+        *(f"{beside} may lie within {one}." for one in limits),
+    ]
 
 
 def comparison_document(made: Comparison) -> dict[str, Any]:
@@ -107,6 +113,7 @@ def comparison_document(made: Comparison) -> dict[str, Any]:
     found = to_document(made.found)
     return found | {
         "format": COMPARISON,
+        "verdict": found["verdict"] if made.found.findings else "none",
         "lines": list(comparison_lines(made)),
         "details": comparison_details(made),
         "limits": to_json(made.limits),
@@ -124,5 +131,9 @@ def _how_far(made: Comparison) -> str:
 
 def _limit_words(limits: Sequence[Limit]) -> str:
     """Return the limits of the changes of base parameters that may have happened unseen."""
-    words = [f"{one.name} of {one.place} from {one.low:+.3g} to {one.high:+.3g}" for one in limits]
+    words = [
+        f"{one.name} of {one.place} from {one.low:+.3g} to {one.high:+.3g}"
+        f"{'' if one.low <= 0.0 <= one.high else ', not sure enough to be named'}"
+        for one in limits
+    ]
     return f"{', '.join(words)} (90 %)"

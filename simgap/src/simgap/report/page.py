@@ -250,7 +250,12 @@ def _base_part(diagnosis: Diagnosis) -> list[str]:
         ends = "{:.4g} to {:.4g}".format(*one.interval) if one.is_identifiable else "not known"
         rows.append((one.place, one.name, f"{one.nominal:.4g}", f"{one.value:.4g}", ends))
     about = "Numbers that the model does not know for certain. They are fitted, and are no findings."
-    return _table_part("Base parameters", ("place", "parameter", "model", "fitted", "90 %"), rows, about)
+    return _table_part(
+        "Base parameters",
+        ("place", "parameter", "earlier result" if diagnosis.start else "model", "fitted", "90 %"),
+        rows,
+        about,
+    )
 
 
 def _table_part(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], about: str = "") -> list[str]:
@@ -268,6 +273,8 @@ def _remaining_part(diagnosis: Diagnosis) -> list[str]:
             depends = (one.depends_on, percent(one.depends_share))
         rows.append((one.joint, one.regime, quantity(one.mean_abs, one.unit), *depends))
     about = "No effect of the catalogue explains this part; it is apart from what was named."
+    if diagnosis.is_base_only:
+        about = "Base parameters do not explain this part; no effect was looked for."
     head = ("joint", "regime", "mean error", "depends on", "share of it")
     return _table_part("What remains", head, rows, about)
 

@@ -13,6 +13,8 @@ from simgap.units import quantity
 
 MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
+EARLIER: Final = "earlier result"
+"""What errors count from with a start, in place of the model."""
 NOT_LOCATED: Final = "something that is not located"
 MUCH: Final = 2.0
 """Error over noise from which the first line says what is left: half of it or more is no noise."""
@@ -159,7 +161,9 @@ def rank_findings(diagnosis: Diagnosis) -> list[Finding]:
 
 def _what(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
-        base = join_words([base_words(one) for one in list_differing(diagnosis)], "and")
+        base = join_words(
+            [base_words(one, bool(diagnosis.start)) for one in list_differing(diagnosis)], "and"
+        )
         if diagnosis.is_base_only:
             return f"{base or 'no base parameter accounts for half of the error of its joint'}."
         explains = " explains what remains" if diagnosis.remaining else ""
@@ -184,9 +188,10 @@ def list_differing(diagnosis: Diagnosis) -> list[Base]:
     return sorted(found, key=lambda one: -one.share if isfinite(one.share) else 0.0)
 
 
-def base_words(one: Base) -> str:
-    """Return a base parameter as fitted, beside the number of the model."""
-    return f"{one.name} of {one.place} is {one.value:.3g}, in the model {one.nominal:.3g}"
+def base_words(one: Base, has_start: bool = False) -> str:
+    """Return a base parameter as fitted, beside the number of the model or of an earlier result."""
+    before = EARLIER if has_start else "model"
+    return f"{one.name} of {one.place} is {one.value:.3g}, in the {before} {one.nominal:.3g}"
 
 
 def certainty_words(finding: Finding) -> str:
@@ -229,7 +234,7 @@ def _how_far(diagnosis: Diagnosis) -> str:
     one = max(diagnosis.errors, key=lambda each: each.base / each.noise_floor if is_mixed else each.nominal)
     known = one.noise_floor > 0.0
     noise = f"noise: {quantity(one.noise_floor, one.unit)}" if known else "noise: not known without repeats"
-    before = " with the earlier result" if diagnosis.start else ""
+    before = f" with the {EARLIER}" if diagnosis.start else ""
     steps = f"{quantity(one.nominal, one.unit)}{before}; with base parameters {quantity(one.base, one.unit)}"
     found = bool(diagnosis.findings)
     steps += f"; with the findings {quantity(one.explained, one.unit)}" if found else ""

@@ -135,12 +135,13 @@ def add_sizes(terms: Sequence[tuple[Effect, Array]], shape: tuple[int, ...]) -> 
         terms: Effects with sizes that fit to (*shape, n_sizes), in the units of their names.
 
     Returns:
-        Each effect once, and all sizes one after the other, (*shape, total sizes); a sum ends at the bounds.
+        Each effect once, and all sizes one after the other, (*shape, total sizes); a sum ends at the bounds
+        of the effect that comes first.
     """
     effects: dict[str, Effect] = {}
     sums: dict[str, Array] = {}
     for effect, size in terms:
-        effects[effect.key] = effect
+        effects.setdefault(effect.key, effect)
         sums[effect.key] = sums.get(effect.key, np.zeros((*shape, len(effect.sizes)))) + size
     ends = [np.array([(size.low, size.high) for size in one.sizes]).T for one in effects.values()]
     parts = [np.clip(total, *end) for total, end in zip(sums.values(), ends, strict=True)]

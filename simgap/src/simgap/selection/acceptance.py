@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm
 
-from simgap.arrays import Array, Integers, find_bounded_minimum
+from simgap.arrays import Array, Flags, Integers, find_bounded_minimum
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import cut_rows
-from simgap.residuals.residuals import half_loss_derivatives, pseudo_huber
+from simgap.residuals.noise import WhitenedResiduals, cut_rows
+from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, pseudo_huber
 from simgap.selection.context import Context, FittedModel, simulate
 from simgap.selection.fit import STEP, JointFit, gather_residuals
 from simgap.selection.sharing import ALL_JOINTS
@@ -33,6 +34,22 @@ def explainable_loss(context: Context, rows: Integers, residuals: Array) -> floa
 def robust_loss(context: Context, rows: Integers, residuals: Array) -> float:
     """Return the loss of residuals in the unit of the model, (n_rows,)."""
     return float(np.sum(pseudo_huber(residuals / context.scales[context.model.joint_of[rows]])))
+
+
+def chances_of_error(context: Context, model: ResidualModel, apart: Array, counts: Flags) -> Array:
+    """Return the probability that noise lets the wrong one of two models predict motions better, (n_pairs,).
+
+    Where predictions differ by d standard deviations, the right one has less loss by d^2 +- 2 d.
+
+    Args:
+        model: Residuals of the motions.
+        apart: Differences of the predictions, (n_pairs, n).
+        counts: Residuals that count, (n,).
+    """
+    if isinstance(context.model, WhitenedResiduals):
+        apart = WhitenedResiduals(model, context.model.correlation).whiten(apart)
+    differences = (apart / context.scales[model.joint_of])[:, counts]
+    return np.asarray(norm.sf(0.5 * np.linalg.norm(differences, axis=1)))
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:

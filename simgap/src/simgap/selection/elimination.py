@@ -12,7 +12,7 @@ from simgap.effects.effect import Effect
 from simgap.residuals.residuals import pseudo_huber
 from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
-from simgap.selection.context import Context, FittedModel
+from simgap.selection.context import Context, FittedModel, Selection
 from simgap.selection.fit import JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_layers
 from simgap.selection.screening import refit_p
@@ -94,6 +94,14 @@ def find_need(
     z = improvement_z(context, rows, *pair)
     is_sure = z > MIN_Z or knows_noise(context, rows)
     return improvement_share(context, rows, *pair) >= MIN_SHARE and is_no_chance and is_sure, z
+
+
+def left_out_gain(selection: Selection, effect: Effect) -> float:
+    """Return the share of what can be explained that goes with a finding in left-out motions."""
+    context = selection.context
+    without = next(model for layer, model in selection.left_out if effect in layer)
+    rows = select_rows(context.model, context.joint_of(effect))
+    return improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
 
 
 def find_log_chance(

@@ -11,9 +11,14 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import WhitenedResiduals, cut_rows
+from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
-from simgap.selection.acceptance import cross_validate_each, improvement_share, improvement_z
+from simgap.selection.acceptance import (
+    chances_of_error,
+    cross_validate_each,
+    improvement_share,
+    improvement_z,
+)
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
     Context,
@@ -187,8 +192,7 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
     """Take effects back that were excluded, but predict motions that took no part as well as the set.
 
     A test of fits excludes the cause where the model lacks something else. It then predicts no worse than the
-    best of the set. Where predictions differ by d standard deviations, chance does it too: that one has less
-    loss by d^2 +- 2 d.
+    best of the set, and not by chance.
     """
     here = np.isin(held_out.joint_of, joints_of(context, found.effect))
     if not found.excluded or not here.any():
@@ -198,10 +202,7 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
     residuals = simulate_models(context, held_out, sizes)
     errors = np.mean(np.abs(residuals[:, here]), axis=1)
     best = int(np.argmin(errors[:n]))
-    if isinstance(context.model, WhitenedResiduals):
-        residuals = WhitenedResiduals(held_out, context.model.correlation).whiten(residuals)
-    apart = ((residuals[n:] - residuals[best]) / context.scales[held_out.joint_of])[:, here]
-    is_told = norm.sf(0.5 * np.linalg.norm(apart, axis=1)) <= EXCLUDED
+    is_told = chances_of_error(context, held_out, residuals[n:] - residuals[best], here) <= EXCLUDED
     is_back = [bool(flag) for flag in (errors[n:] <= errors[best]) & is_told]
     back, excluded = (
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)

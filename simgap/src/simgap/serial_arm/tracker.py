@@ -122,6 +122,7 @@ def describe_tracker(fitted: TrackerFit) -> Diagnosis:
         robot=arm.name,
         kind="tracker",
         seed=0,
+        is_base_only=len(models) == 1,
         findings=tuple(sorted(findings, key=lambda one: -one.share)),
         base=_base(found, chosen) if links else (),
         errors=_errors(models, explained),
