@@ -109,9 +109,10 @@ def test_a_finding_that_makes_its_own_joint_a_few_percent_worse_is_withdrawn():
 
 def test_a_finding_stays_where_motions_that_took_no_part_are_too_weak_to_tell():
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
-    judge = draw_toy(10, {})
+    judge = draw_toy(2, {})
     judge.measured -= 0.27 * judge.commands
     judge.commands = 0.1 * judge.commands
+    judge.measured[0] -= 1.5 * judge.commands[0] ** 2  # the opposite of what was found
     sizes = [selection.base.sizes, selection.chosen.sizes]
     rows = np.abs(simulate_models(selection.context, judge, sizes))[:, judge.joint_of == 0]
     assert np.diff(np.mean(rows, axis=1)) > 0.0

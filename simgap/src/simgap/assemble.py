@@ -105,7 +105,7 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
-    while held_out and selection.chosen.effects and (harm := find_harmful(selection, held_out)):
+    while held_out is not None and (harm := find_harmful(selection, held_out)):
         rejected.append(Rejected(harm[0].place, harm[0].name, harm[1]))
         selection = drop_finding(selection, harm[0])
     while True:
@@ -142,6 +142,8 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
     Where several make one that much worse than base parameters alone, it is the one that is needed least.
     """
     context, chosen = selection.context, selection.chosen
+    if not chosen.effects:
+        return None
     models = [chosen, selection.base, *(model for _, model in selection.left_out)]
     residuals = simulate_models(context, held_out, [model.sizes for model in models])
     rows = np.abs(residuals)

@@ -202,16 +202,16 @@ def _add_conditions(file: RobotFile, motions: list[Motion], members: Sequence[Me
         found: dict[str, float] = {}
         known = {name for one in members for name in (one.motion, *one.others)}
         for key, value in table.values.items():
-            for motion in find_members([key] if key in known else [], members, where):
+            if key not in known:  # of a log that is not given, or misspelled
+                continue
+            for motion in find_members([key], members, where):
                 if found.setdefault(motion, value) != value:
                     raise RobotError(
                         f"{where}: motion {motion!r} has {found[motion]:g} and {value:g}; give it one"
                     )
         without = next((one.name for one in motions if one.name not in found), None)
         if without is not None:
-            find_members(
-                [key for key in table.values if key not in known], members, where
-            )  # refuses a misspelling
+            find_members([key for key in table.values if key not in known], members, where)  # refuses one
             raise RobotError(f"{where}: motion {without!r} has no value; add it, or its log file")
         motions = [replace(one, conditions={**one.conditions, name: found[one.name]}) for one in motions]
     return motions
