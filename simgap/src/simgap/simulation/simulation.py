@@ -267,7 +267,7 @@ class Simulation:
         return q_rad
 
 
-MEMORY_BYTES: Final = 50_000_000
+MEMORY_BYTES: Final = 20_000_000
 """Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
 
 
