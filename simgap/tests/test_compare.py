@@ -207,6 +207,7 @@ def test_a_known_effect_that_is_gone_is_named_as_its_change():
         ("joints = ", "joint = ", "joint: is not known; did you mean joints?"),
         ('\nname = "swing"', '\nname = "lift"', "mode, gains, limit or gear are not those of the robot file"),
         ("\nindex = 0", "\nindex = 7", "mode, gains, limit or gear are not those of the robot file"),
+        ('place = "swing"\nindex', 'place = "lift"\nindex', "mode, gains, limit or gear are not those"),
         ("[effects.fields.joint]", "[effects.fields.nothing]", "cannot be made"),
         ("kp_Nm_rad = ", "kp_Nm_rad = 1", "mode, gains, limit or gear are not those of the robot file"),
     ],
