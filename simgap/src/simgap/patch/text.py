@@ -259,6 +259,7 @@ def _build(kind: Any, value: Any) -> Any:
     return float(value) if kind is float else value
 
 
+MODEL_FILE: Final = "patched.xml"
 FOUND_FILE: Final = "effects.toml"
 FORMAT: Final = "robot effects 1"
 
@@ -387,5 +388,11 @@ def _read_file(robot: Robot, folder: Path) -> tuple[Path, FoundFile]:
     if content.joints != own:
         raise RobotError(
             f"{path}: joints: are {content.joints}, and the robot has {own}; give the same robot file"
+        )
+    patched, model = folder / MODEL_FILE, robot.path.parent / (robot.file.model if robot.file else "")
+    if patched.is_file() and model.is_file() and model.read_bytes() == patched.read_bytes():
+        raise RobotError(
+            f"{model}: is the patched model, in which the effects of {path} act already; give the model that "
+            "was diagnosed"
         )
     return path, content
