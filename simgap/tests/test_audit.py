@@ -10,11 +10,11 @@ from helpers.pendulum import motion, pendulum
 from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
 from helpers.real_robots import load_real
 from simgap.checks.audit import audit
-from simgap.checks.commands import count_foreign_commands
+from simgap.checks.commands import count_foreign_commands, find_unlike_repeats
 from simgap.checks.records import RemarkKind
 from simgap.command.check import simulate_nominal
 from simgap.common.errors import RobotError
-from simgap.diagnosis import check_motions, diagnose
+from simgap.diagnosis import check_audit, check_motions, diagnose
 from simgap.logs import JointLog, Logs, Signal
 from simgap.result import Refusal
 from simgap.simulation.compiled import Models
@@ -248,6 +248,23 @@ def test_a_command_that_is_too_short_is_no_rival():
     positions = [Signal(TIME_s, one) for one in COMMANDS[:2]]
     short = [Signal(TIME_s[:100], COMMANDS[1][:100]), Signal(TIME_s[:100], COMMANDS[0][:100])]
     assert count_foreign_commands([*zip(positions, short, strict=True)]) == 0
+
+
+def test_repeats_with_other_commands_are_refused_and_late_ones_are_not(clean):
+    labelled = [replace(one, repeat_of="a") for one in clean.motions[:2]]
+    (remark, *_) = find_unlike_repeats(planar_arm(), [*labelled, *clean.motions[2:]])
+    assert remark.motions == ("motion 1",)
+    with pytest.raises(RobotError, match="repeats have other commands"):
+        check_audit(audit(planar_arm(), Logs(tuple(labelled))), labelled)
+    sent = labelled[0].joints
+    late = {name: replace(one, command=shifted(one.command, 0.05)) for name, one in sent.items()}
+    again = replace(labelled[0], name="again", joints=late)
+    assert not [*find_unlike_repeats(planar_arm(), [labelled[0], again])]
+
+
+def shifted(signal, late_s):
+    """Return a signal that is late."""
+    return Signal(signal.time_s + late_s, signal.value)
 
 
 def test_a_motion_that_is_fitted_twice_is_refused():

@@ -1,7 +1,9 @@
 """Comparison of two sets of logs, and a diagnosis that starts from an earlier result."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -207,6 +209,7 @@ def test_a_known_effect_that_is_gone_is_named_as_its_change():
         ("joints = ", "joint = ", "joint: is not known; did you mean joints?"),
         ('\nname = "swing"', '\nname = "lift"', "mode, gains, limit or gear are not those of the robot file"),
         ("\nindex = 0", "\nindex = 7", "mode, gains, limit or gear are not those of the robot file"),
+        ('place = "swing"\nindex', 'place = "lift"\nindex', "mode, gains, limit or gear are not those"),
         ("[effects.fields.joint]", "[effects.fields.nothing]", "cannot be made"),
         ("kp_Nm_rad = ", "kp_Nm_rad = 1", "mode, gains, limit or gear are not those of the robot file"),
     ],
@@ -220,6 +223,15 @@ def test_a_result_that_is_damaged_or_of_another_joint_is_refused(tmp_path, late,
     with pytest.raises(RobotError) as error:
         read_found(MODEL, tmp_path)
     assert said in str(error.value)
+
+
+def test_a_result_does_not_start_from_the_model_that_it_patched(tmp_path, late):
+    save_patch(MODEL, diagnosis(effects=(late,), sizes=((DELAY_s,),)), tmp_path)
+    for model, said in (("patched.xml", "in which the effects of .* act already"), ("model.xml", "")):
+        (tmp_path / "model.xml").write_text("<mujoco/>")
+        robot = replace(MODEL, path=tmp_path / "robot.toml", file=SimpleNamespace(model=model))
+        with pytest.raises(RobotError, match=said) if said else nullcontext():
+            read_found(robot, tmp_path)
 
 
 def test_every_effect_of_the_catalogue_and_a_delay_of_all_joints_can_be_a_start(tmp_path):

@@ -23,7 +23,7 @@ from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DeadZone, GainError
-from simgap.effects.command import CommandDelay, MeasurementDelay
+from simgap.effects.command import AccelerationLimit, CommandDelay, MeasurementDelay
 from simgap.effects.effect import Effect
 from simgap.effects.forces import ConstantTorque, CoulombFriction, LoadFriction, StribeckFriction
 from simgap.effects.transmission import Backlash
@@ -32,8 +32,8 @@ from simgap.residuals.residuals import residuals_by_motion
 from simgap.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals
 from simgap.robot import ControlMode, Robot
 from simgap.simulation.compiled import Models
-from simgap.simulation.simulation import profiler_off
-from simgap.simulation.windows import cut_windows, held_means
+from simgap.simulation.simulation import Engine, profiler_off
+from simgap.simulation.windows import SLOPE_SAMPLES, cut_windows, held_means, keep_beginning
 
 TIME_s = np.arange(0, 3, 0.01)
 
@@ -140,8 +140,8 @@ MOTIONS = [
 def candidates():
     """Make effects with all hooks, and candidates with some of them."""
     robot = pendulum()
-    kinds = (StribeckFriction, LoadFriction, DeadZone, CommandDelay, MeasurementDelay, CoulombFriction)
-    effects = [at_swing(kind, robot) for kind in kinds]
+    frictions, timing = (StribeckFriction, LoadFriction, CoulombFriction), (CommandDelay, MeasurementDelay)
+    effects = [at_swing(kind, robot) for kind in (*frictions, DeadZone, AccelerationLimit, *timing)]
     typical = np.array([one.typical for effect in effects for one in effect.sizes])
     share = np.random.default_rng(5).uniform(0.2, 2.0, (7, typical.size))
     present = np.random.default_rng(6).uniform(size=(7, typical.size)) < 0.6
@@ -166,6 +166,19 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion():
     for m, name in enumerate(model.motions):
         alone = model.select([name]).residuals(effects, sizes)
         assert np.array_equal(together[:, model.motion_of == m], alone)
+
+
+def test_the_beginning_of_a_window_has_the_bits_of_the_whole_window():
+    effects, sizes = candidates()
+    windows = cut_windows(pendulum(), MOTIONS[0], None, 0.02)
+    beginnings = [keep_beginning(window, pendulum().control_period_s) for window in windows]
+    assert sum(one.n_ticks for one in beginnings) < 0.5 * sum(one.n_ticks for one in windows)
+    models, parts = Models(pendulum()), (windows, beginnings, [*windows, *beginnings])
+    whole, short, both = (Engine(models, effects, part, 1).positions(sizes) for part in parts)
+    n = [window.sample_time_s[0].size for window in windows]
+    first = np.concatenate([k - n[w] + np.arange(SLOPE_SAMPLES) for w, k in enumerate(np.cumsum(n))])
+    assert np.array_equal(whole[:, first], short)
+    assert np.array_equal(both, np.column_stack([whole, short]))
 
 
 def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all():

@@ -68,6 +68,15 @@ def test_patched_model_and_runtime_file_simulate_what_the_engine_simulates(tmp_p
     assert patch == pytest.approx(engine, abs=1e-9)
 
 
+def test_a_run_that_begins_with_place_remembers_no_other(tmp_path):
+    effects, sizes = made(AT_RUN_TIME)
+    by_patch(effects, sizes, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
+    runtime = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")
+    first, again = (play(model, runtime, COMMAND[:, None], np.zeros(1)) for _ in range(2))
+    assert np.array_equal(first, again)
+
+
 @pytest.mark.parametrize("kind", AT_RUN_TIME, ids=lambda kind: kind.__name__)
 def test_each_effect_at_run_time_is_that_of_the_engine_and_is_seen(kind, tmp_path):
     effects, sizes = made({kind: AT_RUN_TIME[kind]})
@@ -264,8 +273,9 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
             read_runtime(tmp_path, patch.runtime, patch.model_xml.replace('"0.002"', f'"{step_s}"', 1))
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
     runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
-    with pytest.raises(RobotError, match="give one for each of 1 joints"):
-        runtime.act(model, mujoco.MjData(model), np.zeros(2))
+    for command in (np.zeros(2), np.array([np.nan]), 0.1):
+        with pytest.raises(RobotError, match="give a number for each of 1 joints"):
+            runtime.act(model, mujoco.MjData(model), command)
 
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):

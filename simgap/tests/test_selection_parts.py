@@ -1,19 +1,23 @@
 """Parts of the selection: comparison of models, effects that hide each other, screening, sharing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from helpers.pendulum import at_swing, pendulum
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from simgap import assemble
 from simgap.effects.effect import Effect, Size
+from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection import elimination, verdict
 from simgap.selection.acceptance import compare_motions, compare_with_noise
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
-from simgap.selection.fit import gather_residuals
+from simgap.selection.fit import Union, gather_residuals
 from simgap.selection.joint_fits import fit_base, fit_joints
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import ALL_JOINTS, find_sharing
@@ -204,3 +208,21 @@ def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there(
     assert [one.key for one in found.chosen.effects] == ["near: square"]
     (column,) = found.context.union.columns(found.chosen.effects)
     assert found.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends", "expected"),
+    [
+        (StribeckFriction, [(-0.02, 0.05), (0.1, 0.4)], True),
+        (StribeckFriction, [(0.02, 0.05), (0.1, 0.4)], False),
+        (CoulombFriction, [(-0.02, 0.05)], True),
+    ],
+)
+def test_a_finding_may_be_none_whatever_its_form_if_the_interval_of_its_amount_holds_none(
+    kind, ends, expected, monkeypatch
+):
+    effect = at_swing(kind, pendulum())
+    context = SimpleNamespace(union=Union((effect,)))
+    monkeypatch.setattr(assemble, "find_interval", lambda context, chosen, sets, column: ends[column])
+    selection = SimpleNamespace(context=context, chosen=None)
+    assert assemble.may_be_none(selection, effect, []) == expected

@@ -128,9 +128,9 @@ def drop_finding(selection: Selection, effect: Effect) -> Selection:
 
 
 def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceSet]) -> bool:
-    """Check whether the intervals of all sizes of a finding hold 0, which is no effect."""
+    """Check whether the intervals of all sizes of a finding hold 0, which is no effect; a form is no size."""
     context = selection.context
-    columns = context.union.columns([effect])
+    columns = context.union.columns([effect])[: 1 if effect.has_shape else None]
     ends = [find_interval(context, selection.chosen, sets, int(column)) for column in columns]
     return all(low <= 0.0 <= high for low, high in ends)
 
@@ -207,7 +207,7 @@ def describe_finding(
         places=places,
         families=families,
         effects=effects,
-        next_motion=NEXT_MOTION if len(effects) != 1 and can_be_settled(found) else "",
+        next_motion=NEXT_MOTION if len(effects) != 1 and can_be_settled(found, chosen.effects) else "",
     )
 
 

@@ -85,7 +85,7 @@ def diagnose(
     steps = None
     if cache is not None and not base_only:
         own = (*effects, *given, *changes_of(given))
-        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, usable, own, seed)}"
+        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, held_out, usable, own, seed)}"
     with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))

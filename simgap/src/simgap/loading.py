@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import pyarrow as pa
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
@@ -146,6 +147,7 @@ def load(
         raise RobotError(f"robot {robot.name}: was not read from a robot file, which names the columns")
     files = [Path(paths)] if isinstance(paths, str | Path) else [Path(one) for one in paths]
     loaded = [_load_file(robot, path) for path in files]
+    pa.default_memory_pool().release_unused()  # the tables are gone, but their memory would stay
     converted = [[take_currents_as_torques(robot, one) for one in found] for found, _ in loaded]
     motions, members = _name_motions(files, converted)
     if not motions:

@@ -215,10 +215,14 @@ def test_base_parameters_alone_are_fitted_without_the_catalogue(swinging, tmp_pa
     assert error["base"] < 0.01 * error["nominal"]
     (gain,) = [one["value"] for one in found["base"] if one["name"] == "gain_ratio"]
     assert gain == pytest.approx(0.2, abs=0.01)
-    again = run_simgap(swinging, *WORDS, "--terms", "none", "--start", str(tmp_path / "found"))
+    from_there = ("--start", str(tmp_path / "found"), "--report", str(tmp_path / "again.html"))
+    again = run_simgap(swinging, *WORDS, "--terms", "none", *from_there)
+    pages = [(tmp_path / name).read_text() for name in ("page.html", "again.html")]
+    assert [page.count("</i>model as it is<") for page in pages] == [2, 0]
+    assert [page.count("</i>earlier result<") for page in pages] == [0, 2]
     assert again.returncode == 0, again.stderr
-    (from_there,) = json.loads(again.stdout)["errors"]
-    assert from_there["nominal"] == pytest.approx(error["base"], rel=0.1)
+    (started,) = json.loads(again.stdout)["errors"]
+    assert started["nominal"] == pytest.approx(error["base"], rel=0.1)
     back = ("--start", str(tmp_path), "--patch", str(tmp_path))
     assert "this is the file of start too" in run_simgap(swinging, *WORDS, *back).stderr
 

@@ -184,7 +184,8 @@ def test_a_velocity_that_fits_no_unit_is_left_away_and_asked(tmp_path):
 def test_motions_begin_where_the_time_begins_anew(tmp_path):
     columns = {"trial": np.repeat([0, 1, 2], 600), "repeat": np.repeat([1, 0, 1], 600)}
     columns["t"] = np.tile(TIME_s[:600], 3)
-    columns |= of_joints({"q_{}": POSITION_rad[:1800], "q_des_{}": COMMAND_rad[:1800]})
+    rows = np.r_[0:1200, 0:600]
+    columns |= of_joints({"q_{}": POSITION_rad[rows], "q_des_{}": COMMAND_rad[rows]})
     write_csv(tmp_path, columns)
     file, _ = start(tmp_path)
     assert file["motion"] == {"columns": ["trial"], "repeat_column": "repeat"}

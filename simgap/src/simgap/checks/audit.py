@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.checks.commands import find_exchanged, find_leading
+from simgap.checks.commands import find_exchanged, find_leading, find_unlike_repeats
 from simgap.checks.limits import chain_joints, find_collisions, find_cut_offs, find_plane, find_saturation
 from simgap.checks.rates import audit_rates
 from simgap.checks.records import Audit, Faulty, RemarkKind
@@ -29,7 +29,7 @@ from simgap.robot import ControlMode, Robot
 
 TESTS: Final = (
     *(audit_units, find_wraps, find_exchanged, find_leading, find_still_joints, find_low_rates),
-    *(find_late_starts, find_idle_signals, find_dead_commands),
+    *(find_late_starts, find_idle_signals, find_dead_commands, find_unlike_repeats),
 )
 """Tests of the signals of joints; each returns its remarks."""
 PASSES: Final = 2

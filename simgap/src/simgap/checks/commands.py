@@ -81,6 +81,35 @@ def find_leading(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
             yield Remark(RemarkKind.AHEAD, joint.name, names, text, lead_s, unit="s")
 
 
+def find_unlike_repeats(robot: Robot, motions: Sequence[Motion]) -> Iterator[Remark]:
+    """Find motions that are said to repeat another one, but whose positions are commanded otherwise.
+
+    What differs between them would count as noise. Without commands, the positions are compared.
+    """
+    for joint in robot.joints:
+        if joint.mode is not ControlMode.POSITION:
+            continue
+        first: dict[str, Signal] = {}
+        unlike: list[str] = []
+        for motion in motions:
+            if not motion.repeat_of or joint.name not in motion.joints:
+                continue
+            log = motion.joints[joint.name]
+            own = log.command or log.position
+            short, long = sorted(
+                (first.setdefault(motion.repeat_of, own), own), key=lambda one: one.time_s[-1]
+            )
+            varied = max(float(np.std(short.value)), COARSE_RAD * joint.per_rad)
+            if _follow_errors(short, long, 0.0)[0] > BETTER * varied:
+                unlike.append(motion.name)
+        if unlike:
+            text = (
+                "a motion and its repeats have other commands: does one label stand for different motions, "
+                "in two files perhaps?"
+            )
+            yield Remark(RemarkKind.REPEATS, joint.name, tuple(unlike), text)
+
+
 def _is_commanded(motion: Motion, joint: str) -> bool:
     return joint in motion.joints and motion.joints[joint].command is not None
 

@@ -22,6 +22,7 @@ class RemarkKind(StrEnum):
     WRAP = "lost turns"
     ORDER = "joints look exchanged"
     AHEAD = "position is ahead of its command"
+    REPEATS = "repeats have other commands"
     CONSTANT = "signal is constant"
     SHORT = "motion is too short"
     STILL = "no excitation"
@@ -41,7 +42,10 @@ class RemarkKind(StrEnum):
 
 
 REFUSED: Final = frozenset(
-    {RemarkKind.UNIT, RemarkKind.WRAP, RemarkKind.ORDER, RemarkKind.CONSTANT, RemarkKind.SHORT}
+    {
+        *(RemarkKind.UNIT, RemarkKind.WRAP, RemarkKind.ORDER),
+        *(RemarkKind.REPEATS, RemarkKind.CONSTANT, RemarkKind.SHORT),
+    }
 )
 """Remarks on logs that say something else than happened: a diagnosis refuses them."""
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from simgap.checks.audit import audit
 from simgap.command.request import CompareRequest
+from simgap.common.errors import RobotError
 from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.compare import AFTER, BEFORE, compare
@@ -21,8 +22,11 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
     sets = [load(whole, [path]) for path in (request.before, request.after)]
     progress(0.0, 0.0, "checking the logs")
     audits = [audit(robot, logs) for logs in sets]
-    for found, logs in zip(audits, sets, strict=True):
-        check_audit(found, logs.motions)
+    for name, found, logs in zip(("before", "after"), audits, sets, strict=True):
+        try:
+            check_audit(found, logs.motions)
+        except RobotError as error:
+            raise RobotError(f"{name}: {error}") from error
     before, after = (logs.motions for logs in sets)
     made = compare(
         robot,

@@ -87,7 +87,7 @@ def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -
 def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
-        from simgap.patch.patch import MODEL_FILE
+        from simgap.patch.text import MODEL_FILE
 
         model = robot.path.parent / robot.file.model
         check_distinct_files({"model": model, "patch": request.patch / MODEL_FILE})
@@ -160,7 +160,8 @@ def save_diagnosis_files(made: RobotDiagnosis) -> list[str]:
     if folder is not None:
         try:
             if made.patch is not None:
-                from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, write_patch
+                from simgap.patch.patch import RUNTIME_FILE, write_patch
+                from simgap.patch.text import MODEL_FILE
 
                 write_patch(made.patch, folder)
                 if made.patch.runtime:
@@ -183,8 +184,8 @@ def _check_folder(folder: Path | None) -> None:
     """Check that a folder is there or can be made, before hours of work."""
     if folder is None:
         return
-    from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE
-    from simgap.patch.text import FOUND_FILE
+    from simgap.patch.patch import RUNTIME_FILE
+    from simgap.patch.text import FOUND_FILE, MODEL_FILE
 
     check_new_path(folder, "patch")
     if folder.exists() and not folder.is_dir():

@@ -205,7 +205,7 @@ class Effect(ABC):
         return ", ".join(f"{one.name} = {value:.4g}" for one, value in zip(self.sizes, size, strict=True))
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Return the command of this joint as it arrives, (n_sims, n_ticks), given as (n_sims, n_ticks)."""
+        """Return the commands of this joint, (n_sims, n_ticks), as they arrive; each from those so far."""
         return command
 
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from simgap.common.errors import RobotError
+from simgap.effects.effect import Effect
 from simgap.effects.variation import Dependent
 from simgap.result import Finding, Rival
 from simgap.selection.context import Context, FittedModel
@@ -18,10 +19,13 @@ MOST_RIVALS: Final = 8
 """Rivals of a finding that are kept, itself included: sets of a servo have had seven members."""
 
 
-def can_be_settled(found: ConfidenceSet) -> bool:
-    """Return whether another motion may settle a finding; a change has no model of its own."""
+def can_be_settled(found: ConfidenceSet, chosen: Sequence[Effect]) -> bool:
+    """Return whether another motion may settle a finding.
+
+    It cannot be planned beside an effect that is chosen for some motions alone, as a change is.
+    """
     has_rivals = len(found.alternatives) + len(found.excluded) > 1
-    return has_rivals and not isinstance(found.effect, Dependent)
+    return has_rivals and not any(isinstance(one, Dependent) for one in chosen)
 
 
 def list_rivals(
@@ -36,7 +40,7 @@ def list_rivals(
         (found, bool(finding.effects), one)
         for found, finding in zip(sets, findings, strict=True)
         for one in (*found.alternatives, *found.excluded)[:MOST_RIVALS]
-        if can_be_settled(found)
+        if can_be_settled(found, chosen.effects)
     ]
     rivals = []
     for found, is_named, one in every:

@@ -20,6 +20,7 @@ from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
 from simgap.patch.text import (
     BODY_OF,
     FOUND_FILE,
+    MODEL_FILE,
     Change,
     change_text,
     effect_table,
@@ -32,7 +33,6 @@ from simgap.result import Diagnosis, Rival
 from simgap.robot import Robot, RobotJoint
 from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
 
-MODEL_FILE: Final = "patched.xml"
 RUNTIME_FILE: Final = "runtime.toml"
 FORMAT: Final = "robot runtime 1"
 ATTRIBUTES: Final = {

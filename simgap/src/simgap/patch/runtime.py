@@ -54,7 +54,7 @@ class _Acting:
 
 
 class RuntimeEffects:
-    """Effects that act while a model runs; one object for one run."""
+    """Effects that act while a model runs; `place` begins a new run."""
 
     def __init__(
         self,
@@ -145,14 +145,16 @@ class RuntimeEffects:
         Raises:
             RobotError: There is not a command for each joint.
         """
-        if np.shape(command) != self._qpos.shape:
-            raise RobotError(
-                f"command: has shape {np.shape(command)}; give one for each of {self._qpos.size} joints"
+        command = self._numbers("command", command)
+        if self._last_command is None:  # a run before has left its last numbers
+            model.dof_frictionloss[self._motor_dof] = self._friction_Nm
+            model.actuator_gainprm[self._motor, 0], model.actuator_biasprm[self._motor, :3] = (
+                self._gain,
+                self._bias,
             )
-        if self._last_command is None:
             mujoco.mj_forward(model, data)
         self._remember(data)
-        arrived = self._arrived(np.asarray(command, dtype=float))
+        arrived = self._arrived(command)
         tick = self._tick(model, data, arrived, temperature_degC)
         motor = self._motor
         self._close_loops(data, tick.command[0])
@@ -182,12 +184,25 @@ class RuntimeEffects:
         return shown
 
     def place(self, data: mujoco.MjData, shown_rad: Array) -> None:
-        """Set the joints such that the encoders show these positions, (n_joints,)."""
-        q_rad = np.array(shown_rad, dtype=float)
+        """Set the joints such that the encoders show these positions, (n_joints,), and begin a new run.
+
+        RobotError without a position for each joint.
+        """
+        q_rad = self._numbers("positions", shown_rad)
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
         data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
+        self._last_command = None
+        for one in self._acting:
+            one.memory.clear()
         self._path_s, self._path_rad = self._path_s[:0], self._path_rad[:0]
+
+    def _numbers(self, what: str, given: Array) -> Array:
+        """Return a copy of numbers, (n_joints,); RobotError without one for each joint."""
+        numbers = np.array(given, dtype=float)
+        if numbers.shape != self._qpos.shape or not np.isfinite(numbers).all():
+            raise RobotError(f"{what}: is {numbers}; give a number for each of {self._qpos.size} joints")
+        return numbers
 
     def _with(self, hook: str) -> list[_Acting]:
         return [one for one in self._acting if one.effect.overrides(hook)]

@@ -19,7 +19,7 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.modules import load_module
 from simgap.common.toml import Record, parse_record, read_toml, toml_text
-from simgap.effects.effect import Effect
+from simgap.effects.effect import Effect, JointEffect
 from simgap.result import Rival
 from simgap.robot import ControlMode, Robot, RobotJoint
 
@@ -198,6 +198,8 @@ def effect_table(effect: Effect, size: Sequence[float]) -> dict[str, Any]:
 
 def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
     """Make effect and sizes, (n_sizes,), of a table, and run a file of one's own; RobotError if it fails."""
+    if not isinstance(table, Mapping):
+        raise RobotError(f"{path}: effects: {table!r} is no table; write the file again")
     try:
         kind = _effect_class(table)
         effect = cast(Effect, _build(kind, table["fields"]))
@@ -257,6 +259,7 @@ def _build(kind: Any, value: Any) -> Any:
     return float(value) if kind is float else value
 
 
+MODEL_FILE: Final = "patched.xml"
 FOUND_FILE: Final = "effects.toml"
 FORMAT: Final = "robot effects 1"
 
@@ -350,7 +353,8 @@ def _read_effects(
         joint = getattr(effect, "joint", None)
         # as texts, because a NaN is not equal to itself
         own = [k for k, one in enumerate(robot.joints) if repr(one) == repr(joint)]
-        if joint is not None and getattr(effect, "index", min(own, default=-1)) not in own:
+        is_moved = isinstance(effect, JointEffect) and effect.place != effect.joint.name
+        if joint is not None and (is_moved or getattr(effect, "index", min(own, default=-1)) not in own):
             raise RobotError(
                 f"{path}: {effect.key}: mode, gains, limit or gear are not those of the robot file; give the "
                 "robot file of the earlier diagnosis"
@@ -384,5 +388,11 @@ def _read_file(robot: Robot, folder: Path) -> tuple[Path, FoundFile]:
     if content.joints != own:
         raise RobotError(
             f"{path}: joints: are {content.joints}, and the robot has {own}; give the same robot file"
+        )
+    patched, model = folder / MODEL_FILE, robot.path.parent / (robot.file.model if robot.file else "")
+    if patched.is_file() and model.is_file() and model.read_bytes() == patched.read_bytes():
+        raise RobotError(
+            f"{model}: is the patched model, in which the effects of {path} act already; give the model that "
+            "was diagnosed"
         )
     return path, content

@@ -18,6 +18,7 @@ from simgap.checks.records import COARSE_RAD
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.report.details import rest_lines
 from simgap.report.sentences import (
+    EARLIER,
     FAMILY_WORDS,
     NOT_LOCATED,
     has_floor,
@@ -33,16 +34,17 @@ from simgap.result import Diagnosis, Finding, JointError
 from simgap.robot import SLIDE_m_rad
 from simgap.units import SMALL_UNITS, quantity
 
+MODEL: Final = "model as it is"
 SERIES: Final = {
     "measured": "measured",
-    "nominal": "model as it is",
+    "nominal": MODEL,
     "explained": "with the findings",
     "command": "command",
     "refused": "left out",
 }
 """Series of a figure of traces, by their classes in the style sheet."""
 BARS: Final = {
-    "nominal": "model as it is",
+    "nominal": MODEL,
     "base": "base parameters fitted",
     "explained": "with the findings",
 }
@@ -92,9 +94,10 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
     kinds = {one.kind for one in diagnosis.errors}
     is_judged = bool(diagnosis.judged_motions)
     judged = "motions that took no part" if is_judged else "the fitted motions: none was held out"
-    legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
+    words = _name_series(BARS, diagnosis)
+    legend = "".join(f'<span><i class="swatch {kind}"></i>{name}</span> ' for kind, name in words.items())
     unknown = "No repeated motion shows the noise floor"
-    bars = "".join(_error_bars(one, len(kinds) > 1) for one in _rank_errors(diagnosis))
+    bars = "".join(_error_bars(one, len(kinds) > 1, words) for one in _rank_errors(diagnosis))
     mark = "The line across the bars is the noise floor; what is largest over it comes first"
     return [
         heading("How far the error shrinks"),
@@ -105,14 +108,19 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def _error_bars(one: JointError, has_kind: bool) -> str:
+def _name_series(words: Mapping[str, str], diagnosis: Diagnosis) -> dict[str, str]:
+    """Return the words of series by their classes, that of the model as the diagnosis started."""
+    return {kind: EARLIER if diagnosis.start and name == MODEL else name for kind, name in words.items()}
+
+
+def _error_bars(one: JointError, has_kind: bool, words: Mapping[str, str]) -> str:
     values = {"nominal": one.nominal, "base": one.base, "explained": one.explained}
     most = max((value for value in (*values.values(), one.noise_floor) if isfinite(value)), default=0.0)
     most = most or 1.0
     floor = f'<div class="floor" style="--share:{one.noise_floor / most:.4f}"></div>'
     line = floor if isfinite(one.noise_floor) else ""
     rows = "".join(
-        f'<div class="row"><span>{BARS[kind]}</span><div class="track">'
+        f'<div class="row"><span>{words[kind]}</span><div class="track">'
         f'<div class="bar {kind}" style="--share:{value / most if isfinite(value) else 0.0:.4f}"></div>{line}'
         f"</div><span>{html.escape(quantity(value, one.unit))}</span></div>"
         for kind, value in values.items()
@@ -130,11 +138,12 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     kinds = {kind for _, kind in chosen}
     named = {joint if len(kinds) == 1 else f"{joint}, {kind}": own for (joint, kind), own in chosen.items()}
     is_fitted = any(one.motion in diagnosis.fitted_motions for one in traces)
+    words = _name_series(SERIES, diagnosis)
     motions = "motions" if is_fitted else "motions that took no part, those"
     return [
         heading("Before and after"),
         paragraph(f"Of each joint, the {motions} with the largest, middle and smallest error are shown."),
-        *draw_figures([_trace_figure(title, own) for title, own in named.items()]),
+        *draw_figures([_trace_figure(title, own, words) for title, own in named.items()]),
     ]
 
 
@@ -144,18 +153,23 @@ def draw_figures(figures: Sequence[str]) -> list[str]:
     return [hint, *figures, f"<script>{_read('traces.js')}</script>"]
 
 
-def _trace_figure(joint: str, traces: Sequence[Trace]) -> str:
+def _trace_figure(joint: str, traces: Sequence[Trace], words: Mapping[str, str]) -> str:
     shown = ["nominal", "explained"] if traces[0].measured is None else ["measured", "nominal", "explained"]
-    return series_figure(joint, shown, [(one.motion, _motion(thin(one))) for one in traces])
+    return series_figure(joint, shown, [(one.motion, _motion(thin(one))) for one in traces], words)
 
 
-def series_figure(title: str, shown: Sequence[str], motions: Sequence[tuple[str, dict[str, Any]]]) -> str:
+def series_figure(
+    title: str,
+    shown: Sequence[str],
+    motions: Sequence[tuple[str, dict[str, Any]]],
+    words: Mapping[str, str] = SERIES,
+) -> str:
     """Draw an interactive figure of keys of SERIES, in motions by name as `motion_document` has them."""
     named = ((k, html.escape(name)) for k, (name, _) in enumerate(motions))
     options = "".join(f'<option value="{k}">{name}</option>' for k, name in named)
     buttons = "".join(
         f'<button type="button" data-series="{name}" aria-pressed="true"><i class="swatch {name}"></i>'
-        f"{SERIES[name]}</button>"
+        f"{words[name]}</button>"
         for name in shown
     )
     text, label = html.escape(title), html.escape(f"traces of {title}", quote=True)

@@ -24,7 +24,7 @@ from simgap.residuals.residuals import ResidualModel, measured_variable
 from simgap.robot import ControlMode, Robot
 from simgap.simulation.compiled import Models
 from simgap.simulation.simulation import Engine
-from simgap.simulation.windows import SLOPE_SAMPLES, Window, cut_windows
+from simgap.simulation.windows import Window, cut_windows, keep_beginning
 
 PENALTY_rad: Final = 100.0
 """Residual of a simulation that blew up: finite, and larger than any that did not."""
@@ -228,18 +228,19 @@ def start_windows(models: Models, windows: Sequence[Window], simulate: Simulate)
     Args:
         windows: Windows whose joints start at the position and speed of their first samples.
     """
-    resting = [_rest(window, 0.0) for window in windows]
+    moving = [keep_beginning(window, models.robot.control_period_s) for window in windows]
+    resting = [_rest(window, 0.0) for window in moving]
     small_rad = _shifts_rad(models)
-    shifted = [_rest(window, small_rad) for window in windows]
-    moving_rad, resting_rad, shifted_rad = (simulate(some) for some in (windows, resting, shifted))
+    shifted = [_rest(window, small_rad) for window in moving]
+    moving_rad, resting_rad, shifted_rad = (simulate(some) for some in (moving, resting, shifted))
     started, end = [], 0
     for window, rest in zip(windows, resting, strict=True):
         q_rad, v_rad_s = window.q_rad.copy(), window.v_rad_s.copy()
-        for j, measured_rad in enumerate(window.measured_rad):
-            first = slice(end, end + min(SLOPE_SAMPLES, measured_rad.size))
+        for j, measured_rad in enumerate(rest.measured_rad):
+            first = slice(end, end + measured_rad.size)
             end += measured_rad.size
-            miss_rad = measured_rad[:SLOPE_SAMPLES] - moving_rad[first]
-            rest_rad = measured_rad[:SLOPE_SAMPLES] - resting_rad[first]
+            miss_rad = measured_rad - moving_rad[first]
+            rest_rad = measured_rad - resting_rad[first]
             slope = (shifted_rad - resting_rad)[first] / small_rad[j]
             # at the start itself the slope is 1: less of it says little about where the joint started
             shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1.0)

@@ -236,12 +236,18 @@ def digest_code() -> str:
 
 
 def digest_inputs(
-    robot: Robot, motions: Sequence[Motion], usable: Usable | None, effects: Sequence[Effect], seed: int
+    robot: Robot,
+    motions: Sequence[Motion],
+    held_out: Sequence[Motion],
+    usable: Usable | None,
+    effects: Sequence[Effect],
+    seed: int,
 ) -> str | None:
     """Return the hexadecimal SHA-256 of what steps depend on; None if the code of an effect is unknown."""
     try:
         digest = hashlib.sha256()
-        for part in _inputs(robot, motions, usable, effects, seed):
+        digest.update(f"{len(motions)}".encode())
+        for part in _inputs(robot, (*motions, *held_out), usable, effects, seed):
             digest.update(hashlib.sha256(part).digest())
     except (OSError, TypeError):
         return None

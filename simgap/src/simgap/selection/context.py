@@ -1,6 +1,6 @@
 """Inputs of a selection, its present model, and how both reach the residual model."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Concatenate, Final, ParamSpec, TypeVar
 
@@ -159,7 +159,7 @@ def resume_step(
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
-def start_fitting(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> Fitting:
+def start_fitting(context: Context, hypotheses: Iterable[Hypothesis], text: str) -> Fitting:
     """Prepare to fit hypotheses in this context."""
     return Fitting(
         context.model,

@@ -53,10 +53,15 @@ class Descent:
         self._part = {j: select_rows(model, j) for j in set(self._moves) - {self.joint}}
         self._part[self.joint] = np.arange(self.rows.size)
         given = hypothesis.jacobian
-        shape = self.rows.size, len(self.free)
-        self._jacobian = np.full(shape, np.nan) if given is None else given
-        self._unknown: Flags = np.asarray(np.isnan(self._jacobian).any(axis=0))
-        self._jacobian[:, self._unknown] = 0.0
+        self._unknown: Flags = np.ones(len(self.free), dtype=bool)
+        if given is not None:
+            self._unknown = np.asarray(np.isnan(given).any(axis=0))
+        # of a size that moves one joint, the derivatives of the others are none, and would fill the memory
+        parts = [self._part[j] for j in self._moves]
+        self._derivatives = [
+            np.zeros(part.size) if given is None or unknown else given[part, k]
+            for k, (part, unknown) in enumerate(zip(parts, self._unknown, strict=True))
+        ]
         self._is_exact, self._damping, self._failures = False, DAMPING, 0
         self._passed: list[tuple[Array, Array]] = []
         self.has_begun, self.has_converged, self._seems_converged = False, len(self.free) == 0, False
@@ -126,10 +131,10 @@ class Descent:
 
     def _set_derivatives(self, found: list[Array]) -> None:
         for k, moved in zip(np.flatnonzero(self._unknown), found, strict=True):
-            rows, self._jacobian[:, k] = self._part[self._moves[k]], 0.0
+            self._derivatives[k] = np.zeros(moved.size)
             if self._steps[k]:
-                change = (moved - self.residuals[rows]) / self._steps[k]
-                self._jacobian[rows, k] = np.where(np.isfinite(change), change, 0.0)
+                change = (moved - self.residuals[self._part[self._moves[k]]]) / self._steps[k]
+                self._derivatives[k] = np.where(np.isfinite(change), change, 0.0)
         self._is_exact = bool(self._unknown.all())
         self._unknown[:], self._seems_converged, self._failures = False, False, 0
         self._passed.clear()
@@ -150,16 +155,18 @@ class Descent:
 
     def _slopes(self) -> Array:
         """Return derivatives at the present sizes, (n_rows, p), that fit to the points passed."""
+        slopes = np.zeros((self.rows.size, len(self.free)))
+        for k, joint in enumerate(self._moves):
+            slopes[self._part[joint], k] = self._derivatives[k]
         if not self._passed:
-            return self._jacobian
+            return slopes
         steps = np.array([(x - self.sizes[self.free]) / self._typical for x, _ in self._passed])
         changes = np.column_stack([residuals - self.residuals for _, residuals in self._passed])
-        missed = changes - self._jacobian @ (steps * self._typical).T
+        missed = changes - slopes @ (steps * self._typical).T
         square = np.sum(steps**2, axis=1)
         weighted = steps / (square + STEP**2)[:, None]  # nearer than STEP, roughness would count as a slope
         ridge = RIDGE * np.mean(square / (square + STEP**2)) * np.eye(len(self.free))
         correction = np.linalg.solve(weighted.T @ steps + ridge, weighted.T @ missed.T).T / self._typical
-        slopes = self._jacobian.copy()
         for k, joint in enumerate(self._moves):
             slopes[self._part[joint], k] += correction[self._part[joint], k]
         return slopes
@@ -188,7 +195,7 @@ class Descent:
 
     def begin_at(self, best: JointFit) -> Hypothesis:
         """Return the hypothesis with the sizes, and derivatives by them, that it shares with a fit."""
-        start, jacobian = self.sizes.copy(), self._slopes().copy()
+        start, jacobian = self.sizes.copy(), self._slopes()
         _, here, there = np.intersect1d(self.free, best.columns, return_indices=True)
         start[self.free[here]] = best.sizes[self.free[here]]
         jacobian[:, here] = best.jacobian[:, there]

@@ -74,8 +74,7 @@ class Hypothesis:
     joint: int = ALL_JOINTS
     """Index of the joint whose residuals count."""
     jacobian: Array | None = None
-    """Derivatives to begin with, (n_rows, p), from a fit that is near; NaN in columns that are not known. The
-    fit goes on with this array."""
+    """Derivatives to begin with, (n_rows, p), from a fit that is near; NaN in columns that are not known."""
     other_starts: tuple[Array, ...] = ()
     """Further sizes, (n_sizes,) each, from which the fit begins if they explain more."""
 

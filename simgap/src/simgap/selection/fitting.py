@@ -7,7 +7,7 @@ at the price of ten. Hypotheses at different joints share a candidate where one 
 Residuals are arrays (n,) in the unit of the model, scales (n_joints,) too.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -24,7 +24,7 @@ MAX_ITERATIONS: Final = 40
 """
 AT_ONCE: Final = 100
 """Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
-MEMORY_BYTES: Final = 100_000_000
+MEMORY_BYTES: Final = 50_000_000
 """Residuals of all candidates in a call of the model, or of all points that wait for each other."""
 RIVAL_SHARE: Final = 0.5
 """Least decrease of the loss, over that of the best of the joint, or the least of the findings that are left
@@ -43,7 +43,7 @@ class Fitting:
         self,
         model: ResidualModel,
         union: Union,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Iterable[Hypothesis],
         scales: Array,
         *,
         sharing: Sharing,

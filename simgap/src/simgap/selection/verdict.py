@@ -94,7 +94,7 @@ def find_layer_sets(
     every = [one for effect in layer for one in selection.competitors[effect.key]]
     scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
     fitting = start_fitting(
-        context, [start_competitor(context, without, layer, score) for score in scores], "refit"
+        context, (start_competitor(context, without, layer, score) for score in scores), "refit"
     )
     residuals = gather_residuals(without.fits, context.model.joint_of.size)
     findings = [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import Final
 
 import mujoco
@@ -139,21 +139,21 @@ class Simulation:
 
     def _commands(self) -> Array:
         """Compute the commands as they arrive, (n_ticks, n_sims, n_joints)."""
-        period_s = self._robot.control_period_s
-        command = np.zeros((self._windows[0].n_ticks, self._n_sims, len(self._robot.joints)))
-        # windows of the same length together: some effects shape a command period by period in Python
-        for n_ticks, alike in groupby(range(len(self._windows)), lambda w: self._windows[w].n_ticks):
-            windows = list(alike)
-            sims = slice(self._sims(windows[0]).start, self._sims(windows[-1]).stop)
-            given = np.array([self._windows[w].command for w in windows])
-            for j, joint in enumerate(self._robot.joints):
-                arrived: Array = np.repeat(given[:, :, j], self._n_candidates, axis=0)
-                for one in self._at("shape_command", j):
-                    arrived = one.effect.shape_command(one.size[sims], arrived, period_s)
-                if joint.mode is ControlMode.POSITION:
-                    for one in reversed(self._at("decode", j)):
-                        arrived = one.effect.decode(one.size[sims], arrived)
-                command[:n_ticks, sims, j] = arrived[:, -n_ticks:].T
+        period_s, longest = self._robot.control_period_s, self._windows[0]
+        command = np.empty((longest.n_ticks, self._n_sims, len(self._robot.joints)))
+        # all windows together: some effects shape a command period by period in Python
+        missing = [((0, longest.n_ticks - one.n_ticks), (0, 0)) for one in self._windows]
+        given = np.array(
+            [np.pad(one.command, n, "edge") for one, n in zip(self._windows, missing, strict=True)]
+        )
+        for j, joint in enumerate(self._robot.joints):
+            arrived = self._each(given[:, :, j])
+            for one in self._at("shape_command", j):
+                arrived = one.effect.shape_command(one.size, arrived, period_s)
+            if joint.mode is ControlMode.POSITION:
+                for one in reversed(self._at("decode", j)):
+                    arrived = one.effect.decode(one.size, arrived)
+            command[:, :, j] = arrived[:, longest.n_lead :].T
         return command
 
     def _list_switches(self) -> frozenset[int]:
@@ -267,7 +267,7 @@ class Simulation:
         return q_rad
 
 
-MEMORY_BYTES: Final = 50_000_000
+MEMORY_BYTES: Final = 20_000_000
 """Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
 
 

@@ -1,7 +1,7 @@
 """Windows: parts of a motion that are simulated from a measured start, and sampled at the measured times."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -72,6 +72,20 @@ def cut_windows(
     masks = [_spaced(log.position.time_s, spacing_s, one) for log, one in zip(logs, flags, strict=True)]
     edges_s = _edges(begin_s, _restarts(logs, flags, begin_s, end_s), end_s, window_s)
     return [_window(robot, motion, logs, masks, low, high) for low, high in pairwise(edges_s)]
+
+
+def keep_beginning(window: Window, period_s: float) -> Window:
+    """Return a window that ends after SLOPE_SAMPLES samples of each joint, and a delay of LEAD_S."""
+    times_s = tuple(one[:SLOPE_SAMPLES] for one in window.sample_time_s)
+    end_s = max((float(one[-1]) for one in times_s if one.size), default=0.0)
+    n_ticks = min(window.n_ticks, int((end_s + LEAD_S) / period_s) + 1)
+    return replace(
+        window,
+        command=window.command[: window.n_lead + n_ticks],
+        enabled=window.enabled[:n_ticks],
+        sample_time_s=times_s,
+        measured_rad=tuple(one[:SLOPE_SAMPLES] for one in window.measured_rad),
+    )
 
 
 def _edges(begin_s: float, restarts_s: Array, end_s: float, window_s: float | None) -> list[float]:
