@@ -260,6 +260,17 @@ def test_repeats_with_other_commands_are_refused_and_late_ones_are_not(clean):
     late = {name: replace(one, command=shifted(one.command, 0.05)) for name, one in sent.items()}
     again = replace(labelled[0], name="again", joints=late)
     assert not [*find_unlike_repeats(planar_arm(), [labelled[0], again])]
+    shown = [with_holes(one) for one in labelled]
+    assert [one.motions for one in find_unlike_repeats(planar_arm(), shown)] == [("motion 1",)]
+
+
+def with_holes(motion):
+    """Return a motion without commands, in which every seventh position is missing."""
+    joints = {}
+    for name, log in motion.joints.items():
+        value = np.where(np.arange(log.position.value.size) % 7, log.position.value, np.nan)
+        joints[name] = replace(log, command=None, position=Signal(log.position.time_s, value))
+    return replace(motion, joints=joints)
 
 
 def shifted(signal, late_s):

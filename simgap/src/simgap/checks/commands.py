@@ -99,7 +99,7 @@ def find_unlike_repeats(robot: Robot, motions: Sequence[Motion]) -> Iterator[Rem
             short, long = sorted(
                 (first.setdefault(motion.repeat_of, own), own), key=lambda one: one.time_s[-1]
             )
-            varied = max(float(np.std(short.value)), COARSE_RAD * joint.per_rad)
+            varied = max(float(np.nanstd(short.value)), COARSE_RAD * joint.per_rad)
             if _follow_errors(short, long, 0.0)[0] > BETTER * varied:
                 unlike.append(motion.name)
         if unlike:

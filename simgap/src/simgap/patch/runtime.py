@@ -94,15 +94,16 @@ class RuntimeEffects:
             for effect, size in effects
         ]
         motor = self._motor
-        is_limited = model.actuator_forcelimited[motor].astype(bool)[:, None]
-        # copies of what effects change in each period; the limit is that of the force of the actuator
+        self._gear = model.actuator_gear[motor, 0].copy()
+        is_limited = model.actuator_forcelimited[motor].astype(bool)
+        # copies of what effects change in each period; in the model the limit is that of the actuator
         self._friction_Nm = model.dof_frictionloss[self._motor_dof].copy()
-        self._limit = np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf))
+        high = np.where(is_limited, model.actuator_forcerange[motor, 1], np.inf)
+        self._limit_Nm = high * np.abs(self._gear)
         self._gain, self._bias = (
             model.actuator_gainprm[motor, 0].copy(),
             model.actuator_biasprm[motor, :3].copy(),
         )
-        self._gear = model.actuator_gear[motor, 0].copy()
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
         self._ctrl_scale = np.where(of_gear, self._gear, 1.0)
@@ -147,11 +148,7 @@ class RuntimeEffects:
         """
         command = self._numbers("command", command)
         if self._last_command is None:  # a run before has left its last numbers
-            model.dof_frictionloss[self._motor_dof] = self._friction_Nm
-            model.actuator_gainprm[self._motor, 0], model.actuator_biasprm[self._motor, :3] = (
-                self._gain,
-                self._bias,
-            )
+            self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
             mujoco.mj_forward(model, data)
         self._remember(data)
         arrived = self._arrived(command)
@@ -160,12 +157,25 @@ class RuntimeEffects:
         self._close_loops(data, tick.command[0])
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
-        model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
         ratio = tick.gain[0] * np.asarray(is_on, dtype=float)
-        of_position, of_speed = ratio * gain, ratio
+        self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain)
+
+    def _set_model(
+        self,
+        model: mujoco.MjModel,
+        frictionloss_Nm: Array,
+        torque_limit_Nm: Array,
+        ratio: Array | float,
+        gain: Array | float,
+    ) -> None:
+        """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position."""
+        motor = self._motor
+        model.dof_frictionloss[self._motor_dof] = frictionloss_Nm
+        of_speed = np.broadcast_to(ratio, motor.shape)
+        of_position = of_speed * gain
         model.actuator_gainprm[motor, 0] = self._gain * np.where(self._has_kp, of_position, of_speed)
-        model.actuator_biasprm[motor, :3] = self._bias * np.stack((ratio, of_position, of_speed), axis=1)
-        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(self._gear)
+        model.actuator_biasprm[motor, :3] = self._bias * np.stack((of_speed, of_position, of_speed), axis=1)
+        limit = np.maximum(torque_limit_Nm, 0.0) / np.abs(self._gear)
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
@@ -258,7 +268,7 @@ class RuntimeEffects:
             command=command[None, :].copy(),
             applied_Nm=np.zeros((1, dof.size)),
             frictionloss_Nm=self._friction_Nm[None, :].copy(),
-            torque_limit_Nm=(self._limit[:, 1] * np.abs(self._gear))[None, :],
+            torque_limit_Nm=self._limit_Nm[None, :].copy(),
             gain=np.ones((1, dof.size)),
             motor_Nm=(data.actuator_force[self._motor] * self._gear)[None, :],
             period_s=self._period_s,
