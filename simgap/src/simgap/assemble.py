@@ -17,7 +17,7 @@ from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
-from simgap.selection.acceptance import MAX_WORSE, chances_of_error, knows_noise
+from simgap.selection.acceptance import MAX_WORSE, chance_of_error, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
 from simgap.selection.elimination import drop_needless, left_out_gain
 from simgap.selection.fitting import evaluate_points
@@ -162,8 +162,8 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
         for effect in layer:
             others = [j for one in layer if one is not effect for j in joints_of(context, one)]
             before_it, mine = np.where(np.isin(joints, others), after, before), joints_of(context, effect)
-            here = np.isin(held_out.joint_of, mine)
-            (chance,) = chances_of_error(context, held_out, (left - residuals[0])[None], here)
+            rows_of_it = np.flatnonzero(np.isin(held_out.joint_of, mine))
+            chance = chance_of_error(context, held_out, rows_of_it, left, residuals[0])
             harms.append((effect, *find_worst(before_it, mine if chance <= EXCLUDED else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
     if ratio <= 1.0:

@@ -14,7 +14,7 @@ from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import (
-    chances_of_error,
+    chance_of_error,
     cross_validate_each,
     improvement_share,
     improvement_z,
@@ -194,16 +194,18 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
     A test of fits excludes the cause where the model lacks something else. It then predicts no worse than the
     best of the set, and not by chance.
     """
-    here = np.isin(held_out.joint_of, joints_of(context, found.effect))
-    if not found.excluded or not here.any():
+    rows = np.flatnonzero(np.isin(held_out.joint_of, joints_of(context, found.effect)))
+    if not found.excluded or not rows.size:
         return found
     n = len(found.alternatives)
     sizes = [one.sizes for one in (*found.alternatives, *found.excluded)]
     residuals = simulate_models(context, held_out, sizes)
-    errors = np.mean(np.abs(residuals[:, here]), axis=1)
+    errors = np.mean(np.abs(residuals[:, rows]), axis=1)
     best = int(np.argmin(errors[:n]))
-    is_told = chances_of_error(context, held_out, residuals[n:] - residuals[best], here) <= EXCLUDED
-    is_back = [bool(flag) for flag in (errors[n:] <= errors[best]) & is_told]
+    is_back = [
+        error <= errors[best] and chance_of_error(context, held_out, rows, one, residuals[best]) <= EXCLUDED
+        for error, one in zip(errors[n:], residuals[n:], strict=True)
+    ]
     back, excluded = (
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
         for wanted in (True, False)
