@@ -15,7 +15,7 @@ from simgap.effects.effect import Effect, Size
 from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection import elimination, verdict
-from simgap.selection.acceptance import chance_of_error, compare_motions, compare_with_noise
+from simgap.selection.acceptance import compare_motions, compare_with_noise, measure_distance
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
@@ -102,7 +102,7 @@ def test_the_chance_that_a_wrong_model_predicts_better_is_right_for_noise_with_a
     is_wrong = np.sum((noise + apart) ** 2, axis=1) < np.sum(noise**2, axis=1)
     assert np.mean(is_wrong) == pytest.approx(0.2, abs=0.04)
     both = np.tile(np.stack([noise, noise + apart], axis=1), (1, 1, 2))
-    told = [chance_of_error(context, toy, rows, *one) for one in both[:50]]
+    told = norm.sf([0.5 * measure_distance(context, toy, rows, *one) for one in both[:50]])
     assert np.mean(told) == pytest.approx(0.2, abs=0.07)
 
 
@@ -190,6 +190,22 @@ def test_an_effect_that_is_needed_beside_the_one_that_came_back_comes_back_too(m
     monkeypatch.setattr(elimination, "find_need", find_need)
     left, _, kept = elimination.drop_needless(found.context, found.chosen)
     assert {one.key for one in left.effects} == kept == {"near: sine", "near: step"}
+
+
+def test_an_effect_is_not_judged_again_while_those_of_another_joint_go(monkeypatch):
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    judged = []
+
+    def find_need(_, present, without, effects):
+        judged.extend(one.key for one in effects)
+        return effects[0].place == "far", 0.0
+
+    monkeypatch.setattr(elimination, "find_need", find_need)
+    left, left_out, _ = elimination.drop_needless(found.context, found.chosen)
+    assert len(found.chosen.effects) == 3
+    assert [one.key for one in left.effects] == ["far: square"] == [layer[0].key for layer, _ in left_out]
+    assert judged.count("far: square") == 1
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):

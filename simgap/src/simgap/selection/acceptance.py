@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
 
 from simgap.arrays import Array, Integers, find_bounded_minimum
 from simgap.effects.effect import Effect
@@ -36,13 +35,14 @@ def robust_loss(context: Context, rows: Integers, residuals: Array) -> float:
     return float(np.sum(pseudo_huber(residuals / context.scales[context.model.joint_of[rows]])))
 
 
-def chance_of_error(
+def measure_distance(
     context: Context, model: ResidualModel, rows: Integers, better: Array, other: Array
 ) -> float:
-    """Return the probability that noise lets a wrong model predict motions better than the right one.
+    """Measure how far apart two models predict motions, in standard deviations d of what noise does to it.
 
-    Where predictions differ by d, the right one has d^2 - 2 e d less squares, with noise e. What the
-    better one leaves is taken for the noise. Sums of e d over blocks as long as its memory are independent.
+    Where predictions differ by a, the right model has a^2 - 2 e a less squares, with noise e. So it has more
+    than the wrong one with the probability of -d/2. What the better one leaves is taken for the noise. Sums
+    of e a over blocks as long as its memory are independent.
 
     Args:
         model: Residuals of the motions.
@@ -53,7 +53,7 @@ def chance_of_error(
     scale = context.scales[model.joint_of[rows]]
     noise, apart = better[rows] / scale, (other - better)[rows] / scale
     totals = np.bincount(cut_rows(model, rows, noise), weights=noise * apart)
-    return float(norm.sf(0.5 * float(apart @ apart) / max(float(np.linalg.norm(totals)), 1e-300)))
+    return float(apart @ apart) / max(float(np.linalg.norm(totals)), 1e-300)
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:

@@ -14,10 +14,10 @@ from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import (
-    chance_of_error,
     cross_validate_each,
     improvement_share,
     improvement_z,
+    measure_distance,
 )
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -203,7 +203,8 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
     errors = np.mean(np.abs(residuals[:, rows]), axis=1)
     best = int(np.argmin(errors[:n]))
     is_back = [
-        error <= errors[best] and chance_of_error(context, held_out, rows, one, residuals[best]) <= EXCLUDED
+        error <= errors[best]
+        and norm.sf(0.5 * measure_distance(context, held_out, rows, one, residuals[best])) <= EXCLUDED
         for error, one in zip(errors[n:], residuals[n:], strict=True)
     ]
     back, excluded = (
