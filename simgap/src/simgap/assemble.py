@@ -104,18 +104,19 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
-    while held_out is not None and (harm := find_harmful(selection, held_out)):
-        rejected.append(Rejected(harm[0].place, harm[0].name, harm[1]))
-        selection = drop_finding(selection, harm[0])
     while True:
-        sets = find_confidence_sets(selection)
-        idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
-        if idle is None:
-            if held_out is not None:
-                sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
-            return selection, sets, rejected
-        rejected.append(Rejected(idle.place, idle.name, "its 90 % interval holds 0"))
-        selection = drop_finding(selection, idle)
+        if held_out is not None and (harm := find_harmful(selection, held_out)):
+            effect, reason = harm
+        else:
+            sets = find_confidence_sets(selection)
+            idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
+            if idle is None:
+                if held_out is not None:
+                    sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
+                return selection, sets, rejected
+            effect, reason = idle, "its 90 % interval holds 0"
+        rejected.append(Rejected(effect.place, effect.name, reason))
+        selection = drop_finding(selection, effect)
 
 
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
