@@ -9,6 +9,8 @@ import pytest
 
 from helpers.robot_folder import write_robot
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.command.check import check_robot
+from simgap.command.request import CheckRequest
 from simgap.common.errors import RobotError
 from simgap.compare import compare
 from simgap.diagnosis import diagnose, list_variations
@@ -163,6 +165,8 @@ def test_an_effect_that_no_joint_can_have_is_refused(tmp_path):
     logs = load(robot, log)
     with pytest.raises(RobotError, match="the effect 'payloud'; did you mean 'payload'"):
         list_variations(robot, logs, catalogue(robot, logs))
+    report = check_robot(CheckRequest(tmp_path / "robot.toml", (log,)))
+    assert "the effect 'payloud'; did you mean 'payload'" in report.refusal
 
 
 def test_sizes_of_a_variation_have_the_bounds_of_the_effect_at_the_largest_number(tmp_path):

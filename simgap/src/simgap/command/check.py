@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.catalogue.catalogue import catalogue
 from simgap.checks.audit import audit
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
@@ -19,7 +20,7 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
-from simgap.diagnosis import check_audit, check_motions, end_sentence
+from simgap.diagnosis import check_audit, check_motions, end_sentence, list_variations
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report import page
@@ -182,6 +183,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
         list_kinds(robot, logs.fit, found.usable)
+        list_variations(robot, logs, catalogue(robot, logs))
     except RobotError as error:
         return str(error)
     return ""
