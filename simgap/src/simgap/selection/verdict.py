@@ -225,14 +225,18 @@ def _cause_p(
     """
     model = context.model
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
-    parts = []
-    for fit in tested:
+
+    def join_at_joints(fit: JointFit) -> tuple[Array, Array]:
         rest = [] if fit.joint == ALL_JOINTS else [j for j in joints if j != fit.joint]
         together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
-        parts.append(_join(together, len(model.joint_of)))
+        residuals, jacobian = _join(together, len(model.joint_of))
+        return residuals[rows], jacobian[rows]
+
     scale = context.scales[model.joint_of[rows]]
-    weight = root_weight(parts[0][0][rows] / scale) / scale
-    models = [(r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts]
+    weight = root_weight(join_at_joints(tested[0])[0] / scale) / scale
+    # one by one, as the derivatives of all would fill the memory
+    joined = (join_at_joints(fit) for fit in tested)
+    models = [(r * weight, orthonormal(j * weight[:, None])) for r, j in joined]
     # what the finding explains is no noise, and would make blocks so long that nothing is excluded
     cluster = cut_rows(model, rows, models[0][0])
     std = model.noise_std / float(np.max(context.scales[joints]))
