@@ -22,9 +22,9 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
 from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CHANNELS, CONDITIONS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.features import CHANNELS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
-from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
+from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.loop import SimulationOptions
@@ -90,7 +90,6 @@ def build_simulator(
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
-        conditions=np.array(CONDITIONS),
     )
     return ArmSimulator(feature_set, layout, notes, options, patch)
 
