@@ -144,10 +144,8 @@ class Nuisance:
     """Makes the effect of the plant from a departure."""
     same_as: str = ""
     """Key of the hypothesis, or name of the nuisance, that equals it for small departures."""
-    one_sided: bool = False
-    """One-sided nuisance: it departs only to positive values."""
     only_place: str = ""
-    """Place of the only features that it influences; empty for all."""
+    """Place of the only features that a numerical error, on or off, influences; empty for all others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -243,11 +243,11 @@ def _cost(whiten: Whitener, residual: Array, selection: FeatureSelection) -> flo
 def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: tuple[int, ...]) -> Array:
     """Estimate the nuisances beside some effects, (q,), limited to MAX_SIGMAS.
 
-    Random and one-sided nuisances stay 0.
+    Random nuisances and numerical errors stay 0.
     """
     equations, sensitivities = model.equations, model.sensitivities
     residual, shared = current.residual(sensitivities.nuisance), sensitivities.shared_nuisances
     fit = fit_linear(equations, equations.whiten(residual), beside)
     found, far = np.zeros(len(sensitivities.nuisances)), MAX_SIGMAS * sensitivities.sigma
     found[shared] = fit.theta[: equations.q] * sensitivities.sigma[shared]
-    return np.where([one.one_sided for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))
+    return np.where([bool(one.only_place) for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))
