@@ -33,7 +33,7 @@ from marsarm.diagnosis.model import (
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout
+from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -209,6 +209,6 @@ def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, by_direct
         regime=REGIMES.get(regime, regime),
         mean_abs=float(np.mean(np.abs(left * layout.sigma[group.rows]))),
         unit=str(layout.unit[group.rows[0]]),
-        depends_on=str(layout.conditions[strongest - 1]) if is_named else "",
+        depends_on=CONDITIONS[strongest - 1] if is_named else "",
         depends_share=float(along[strongest] ** 2 / (left @ left)) if is_named else 0.0,
     )

@@ -40,6 +40,11 @@ BOUND_SHARE: Final = 0.9
 ROUNDING: Final = 1e-9
 """Greatest relative difference of two columns that come from the same simulated change."""
 
+CONDITIONS: Final = (
+    *("temperature", "load", "speed", "sine of the angle", "cosine of the angle", "direction"),
+)
+"""Conditions of a feature: degC, N m, rad/s, and the last three without a unit."""
+
 Ints = NDArray[np.intp]
 Texts = NDArray[np.str_]
 
@@ -139,10 +144,8 @@ class Nuisance:
     """Makes the effect of the plant from a departure."""
     same_as: str = ""
     """Key of the hypothesis, or name of the nuisance, that equals it for small departures."""
-    one_sided: bool = False
-    """One-sided nuisance: it departs only to positive values."""
     only_place: str = ""
-    """Place of the only features that it influences; empty for all."""
+    """Place of the only features that a numerical error, on or off, influences; empty for all others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,12 +162,9 @@ class FeatureLayout:
     regime: Texts
     """Regime of motion."""
     condition: Array
-    """Conditions that a residual may depend on, such as temperature, load and speed, shape (m, c); 0 where a
-    condition does not apply."""
+    """CONDITIONS that a residual may depend on, shape (m, 6); 0 where a condition does not apply."""
     key: Texts
     """Name that is equal in every log of a session: session, motion, channel, number."""
-    conditions: Texts
-    """Names of the conditions, shape (c,)."""
 
     @property
     def size(self) -> int:
@@ -173,8 +173,7 @@ class FeatureLayout:
 
     def select(self, rows: Ints) -> "FeatureLayout":
         """Return the layout of some features, in the order of `rows`."""
-        names = [one.name for one in fields(self) if one.name != "conditions"]
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
 
 Departures = Mapping[Hypothesis, Array]

@@ -167,7 +167,6 @@ class FeatureResiduals:
         self.repeat_of = ("",) * len(self.motions)
         self.joint_of: Ints = np.zeros(layout.size, np.intp)
         self.time_s = np.arange(layout.size, dtype=float)  # whitened features have no memory
-        self._condition = dict(zip(layout.conditions.tolist(), layout.condition.T, strict=True))
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates in noise floors, (n_candidates, m)."""
@@ -181,5 +180,5 @@ class FeatureResiduals:
         return self
 
     def explain(self, name: str) -> Array:
-        """Return a condition of the features in its unit, (m,); NaN for one that they do not have."""
-        return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))
+        """Return NaN, (m,): features have none of these variables, only conditions of their own."""
+        return np.full(self._y.size, np.nan)

@@ -9,7 +9,10 @@ import pytest
 
 from helpers.robot_folder import write_robot
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.command.check import check_robot
+from simgap.command.request import CheckRequest
 from simgap.common.errors import RobotError
+from simgap.compare import compare
 from simgap.diagnosis import diagnose, list_variations
 from simgap.effects.variation import Variation
 from simgap.loading import load
@@ -67,10 +70,10 @@ def read(folder, *changes, **options):
     return Robot.from_toml(path), write_log(folder / "log.csv", **options)
 
 
-def write_log(path, added_Nm_kg=0.0):
+def write_log(path, added_Nm_kg=0.0, seed=1):
     """Write logs in which a constant torque may be in proportion to the mass."""
     t = np.arange(0.0, 4.0, 0.01)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     lines = ["t,motion,mass_g,length,q,tau"]
     for k, (mass_g, length_m) in enumerate(SETUPS):
         w = 2.0 + 0.3 * k
@@ -129,6 +132,18 @@ def test_an_effect_may_follow_a_condition(tmp_path):
     assert not any(isinstance(effect, Variation) for effect in found.of_model()[0])
 
 
+@pytest.mark.slow
+def test_what_follows_a_condition_in_two_sets_is_no_change(tmp_path):
+    change = ('column = "mass_g"', 'column = "mass_g"\neffects = ["constant torque"]')
+    robot, log = read(tmp_path, change, added_Nm_kg=ADDED_Nm_kg)
+    other = write_log(tmp_path / "after.csv", added_Nm_kg=ADDED_Nm_kg, seed=2)
+    found = compare(robot, load(robot, log).motions, load(robot, other).motions).found
+    assert found.findings == ()
+    assert [effect.name for effect in found.effects if isinstance(effect, Variation)] == [
+        "constant torque by mass_kg"
+    ]
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -150,6 +165,8 @@ def test_an_effect_that_no_joint_can_have_is_refused(tmp_path):
     logs = load(robot, log)
     with pytest.raises(RobotError, match="the effect 'payloud'; did you mean 'payload'"):
         list_variations(robot, logs, catalogue(robot, logs))
+    report = check_robot(CheckRequest(tmp_path / "robot.toml", (log,)))
+    assert "the effect 'payloud'; did you mean 'payload'" in report.refusal
 
 
 def test_sizes_of_a_variation_have_the_bounds_of_the_effect_at_the_largest_number(tmp_path):

@@ -1,5 +1,6 @@
 """The engine against an independent integrator: bits, starts, error of the step, stages that are off."""
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -9,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from helpers.marks import slow_but
 from helpers.pendulum import (
+    XML,
     INERTIA_kgm2,
     LENGTH_m,
     MASS_kg,
@@ -346,6 +348,21 @@ def test_the_stages_that_are_skipped_change_no_bit(robot):
     fast = path(model)
     model.opt.disableflags &= ~IDLE
     assert np.array_equal(fast, path(model))
+
+
+def test_a_mesh_that_is_only_seen_is_not_kept_and_its_mass_counts():
+    corners = "1 0 0  0 1 0  0 0 1  -1 -1 -1"
+    seen = '<geom type="mesh" mesh="cover" mass="0.4" contype="0" conaffinity="0" pos="0 0 -0.1"/></body>'
+    xml = XML.format(
+        step=0.002, name="swing", damping=0.02, dry=0.01, armature=0.002, axis="0 1 0", arm="", mass=1.0
+    )
+    xml = re.sub("<inertial.*/>", "", xml).replace("</body>", seen)
+    xml = xml.replace("<worldbody>", f'<asset><mesh name="cover" vertex="{corners}"/></asset><worldbody>')
+    robot = replace(pendulum(), model=mujoco.MjModel.from_xml_string(xml), model_xml=xml)
+    model = Models(robot).compiled([]).robot.model
+    assert (robot.model.nmesh, model.nmesh) == (1, 0)
+    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+        assert np.array_equal(getattr(model, name), getattr(robot.model, name))
 
 
 def test_the_profiler_is_off_inside_and_on_again_outside():

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+from scipy.stats import norm
 
 from helpers.pendulum import at_swing, pendulum
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
@@ -13,7 +15,7 @@ from simgap.effects.effect import Effect, Size
 from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
 from simgap.selection import elimination, verdict
-from simgap.selection.acceptance import compare_motions, compare_with_noise
+from simgap.selection.acceptance import compare_motions, compare_with_noise, measure_distance
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
@@ -85,6 +87,23 @@ def test_a_change_without_use_seldom_exceeds_what_noise_can_do_and_no_change_is_
         found.append(compare_with_noise(context, rows, noise, noise - 0.1 * rng.standard_normal(rows.size)))
     assert np.mean(np.array(found) > 2.0) < 0.05
     assert compare_with_noise(context, rows, toy.commands[0].ravel(), toy.commands[0].ravel()) == 0.0
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("period", [2.5, 100.0])
+def test_the_chance_that_a_wrong_model_predicts_better_is_right_for_noise_with_a_memory(correlation, period):
+    toy = draw_toy(1, {}, n_motions=6, n_samples=400)
+    context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
+    rows, rng = np.flatnonzero(toy.joint_of == 0), np.random.default_rng(2)
+    white = np.sqrt(1.0 - correlation**2) * rng.standard_normal((400, 6, 500))
+    noise = lfilter([1.0], [1.0, -correlation], white, axis=2)[:, :, 100:].reshape(400, -1)
+    apart = np.tile(np.sin(2.0 * np.pi * np.arange(400) / period), 6)
+    apart *= 2.0 * norm.isf(0.2) * np.std(noise @ apart) / (apart @ apart)
+    is_wrong = np.sum((noise + apart) ** 2, axis=1) < np.sum(noise**2, axis=1)
+    assert np.mean(is_wrong) == pytest.approx(0.2, abs=0.04)
+    both = np.tile(np.stack([noise, noise + apart], axis=1), (1, 1, 2))
+    told = norm.sf([0.5 * measure_distance(context, toy, rows, *one) for one in both[:50]])
+    assert np.mean(told) == pytest.approx(0.2, abs=0.07)
 
 
 @pytest.mark.parametrize(("of_one", "of_other"), [([], [0, 7, 50]), ([0], [9]), ([-1], [0])])
@@ -171,6 +190,22 @@ def test_an_effect_that_is_needed_beside_the_one_that_came_back_comes_back_too(m
     monkeypatch.setattr(elimination, "find_need", find_need)
     left, _, kept = elimination.drop_needless(found.context, found.chosen)
     assert {one.key for one in left.effects} == kept == {"near: sine", "near: step"}
+
+
+def test_an_effect_is_not_judged_again_while_those_of_another_joint_go(monkeypatch):
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    judged = []
+
+    def find_need(_, present, without, effects):
+        judged.extend(one.key for one in effects)
+        return effects[0].place == "far", 0.0
+
+    monkeypatch.setattr(elimination, "find_need", find_need)
+    left, left_out, _ = elimination.drop_needless(found.context, found.chosen)
+    assert len(found.chosen.effects) == 3
+    assert [one.key for one in left.effects] == ["far: square"] == [layer[0].key for layer, _ in left_out]
+    assert judged.count("far: square") == 1
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):

@@ -128,7 +128,6 @@ def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
                 NUMERICS_SIGMA,
                 effect=partial(lambda one, _: one, numerics),
                 same_as=word,
-                one_sided=True,
                 only_place=joint.name.lower(),
             )
     for joint in Joint:

@@ -22,9 +22,9 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
 from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CHANNELS, CONDITIONS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.features import CHANNELS, UNITS, MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
-from marsarm.diagnosis.problem import LOG_UNIT, Departures, FeatureLayout, Ints
+from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.loop import SimulationOptions
@@ -90,7 +90,6 @@ def build_simulator(
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
-        conditions=np.array(CONDITIONS),
     )
     return ArmSimulator(feature_set, layout, notes, options, patch)
 
@@ -244,11 +243,11 @@ def _cost(whiten: Whitener, residual: Array, selection: FeatureSelection) -> flo
 def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: tuple[int, ...]) -> Array:
     """Estimate the nuisances beside some effects, (q,), limited to MAX_SIGMAS.
 
-    Random and one-sided nuisances stay 0.
+    Random nuisances and numerical errors stay 0.
     """
     equations, sensitivities = model.equations, model.sensitivities
     residual, shared = current.residual(sensitivities.nuisance), sensitivities.shared_nuisances
     fit = fit_linear(equations, equations.whiten(residual), beside)
     found, far = np.zeros(len(sensitivities.nuisances)), MAX_SIGMAS * sensitivities.sigma
     found[shared] = fit.theta[: equations.q] * sensitivities.sigma[shared]
-    return np.where([one.one_sided for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))
+    return np.where([bool(one.only_place) for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))

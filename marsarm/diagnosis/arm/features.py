@@ -23,16 +23,13 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, find_segments, find_touch
+from marsarm.diagnosis.problem import CONDITIONS
 
 CHANNELS: Final = (
     *("current", "following-error", "resolver-encoder", "imu", "rotation", "translation", "touch"),
 )
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m", "m")
 CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION, TOUCH = range(len(CHANNELS))
-CONDITIONS: Final = (
-    *("temperature", "load", "speed", "sine of the angle", "cosine of the angle", "direction"),
-)
-"""Conditions of a feature: degC, N m, rad/s, and the last three without a unit."""
 
 SensorColumns = Mapping[str, NDArray[Any]]
 """Readings by field, each of shape (n, ...) with n ticks."""

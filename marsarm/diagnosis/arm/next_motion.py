@@ -11,12 +11,14 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
 from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
+from marsarm.diagnosis.arm.logs import BIN_TICKS
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener, whiten_nuisances
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
@@ -37,8 +39,6 @@ RECORDED: Final = 0.5
 """Share after the planned motions are recorded."""
 MOST_DRAWN: Final = 4
 """Channels that are drawn at most."""
-BIN_s: Final = 0.25
-"""Time between two features of a channel in motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
         if own.size == 1:  # a reading at rest
             continue
         predicted, noise = changes[:, own], float(np.mean(layout.sigma[own]))
-        time_s = BIN_s * np.arange(float(own.size))
+        time_s = np.arange(float(own.size)) * BIN_TICKS / CYCLE_HZ
         differing = predicted - predicted.mean(axis=0)
         curves.append(Curve(channel, str(layout.unit[own[0]]), time_s, differing, noise))
     peaks = [float(np.max(np.abs(one.values))) / one.noise for one in curves]

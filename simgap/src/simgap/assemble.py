@@ -17,13 +17,12 @@ from simgap.residuals.noise import cut_rows, noise_residuals
 from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Rejected, Remainder
 from simgap.robot import Robot
-from simgap.selection.acceptance import MAX_WORSE, chances_of_error, knows_noise
+from simgap.selection.acceptance import MAX_WORSE, knows_noise, measure_distance
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
 from simgap.selection.elimination import drop_needless, left_out_gain
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
 from simgap.selection.verdict import (
-    EXCLUDED,
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
@@ -105,18 +104,19 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
-    while held_out is not None and (harm := find_harmful(selection, held_out)):
-        rejected.append(Rejected(harm[0].place, harm[0].name, harm[1]))
-        selection = drop_finding(selection, harm[0])
     while True:
-        sets = find_confidence_sets(selection)
-        idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
-        if idle is None:
-            if held_out is not None:
-                sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
-            return selection, sets, rejected
-        rejected.append(Rejected(idle.place, idle.name, "its 90 % interval holds 0"))
-        selection = drop_finding(selection, idle)
+        if held_out is not None and (harm := find_harmful(selection, held_out)):
+            effect, reason = harm
+        else:
+            sets = find_confidence_sets(selection)
+            idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
+            if idle is None:
+                if held_out is not None:
+                    sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
+                return selection, sets, rejected
+            effect, reason = idle, "its 90 % interval holds 0"
+        rejected.append(Rejected(effect.place, effect.name, reason))
+        selection = drop_finding(selection, effect)
 
 
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
@@ -138,7 +138,8 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
     """Find the finding that makes a joint of held-out motions worse, and why.
 
-    With it, its own joint is worse than without it, and not by chance, or another one by more than MAX_WORSE.
+    With it, its own joint is worse than without it, and differs by more than the noise, or another joint is
+    worse by more than MAX_WORSE. Only these motions took no part in the selection, so their error decides.
     Where several make one that much worse than base parameters alone, it is the one that is needed least.
     """
     context, chosen = selection.context, selection.chosen
@@ -162,9 +163,9 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
         for effect in layer:
             others = [j for one in layer if one is not effect for j in joints_of(context, one)]
             before_it, mine = np.where(np.isin(joints, others), after, before), joints_of(context, effect)
-            here = np.isin(held_out.joint_of, mine)
-            (chance,) = chances_of_error(context, held_out, (left - residuals[0])[None], here)
-            harms.append((effect, *find_worst(before_it, mine if chance <= EXCLUDED else ())))
+            rows_of_it = np.flatnonzero(np.isin(held_out.joint_of, mine))
+            distance = measure_distance(context, held_out, rows_of_it, left, residuals[0])
+            harms.append((effect, *find_worst(before_it, mine if distance > 1.0 else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
     if ratio <= 1.0:
         ratio, j, error = find_worst(base)

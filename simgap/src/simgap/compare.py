@@ -15,11 +15,12 @@ from simgap.diagnosis import (
     check_names,
     choose_shown,
     is_copy,
+    list_variations,
     refer_to_chosen,
     tell_remarks,
 )
 from simgap.effects.effect import Effect
-from simgap.effects.variation import Difference, unbound
+from simgap.effects.variation import Difference, Variation, unbound
 from simgap.logs import Logs, Motion
 from simgap.report.traces import convert_errors
 from simgap.residuals.conditioned import JoinedResiduals
@@ -79,7 +80,8 @@ def compare(
     if kind is None:
         raise RobotError("the logs have no command and no torque; a comparison needs one of them")
     logs = Logs(tuple(motions))
-    known = catalogue(robot, logs)
+    known = [*catalogue(robot, logs)]
+    known += list_variations(robot, logs, known)
     check_names(known)
     shown, _ = choose_shown(robot, kind, known)
     base = [one for one in base_effects(robot, logs) if kind.shows(one)]
@@ -175,8 +177,12 @@ def tell_apart(raw: ResidualModel) -> JoinedResiduals:
 def select_differences(
     model: ResidualModel, base: Sequence[Effect], shown: Sequence[Effect], seed: int, meter: Meter
 ) -> Selection:
-    """Select effects that both sets have in common, and differences between the sets, beside one another."""
-    every = {one.key: one for one in (*shown, *base)}  # the catalogue has some of the base too
+    """Select effects that both sets have in common, and differences between the sets, beside one another.
+
+    What follows a condition is in common.
+    """
+    steady = [one for one in shown if not isinstance(one, Variation)]
+    every = {one.key: one for one in (*steady, *base)}  # the catalogue has some of the base too
     differences = [Difference(one.place, unbound(one)) for one in every.values()]
     return select_effects(model, base, [*shown, *differences], seed=seed, meter=meter)
 

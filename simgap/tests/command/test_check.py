@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from simgap.command.first_file import list_logs
 from simgap.command.request import CheckRequest
 from simgap.common.files import file_sha256
 from simgap.common.report import ReportTable, print_parts
+from simgap.logs import Logs, Signal
 
 SCREEN_LINES = 24
 
@@ -131,6 +133,24 @@ def test_the_nominal_model_differs_from_the_logs_only_at_the_table(report):
     shoulder, _ = summarize_joints(report)
     errors = [one.mean_abs_rad["shoulder"] for one in report.nominal]
     assert shoulder.nominal_mean_abs_rad == pytest.approx(np.mean(errors))
+
+
+def test_a_motion_that_is_too_short_to_be_simulated_does_not_hide_the_error_of_the_others(tmp_path):
+    whole, other = slow_logs(planar_arm(), count=2).motions
+    joints = {
+        name: replace(
+            log,
+            position=Signal(log.position.time_s[:3], log.position.value[:3]),
+            command=Signal(log.command.time_s[:3], log.command.value[:3]),
+        )
+        for name, log in other.joints.items()
+    }
+    write_arm(tmp_path)
+    write_logs(tmp_path / "log.parquet", Logs((whole, replace(other, joints=joints))))
+    report = check_robot(CheckRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",)))
+    assert [one.is_simulated for one in report.nominal] == [True, False]
+    for joint in summarize_joints(report):
+        assert joint.nominal_mean_abs_rad == report.nominal[0].mean_abs_rad[joint.name]
 
 
 def test_motions_of_remarks_are_drawn_first(report):

@@ -10,7 +10,6 @@ from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Param
 from marsarm.diagnosis.selection import select_simulated
 from simgap.effects.effect import Family
 
-CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
 REGIMES = ("rest", "slow", "reversal")
 
 
@@ -61,7 +60,7 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
     layout = FeatureLayout(
         sigma, np.array(names[0])[block], np.array(channels)[channel], np.full(m, "u"),
-        np.array(REGIMES)[block % 3], condition, np.arange(m).astype(str), np.array(CONDITIONS),
+        np.array(REGIMES)[block % 3], condition, np.arange(m).astype(str),
     )  # fmt: skip
     basis = _basis(condition, channel)
     shapes = [

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.catalogue.catalogue import catalogue
 from simgap.checks.audit import audit
 from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
@@ -19,7 +20,7 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
-from simgap.diagnosis import check_audit, check_motions, end_sentence
+from simgap.diagnosis import check_audit, check_motions, end_sentence, list_variations
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report import page
@@ -57,6 +58,8 @@ class NominalMotion:
     not all joints have a position."""
     mean_abs_rad: Mapping[str, float]
     """Joint -> mean absolute difference from the logged position; NaN if it blew up, or is not simulated."""
+    is_simulated: bool
+    """False without a command, with too few positions, or without the gains of all loops."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ class JointSummary:
     nominal_mean_abs_rad: float
     """Of the nominal simulation; NaN if it blew up, or is none."""
     is_simulated: bool
-    """False without a command in all motions, or without the gains of all loops."""
+    """False if no motion has a command and enough positions, or without the gains of all loops."""
     is_slide: bool = False
 
 
@@ -122,7 +125,8 @@ def simulate_nominal(models: Models, motion: Motion) -> NominalMotion:
     logged = {name: motion.joints[name].position for name in names}
     predicted = {name: np.full(one.value.size, math.nan) for name, one in logged.items()}
     error = dict.fromkeys(names, math.nan)
-    for window in _whole_window(models, motion):
+    windows = _whole_window(models, motion)
+    for window in windows:
         found = Engine(models, [], [window], 1).positions(np.zeros((1, 0)))[0]
         parts = np.split(found, np.cumsum([one.size for one in window.sample_time_s])[:-1])
         for name, part in zip(names, parts, strict=True):
@@ -130,7 +134,7 @@ def simulate_nominal(models: Models, motion: Motion) -> NominalMotion:
             at = slice(first, first + part.size)
             predicted[name][at] = part
             error[name] = float(np.mean(np.abs(part - logged[name].value[at]))) if part.size else math.nan
-    return NominalMotion(motion.name, predicted, error)
+    return NominalMotion(motion.name, predicted, error, is_simulated=bool(windows))
 
 
 def _whole_window(models: Models, motion: Motion) -> list[Window]:
@@ -151,13 +155,10 @@ def summarize_joints(report: CheckReport) -> list[JointSummary]:
 def _summary(report: CheckReport, joint: str) -> JointSummary:
     rates = [rate for rate in report.audit.rates if rate.joint == joint]
     weight = np.array([rate.n_samples for rate in rates], float)
-    is_simulated = all(motion.joints[joint].command is not None for motion in report.logs.motions) and all(
-        one.knows_gains for one in report.robot.joints
-    )
     usable = [report.audit.is_usable(motion.name, joint) for motion in report.logs.motions]
     positions = [motion.joints[joint].position.value for motion in report.logs.motions]
     errors = np.array([one.mean_abs_rad[joint] for one in report.nominal])
-    is_judged = is_simulated and weight.any()
+    judged = np.array([one.is_simulated for one in report.nominal]) & (weight > 0.0)
     return JointSummary(
         name=joint,
         rate_Hz=float(np.median([rate.rate_Hz for rate in rates if np.isfinite(rate.rate_Hz)] or [np.nan])),
@@ -168,8 +169,10 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
         refused_share=1.0 - sum(int(one.sum()) for one in usable) / max(sum(one.size for one in usable), 1),
         lowest_rad=min(float(np.nanmin(one)) for one in positions),
         highest_rad=max(float(np.nanmax(one)) for one in positions),
-        nominal_mean_abs_rad=float(np.average(errors, weights=weight)) if is_judged else math.nan,
-        is_simulated=is_simulated,
+        nominal_mean_abs_rad=float(np.average(errors[judged], weights=weight[judged]))
+        if judged.any()
+        else math.nan,
+        is_simulated=bool(judged.any()),
         is_slide=report.robot.joint(joint).is_slide,
     )
 
@@ -180,6 +183,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
         list_kinds(robot, logs.fit, found.usable)
+        list_variations(robot, logs, catalogue(robot, logs))
     except RobotError as error:
         return str(error)
     return ""

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
 
-from simgap.arrays import Array, Flags, Integers, find_bounded_minimum
+from simgap.arrays import Array, Integers, find_bounded_minimum
 from simgap.effects.effect import Effect
-from simgap.residuals.noise import WhitenedResiduals, cut_rows
+from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, pseudo_huber
 from simgap.selection.context import Context, FittedModel, simulate
 from simgap.selection.fit import STEP, JointFit, gather_residuals
@@ -36,20 +35,25 @@ def robust_loss(context: Context, rows: Integers, residuals: Array) -> float:
     return float(np.sum(pseudo_huber(residuals / context.scales[context.model.joint_of[rows]])))
 
 
-def chances_of_error(context: Context, model: ResidualModel, apart: Array, counts: Flags) -> Array:
-    """Return the probability that noise lets the wrong one of two models predict motions better, (n_pairs,).
+def measure_distance(
+    context: Context, model: ResidualModel, rows: Integers, better: Array, other: Array
+) -> float:
+    """Measure how far apart two models predict motions, in standard deviations d of what noise does to it.
 
-    Where predictions differ by d standard deviations, the right one has less loss by d^2 +- 2 d.
+    Where predictions differ by a, the right model has a^2 - 2 e a less squares, with noise e. So it has more
+    than the wrong one with the probability of -d/2. What the better one leaves is taken for the noise. Sums
+    of e a over blocks as long as its memory are independent.
 
     Args:
         model: Residuals of the motions.
-        apart: Differences of the predictions, (n_pairs, n).
-        counts: Residuals that count, (n,).
+        rows: Those that are compared.
+        better: Residuals with the model that predicts better, (n,).
+        other: Residuals with the other model, (n,).
     """
-    if isinstance(context.model, WhitenedResiduals):
-        apart = WhitenedResiduals(model, context.model.correlation).whiten(apart)
-    differences = (apart / context.scales[model.joint_of])[:, counts]
-    return np.asarray(norm.sf(0.5 * np.linalg.norm(differences, axis=1)))
+    scale = context.scales[model.joint_of[rows]]
+    noise, apart = better[rows] / scale, (other - better)[rows] / scale
+    totals = np.bincount(cut_rows(model, rows, noise), weights=noise * apart)
+    return float(apart @ apart) / max(float(np.linalg.norm(totals)), 1e-300)
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:

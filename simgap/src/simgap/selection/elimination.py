@@ -18,23 +18,31 @@ from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_l
 from simgap.selection.screening import refit_p
 from simgap.selection.sharing import ALL_JOINTS
 
+LeftOut = tuple[tuple[tuple[Effect, ...], FittedModel], ...]
+"""Effects that were left out together, with the model without them."""
+
 
 def drop_needless(
     context: Context, present: FittedModel, kept: frozenset[str] = frozenset()
-) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...], frozenset[str]]:
+) -> tuple[FittedModel, LeftOut, frozenset[str]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
+
+    Those that move what a dropped one moves are judged again. Others keep their judgement: beside a joint
+    that lacks an effect, those of other joints seem to be needed less.
 
     What is dropped is also tested together, against the model at the start: losses that are too small one by
     one add up. If they are too large together, the effect that explains most comes back, and stays, as those
     whose keys are `kept` from before do.
 
-    Return also what was left out together, with the model without it, each effect once, and the keys of what
-    is kept.
+    Return also each effect left out, and the keys of what is kept.
     """
-    whole = present
-    while True:
-        layers = list_layers(context, present.effects)
-        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
+    whole, changed = present, present.effects
+    judged: Sequence[Effect] = ()
+    left_out: LeftOut = ()
+    while changed:
+        near = [one for effect in changed for one in list_together(context, effect, whole.effects)]
+        judged = [one for one in present.effects if one in near]
+        left_out = leave_each_out(context, present, judged)
         needs = [
             (effect, *find_need(context, present, without, [effect]))
             for layer, without in left_out
@@ -42,14 +50,22 @@ def drop_needless(
         ]
         failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
         if weak := [effect for effect, *_ in failed if effect.key not in kept]:
-            weakest, *_ = list_layers(context, weak)
-            known = [model for layer, model in left_out if layer == weakest]
-            present = known[0] if known else leave_out(context, present, weakest)
+            changed, *_ = list_layers(context, weak)
+            known = [model for layer, model in left_out if layer == changed]
+            present = known[0] if known else leave_out(context, present, changed)
         elif back := find_needed_together(context, whole, present):
             effect, present = back
-            kept |= {effect.key}
+            changed, kept = (effect,), kept | {effect.key}
         else:
-            return present, left_out, kept
+            changed = ()
+    if len(judged) < len(present.effects):
+        left_out = leave_each_out(context, present, present.effects)
+    return present, left_out, kept
+
+
+def leave_each_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> LeftOut:
+    """Refit the model without each of some effects; those that may be are left out together."""
+    return tuple((layer, leave_out(context, present, layer)) for layer in list_layers(context, effects))
 
 
 def find_needed_together(

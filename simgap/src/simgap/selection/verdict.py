@@ -14,10 +14,10 @@ from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import (
-    chances_of_error,
     cross_validate_each,
     improvement_share,
     improvement_z,
+    measure_distance,
 )
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -194,16 +194,19 @@ def readmit_rivals(context: Context, found: ConfidenceSet, held_out: ResidualMod
     A test of fits excludes the cause where the model lacks something else. It then predicts no worse than the
     best of the set, and not by chance.
     """
-    here = np.isin(held_out.joint_of, joints_of(context, found.effect))
-    if not found.excluded or not here.any():
+    rows = np.flatnonzero(np.isin(held_out.joint_of, joints_of(context, found.effect)))
+    if not found.excluded or not rows.size:
         return found
     n = len(found.alternatives)
     sizes = [one.sizes for one in (*found.alternatives, *found.excluded)]
     residuals = simulate_models(context, held_out, sizes)
-    errors = np.mean(np.abs(residuals[:, here]), axis=1)
+    errors = np.mean(np.abs(residuals[:, rows]), axis=1)
     best = int(np.argmin(errors[:n]))
-    is_told = chances_of_error(context, held_out, residuals[n:] - residuals[best], here) <= EXCLUDED
-    is_back = [bool(flag) for flag in (errors[n:] <= errors[best]) & is_told]
+    is_back = [
+        error <= errors[best]
+        and norm.sf(0.5 * measure_distance(context, held_out, rows, one, residuals[best])) <= EXCLUDED
+        for error, one in zip(errors[n:], residuals[n:], strict=True)
+    ]
     back, excluded = (
         tuple(one for one, flag in zip(found.excluded, is_back, strict=True) if flag == wanted)
         for wanted in (True, False)
@@ -222,14 +225,18 @@ def _cause_p(
     """
     model = context.model
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
-    parts = []
-    for fit in tested:
+
+    def join_at_joints(fit: JointFit) -> tuple[Array, Array]:
         rest = [] if fit.joint == ALL_JOINTS else [j for j in joints if j != fit.joint]
         together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
-        parts.append(_join(together, len(model.joint_of)))
+        residuals, jacobian = _join(together, len(model.joint_of))
+        return residuals[rows], jacobian[rows]
+
     scale = context.scales[model.joint_of[rows]]
-    weight = root_weight(parts[0][0][rows] / scale) / scale
-    models = [(r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts]
+    weight = root_weight(join_at_joints(tested[0])[0] / scale) / scale
+    # one by one, as the derivatives of all would fill the memory
+    joined = (join_at_joints(fit) for fit in tested)
+    models = [(r * weight, orthonormal(j * weight[:, None])) for r, j in joined]
     # what the finding explains is no noise, and would make blocks so long that nothing is excluded
     cluster = cut_rows(model, rows, models[0][0])
     std = model.noise_std / float(np.max(context.scales[joints]))

@@ -59,6 +59,7 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
     take_out_joints(spec, robot.left_out)
     spec.option.timestep = robot.model.opt.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.compiler.discardvisual = True  # a mesh that is only seen would be kept with each model
     joints = {robot.model.joint(int(robot.model.dof_jntid[j.dof_index])).name: j for j in robot.joints}
     old = [a for a in spec.actuators if a.target in joints]
     rotors = {name: _rotor_numbers([a for a in old if a.target == name]) for name in joints}
