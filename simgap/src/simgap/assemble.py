@@ -138,8 +138,8 @@ def may_be_none(selection: Selection, effect: Effect, sets: Sequence[ConfidenceS
 def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect, str] | None:
     """Find the finding that makes a joint of held-out motions worse, and why.
 
-    With it, its own joint is worse than without it, and differs by more than the noise, or another joint is
-    worse by more than MAX_WORSE. Only these motions took no part in the selection, so their error decides.
+    With it, its own joint is worse than without it, and differs by more than a standard deviation of noise,
+    or another is worse by more than MAX_WORSE. These motions took no part in the selection: they decide.
     Where several make one that much worse than base parameters alone, it is the one that is needed least.
     """
     context, chosen = selection.context, selection.chosen

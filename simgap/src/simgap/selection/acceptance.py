@@ -36,24 +36,28 @@ def robust_loss(context: Context, rows: Integers, residuals: Array) -> float:
 
 
 def measure_distance(
-    context: Context, model: ResidualModel, rows: Integers, better: Array, other: Array
+    context: Context, model: ResidualModel, rows: Integers, first: Array, other: Array
 ) -> float:
-    """Measure how far apart two models predict motions, in standard deviations d of what noise does to it.
+    """Measure how far apart two models predict motions, in standard deviations d of noise.
 
     Where predictions differ by a, the right model has a^2 - 2 e a less squares, with noise e. So it has more
-    than the wrong one with the probability of -d/2. What the better one leaves is taken for the noise. Sums
-    of e a over blocks as long as its memory are independent.
+    than the wrong one with the probability that a normal number exceeds d/2. What the first leaves is taken
+    for the noise.
 
     Args:
         model: Residuals of the motions.
         rows: Those that are compared.
-        better: Residuals with the model that predicts better, (n,).
+        first: Residuals with the model that is taken for right, (n,).
         other: Residuals with the other model, (n,).
     """
     scale = context.scales[model.joint_of[rows]]
-    noise, apart = better[rows] / scale, (other - better)[rows] / scale
-    totals = np.bincount(cut_rows(model, rows, noise), weights=noise * apart)
-    return float(apart @ apart) / max(float(np.linalg.norm(totals)), 1e-300)
+    noise, apart = first[rows] / scale, (other - first)[rows] / scale
+    return float(apart @ apart) / max(_sum_error(model, rows, noise, noise * apart), 1e-300)
+
+
+def _sum_error(model: ResidualModel, rows: Integers, noise: Array, terms: Array) -> float:
+    """Return the standard error of a sum over rows; blocks as long as the memory of noise are independent."""
+    return float(np.linalg.norm(np.bincount(cut_rows(model, rows, noise), weights=terms)))
 
 
 def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:
@@ -99,11 +103,10 @@ def compare_with_noise(context: Context, rows: Integers, before: Array, after: A
     """Return the mean improvement of a loss over its error by noise; 0 where the models do not differ.
 
     Where two models differ, noise makes one of them the better by chance: to first order, by the slope of
-    the loss times the difference. Its totals over blocks of the noise are independent.
+    the loss times the difference.
     """
     slope, _ = half_loss_derivatives(after)
-    totals = np.bincount(cut_rows(context.model, rows, after), weights=2.0 * slope * (before - after))
-    error = float(np.sqrt(totals @ totals))
+    error = _sum_error(context.model, rows, after, 2.0 * slope * (before - after))
     return float(np.sum(pseudo_huber(before) - pseudo_huber(after))) / error if error > 0.0 else 0.0
 
 

@@ -66,6 +66,10 @@ class FittedModel:
     """Each residual when its motion was left out, over the scale of its joint, (n_rows,)."""
 
 
+LeftOut = tuple[tuple[tuple[Effect, ...], FittedModel], ...]
+"""Effects that are left out together, and the model without them; each effect once."""
+
+
 @dataclass(frozen=True, slots=True)
 class Score:
     """Share of a residual that an effect explains."""
@@ -87,8 +91,8 @@ class Selection:
     context: Context
     base: FittedModel
     chosen: FittedModel
-    left_out: tuple[tuple[tuple[Effect, ...], FittedModel], ...]
-    """Findings that are left out together, and the model without them; each finding once."""
+    left_out: LeftOut
+    """Of the findings."""
     competitors: dict[str, tuple[Score, ...]]
     """For each finding, by key, the effects that were refitted before it was accepted."""
     kept: frozenset[str] = frozenset()

@@ -12,14 +12,11 @@ from simgap.effects.effect import Effect
 from simgap.residuals.residuals import pseudo_huber
 from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
-from simgap.selection.context import Context, FittedModel, Selection
+from simgap.selection.context import Context, FittedModel, LeftOut, Selection
 from simgap.selection.fit import JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_layers
 from simgap.selection.screening import refit_p
 from simgap.selection.sharing import ALL_JOINTS
-
-LeftOut = tuple[tuple[tuple[Effect, ...], FittedModel], ...]
-"""Effects that were left out together, with the model without them."""
 
 
 def drop_needless(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -233,10 +234,10 @@ def _cause_p(
         return residuals[rows], jacobian[rows]
 
     scale = context.scales[model.joint_of[rows]]
-    weight = root_weight(join_at_joints(tested[0])[0] / scale) / scale
-    # one by one, as the derivatives of all would fill the memory
-    joined = (join_at_joints(fit) for fit in tested)
-    models = [(r * weight, orthonormal(j * weight[:, None])) for r, j in joined]
+    joined = (join_at_joints(fit) for fit in tested)  # the derivatives of all would fill the memory
+    own = next(joined)
+    weight = root_weight(own[0] / scale) / scale
+    models = [(r * weight, orthonormal(j * weight[:, None])) for r, j in chain([own], joined)]
     # what the finding explains is no noise, and would make blocks so long that nothing is excluded
     cluster = cut_rows(model, rows, models[0][0])
     std = model.noise_std / float(np.max(context.scales[joints]))
