@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 Array = NDArray[np.float64]
+Slopes = NDArray[np.float32]
+"""Derivatives by differences: they are known to three digits, and fill the memory."""
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
