@@ -233,7 +233,7 @@ def test_the_finding_in_most_doubt_has_the_most_probable_rival_whichever_comes_f
     sure, late = rival(DELAY, 0.02, 1.0), replace(rival(DELAY, 0.02, 1.0), finding=LATE_LOG.key)
     back = [replace(rival(ZONE, 5e-5, p), finding=late.finding) for p in (0.08, 0.5)]
     assert choose_rivals([sure, rival(ZONE, 5e-5, 0.2), late, *back])[0].finding == LATE_LOG.key
-    with pytest.raises(RobotError, match="keeps no rivals of a finding; diagnose without --start"):
+    with pytest.raises(RobotError, match="no finding has a rival"):
         choose_rivals([])
 
 

@@ -30,7 +30,13 @@ from sim.scenario.effects import effect_file_text, effect_text
 from sim.scenario.records import shorten
 from simgap import Diagnosis, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import atomic_write, cache_folder, file_sha256, json_sha256
+from simgap.common.files import (
+    atomic_write,
+    cache_folder,
+    check_distinct_files,
+    file_sha256,
+    json_sha256,
+)
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
@@ -52,6 +58,8 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     check_options(request)
     logs, held_out = expand_logs(request.logs, "log"), expand_logs(request.held_out, "held-out log")
     arm = select_arm(request.arm, None).model
+    written = {name: getattr(request, name, None) for name in ("patch", "new_params", "out")}
+    check_distinct_files({"flight parameters of these logs": logs[0].parent / PARAMS_FILE, **written})
     base = _read_params(request, logs[0].parent, arm)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from helpers.marks import slow_but
 from marsarm.cli.app import app
-from marsarm.diagnosis.arm.case import CaseDiagnosis
+from marsarm.diagnosis.arm.case import CaseDiagnosis, count_shown
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.model import build_model
 from simgap import Trace, to_document, verdict_lines
@@ -35,7 +35,21 @@ def test_an_effect_has_its_interval_and_says_what_is_the_same(results):
     ((low, high),) = finding.interval
     assert low < finding.size[0] < high
     assert finding.places == (finding.place,)
-    assert "; the same here as effect " in aliased.text
+    assert "; or effect " in aliased.text
+
+
+def test_the_document_has_sizes_in_the_units_of_their_names(results):
+    document = to_document(results["named"])
+    ((name, value),) = document["effects"][0]["size"].items()
+    (size,) = document["findings"][0]["sizes"]
+    assert (name, value) == (size["name"], size["value"])
+
+
+def test_agreement_of_motions_that_show_no_effect_is_refused(made, results):
+    weak = build_model(replace(made, effect=1e-6 * made.effect, curve=0.0 * made.curve))
+    with pytest.raises(NotForDiagnosis, match="would show 0 of"):
+        count_shown(weak, results["nothing"])
+    assert "would show 0 of" in count_shown(weak, results["named"])
 
 
 def test_structure_is_reported_where_it_is(results):

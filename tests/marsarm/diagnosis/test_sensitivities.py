@@ -15,6 +15,7 @@ from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
 from marsarm.diagnosis.arm.record import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.request import NextRequest
+from marsarm.diagnosis.model import build_model
 from marsarm.diagnosis.problem import Departures, fit_parabola, load_sensitivities, save_sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, select_simulated
 from sim.arms import arm_named, nominal_params
@@ -23,7 +24,7 @@ from sim.initialisation import true_reference
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.page import Origin
 from simgap.common.report import to_json
-from tests.marsarm.diagnosis.worlds import world
+from tests.marsarm.diagnosis.worlds import select_and_diagnose, sized, world
 
 
 def test_a_parabola_goes_through_both_steps_and_one_step_makes_a_line(rng):
@@ -217,6 +218,18 @@ def test_a_second_simulation_does_not_depend_on_the_first():
     np.testing.assert_array_equal(found.sensitivities.nuisance, last.nuisance)
     np.testing.assert_array_equal(found.sensitivities.curve, last.curve)
     np.testing.assert_allclose(*found.departures.values(), 6.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("shown", [0.0, np.nan])
+def test_an_effect_that_its_simulation_refutes_is_none_where_no_other_is_left(shown):
+    made = world(effects=1, places=1, alike=0, two=0)
+    made = replace(made, reach=np.full_like(made.reach, 0.01))
+    model, rng = build_model(made), np.random.default_rng(1)
+    value = made.measured(rng, sized(made, model, 0, 6.0), robot=1)
+    simulators = None, lambda _: np.full(value.size, shown)
+    found = [select_and_diagnose(model, value, 1, one) for one in simulators]
+    assert [len(one.findings) for one in found] == [1, 0]
+    assert found[1].remaining
 
 
 BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}

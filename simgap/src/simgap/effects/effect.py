@@ -200,6 +200,10 @@ class Effect(ABC):
         """Return whether sizes, (n_sizes,), can be real beside those of others at the place, by name."""
         return True
 
+    def name_sizes(self, size: Array) -> dict[str, float]:
+        """Return the sizes, (n_sizes,), by the names that tell their units."""
+        return {one.name: float(value) for one, value in zip(self.sizes, size, strict=True)}
+
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""
         return ", ".join(f"{one.name} = {value:.4g}" for one, value in zip(self.sizes, size, strict=True))

@@ -59,12 +59,18 @@ def test_a_folder_is_all_logs_in_it(folder):
         (["logs"], ["n" * 300], {}, "no such log or folder"),
         (["logs"], ["/dev/null"], {}, "held-out log /dev/null: is not a regular file; give a log or a fol"),
         (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
+        (
+            ["logs"],
+            [],
+            {"patch": "logs/flight-params.toml"},
+            "is the file of flight parameters of these logs",
+        ),
         (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
     ],
 )
 def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
     paths = [tuple(folder / path for path in some) for some in (logs, held_out)]
-    options = {name: folder / text if name == "campaign" else text for name, text in options.items()}
+    options = {name: text if name == "catalogue" else folder / text for name, text in options.items()}
     with pytest.raises(BadRequest, match=said):
         diagnose(DiagnoseRequest(*paths, **options))
 
@@ -281,6 +287,12 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
             sides(*case)
 
 
+def test_logs_of_other_seeds_and_sessions_share_no_noise():
+    names, others = ["poses-level-1", "poses-level-1-again"], ["next-1", "next-2"]
+    drawn = [record.draw_seed(seed, one, names) for seed in (0, 1, 2) for one in (*names, *others)]
+    assert len({*drawn}) == len(drawn)
+
+
 def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monkeypatch):
     """Without a log of any session there is no folder."""
 
@@ -290,13 +302,13 @@ def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monke
             raise SessionFailed(session.name)
 
     completed = {"poses-level-2", "poses-level-5"}
-    monkeypatch.setattr(record, "_record_session", stopped)
+    monkeypatch.setattr(record, "_write_session", stopped)
     request = RecordRequest(tmp_path / "logs", sessions="poses-level-[235]")
     found = record.record_logs(request, no_progress)
     assert [path.name for path in found.logs] == ["poses-level-2.mcap", "poses-level-5.mcap"]
     assert all(path.exists() for path in found.logs)
     assert found.left_out == ("poses-level-3",)
     completed.clear()
-    with pytest.raises(BadRequest, match="completes no session; with smaller effects"):
+    with pytest.raises(BadRequest, match=r"completes no session; with smaller effects.*poses-level-5"):
         record.record_logs(replace(request, out=tmp_path / "none"), no_progress)
     assert [path.name for path in tmp_path.iterdir()] == ["logs"]
