@@ -151,10 +151,7 @@ BODY_HOOKS: Final = frozenset({*MODEL_HOOKS, "act"})
 
 
 class Effect(ABC):
-    """A physical cause of a difference between a robot and its model.
-
-    Subclasses are frozen dataclasses with the fields `place` and whatever they need to know of the robot.
-    """
+    """A physical cause of a difference between a robot and its model; frozen dataclasses with a place."""
 
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
