@@ -16,7 +16,7 @@ from marsarm.common.pool import select_runner
 from marsarm.common.requests import load_fitting_params, parse_effects, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import Logs
+from marsarm.diagnosis.arm.campaign_sensitivities import Logs, digest_logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
@@ -34,7 +34,6 @@ from simgap.common.files import (
     atomic_write,
     cache_folder,
     check_distinct_files,
-    file_sha256,
     json_sha256,
 )
 from simgap.common.options import check_options, command_text
@@ -71,7 +70,7 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     params = base or fitted[0].params
     judged = load_checked_recordings(held_out, params, arm)
     digests = {
-        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        kind: json_sha256({"sha256": sorted(digest_logs(paths))})
         for kind, paths in (("logs", logs), ("held-out logs", held_out))
         if paths
     }
