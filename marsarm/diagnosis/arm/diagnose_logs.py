@@ -30,12 +30,7 @@ from sim.scenario.effects import effect_file_text, effect_text
 from sim.scenario.records import shorten
 from simgap import Diagnosis, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import (
-    atomic_write,
-    cache_folder,
-    check_distinct_files,
-    json_sha256,
-)
+from simgap.common.files import atomic_write, cache_folder, check_distinct_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of

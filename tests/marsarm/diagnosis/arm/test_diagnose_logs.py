@@ -2,8 +2,8 @@
 
 import json
 import re
-from collections import Counter
-from dataclasses import dataclass, replace
+from collections import Counter, namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,26 +53,19 @@ def test_a_folder_is_all_logs_in_it(folder):
 
 
 @pytest.mark.parametrize(
-    ("logs", "held_out", "options", "said"),
+    ("options", "said"),
     [
-        (["empty"], [], {}, r"log .*empty: this folder holds no \.mcap file"),
-        (["logs"], ["n" * 300], {}, "no such log or folder"),
-        (["logs"], ["/dev/null"], {}, "held-out log /dev/null: is not a regular file; give a log or a fol"),
-        (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
-        (
-            ["logs"],
-            [],
-            {"patch": "logs/flight-params.toml"},
-            "is the file of flight parameters of these logs",
-        ),
-        (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
+        ({"held_out": (Path("n" * 300),)}, "held-out log n*: no such log or folder"),
+        ({"held_out": (Path("/dev/null"),)}, "held-out log /dev/null: is not a regular file; give a log or"),
+        ({"campaign": Path("none")}, "campaign none: there is no such folder"),
+        ({"patch": Path("logs/flight-params.toml")}, "is the file of flight parameters of these logs"),
     ],
 )
-def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
-    paths = [tuple(folder / path for path in some) for some in (logs, held_out)]
-    options = {name: text if name == "catalogue" else folder / text for name, text in options.items()}
+def test_what_is_wrong_is_refused(folder, monkeypatch, options, said):
+    """The tests of bad input have what is wrong with logs and with names of effects."""
+    monkeypatch.chdir(folder)
     with pytest.raises(BadRequest, match=said):
-        diagnose(DiagnoseRequest(*paths, **options))
+        diagnose(DiagnoseRequest((Path("logs"),), **options))
 
 
 def diagnosed(results, key, value):
@@ -246,12 +239,8 @@ def test_a_session_that_a_header_cannot_mean_is_refused(text, said):
         load_logs._read_session(text, Path("a.mcap"))
 
 
-@dataclass(frozen=True)
-class Named:
-    """Recording with name and block only."""
-
-    name: str
-    block: str
+Named = namedtuple("Named", "name block")
+"""A recording with name and block only."""
 
 
 def test_a_session_is_given_once_and_a_repeat_of_what_is_fitted_is_not_held_out():
