@@ -246,6 +246,16 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
     assert math.isclose(data.time, 0.002)
 
 
+def test_a_second_wrapper_has_the_numbers_of_the_patched_model(tmp_path):
+    patch = make_patch(ROBOT, *made({DeadZone: 0.02}))
+    (tmp_path / "runtime.toml").write_text(patch.runtime)
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    data, gain = mujoco.MjData(model), model.actuator_gainprm.copy()
+    for is_on in (False, True):
+        RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1), is_on=is_on)
+    assert np.array_equal(model.actuator_gainprm, gain)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

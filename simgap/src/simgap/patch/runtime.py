@@ -14,7 +14,9 @@ It calls the same hooks as the engine of the diagnosis, with one simulation.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from types import SimpleNamespace
+from typing import Final, Self
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -26,6 +28,15 @@ from simgap.effects.effect import HISTORY_S, Effect, State, Tick
 from simgap.patch.patch import FORMAT
 from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
+
+
+CHANGED: Final = (
+    *("dof_frictionloss", "actuator_gainprm", "actuator_biasprm"),
+    *("actuator_forcelimited", "actuator_forcerange"),
+)
+"""Fields of the model that effects change in each period."""
+_patched: Final[WeakKeyDictionary[mujoco.MjModel, SimpleNamespace]] = WeakKeyDictionary()
+"""These fields of each model before its first wrapper: a second one finds what that has left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +74,7 @@ class RuntimeEffects:
         joints: Sequence[RuntimeJoint],
         control_period_s: float,
     ) -> None:
-        """Keep the numbers of the patched model.
+        """Keep the numbers of the patched model, which are those at its first wrapper.
 
         Args:
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
@@ -95,15 +106,14 @@ class RuntimeEffects:
         ]
         motor = self._motor
         self._gear = model.actuator_gear[motor, 0].copy()
-        is_limited = model.actuator_forcelimited[motor].astype(bool)
-        # copies of what effects change in each period; in the model the limit is that of the actuator
-        self._friction_Nm = model.dof_frictionloss[self._motor_dof].copy()
-        high = np.where(is_limited, model.actuator_forcerange[motor, 1], np.inf)
+        if model not in _patched:
+            _patched[model] = SimpleNamespace(**{name: getattr(model, name).copy() for name in CHANGED})
+        own = _patched[model]
+        self._friction_Nm = own.dof_frictionloss[self._motor_dof]
+        # in the model the limit is that of the actuator
+        high = np.where(own.actuator_forcelimited[motor], own.actuator_forcerange[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
-        self._gain, self._bias = (
-            model.actuator_gainprm[motor, 0].copy(),
-            model.actuator_biasprm[motor, :3].copy(),
-        )
+        self._gain, self._bias = own.actuator_gainprm[motor, 0], own.actuator_biasprm[motor, :3]
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
         self._ctrl_scale = np.where(of_gear, self._gear, 1.0)
