@@ -77,6 +77,21 @@ def test_a_run_that_begins_with_place_remembers_no_other(tmp_path):
     assert np.array_equal(first, again)
 
 
+def test_a_reset_begins_a_new_run(tmp_path):
+    effects, sizes = made({CommandDelay: 0.013, MeasurementDelay: 0.0123})
+    by_patch(effects, sizes, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
+    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
+    runs = []
+    for sign in (1.0, -1.0):
+        mujoco.mj_resetData(model, data)
+        for command in COMMAND[60:120, None]:
+            runtime.act(model, data, sign * command)
+            mujoco.mj_step(model, data, runtime.n_steps)
+            runs.append(sign * runtime.shown(data)[0])
+    assert runs[60:] == pytest.approx(runs[:60], abs=1e-9)
+
+
 @pytest.mark.parametrize("kind", AT_RUN_TIME, ids=lambda kind: kind.__name__)
 def test_each_effect_at_run_time_is_that_of_the_engine_and_is_seen(kind, tmp_path):
     effects, sizes = made({kind: AT_RUN_TIME[kind]})

@@ -65,7 +65,7 @@ class _Acting:
 
 
 class RuntimeEffects:
-    """Effects that act while a model runs; `place` begins a new run."""
+    """Effects that act while a model runs; `place` begins a new run, as does a time that goes back."""
 
     def __init__(
         self,
@@ -157,10 +157,10 @@ class RuntimeEffects:
             RobotError: There is not a command for each joint.
         """
         command = self._numbers("command", command)
+        self._remember(data)
         if self._last_command is None:  # a run before has left its last numbers
             self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
             mujoco.mj_forward(model, data)
-        self._remember(data)
         arrived = self._arrived(command)
         tick = self._tick(model, data, arrived, temperature_degC)
         motor = self._motor
@@ -212,6 +212,10 @@ class RuntimeEffects:
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
         data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the run before."""
         self._last_command = None
         for one in self._acting:
             one.memory.clear()
@@ -228,11 +232,11 @@ class RuntimeEffects:
         return [one for one in self._acting if one.effect.overrides(hook)]
 
     def _remember(self, data: mujoco.MjData) -> None:
-        if self._path_s.size and data.time <= self._path_s[-1]:
-            return
-        most = round(HISTORY_S / self._period_s)
-        self._path_s = np.append(self._path_s, data.time)[-most:]
-        self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]
+        if self._path_s.size and data.time < self._path_s[-1]:  # as after mj_resetData
+            self._begin()
+        most, before = round(HISTORY_S / self._period_s), self._path_s < data.time
+        self._path_s = np.append(self._path_s[before], data.time)[-most:]
+        self._path_rad = np.concatenate([self._path_rad[before], data.qpos[None, self._shown]])[-most:]
 
     def _arrived(self, command: Array) -> Array:
         """Return the command as it arrives, (n_joints,).
