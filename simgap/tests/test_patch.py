@@ -68,28 +68,19 @@ def test_patched_model_and_runtime_file_simulate_what_the_engine_simulates(tmp_p
     assert patch == pytest.approx(engine, abs=1e-9)
 
 
-def test_a_run_that_begins_with_place_remembers_no_other(tmp_path):
+def test_a_run_that_begins_with_place_or_a_reset_remembers_no_other(tmp_path):
     effects, sizes = made(AT_RUN_TIME)
     by_patch(effects, sizes, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
     runtime = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")
     first, again = (play(model, runtime, COMMAND[:, None], np.zeros(1)) for _ in range(2))
     assert np.array_equal(first, again)
-
-
-def test_a_reset_begins_a_new_run(tmp_path):
-    effects, sizes = made({CommandDelay: 0.013, MeasurementDelay: 0.0123})
-    by_patch(effects, sizes, tmp_path)
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
-    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
-    runs = []
-    for sign in (1.0, -1.0):
-        mujoco.mj_resetData(model, data)
-        for command in COMMAND[60:120, None]:
-            runtime.act(model, data, sign * command)
-            mujoco.mj_step(model, data, runtime.n_steps)
-            runs.append(sign * runtime.shown(data)[0])
-    assert runs[60:] == pytest.approx(runs[:60], abs=1e-9)
+    inputs = []
+    for one in (runtime, RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")):
+        data = mujoco.MjData(model)  # its time is before the end of the last run
+        one.act(model, data, COMMAND[[60]])
+        inputs.append([*data.ctrl, *one.shown(data)])
+    assert inputs[0] == inputs[1]
 
 
 @pytest.mark.parametrize("kind", AT_RUN_TIME, ids=lambda kind: kind.__name__)
@@ -248,7 +239,7 @@ def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
     assert data.qfrc_applied[0] == pytest.approx(0.2)
 
 
-def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
+def test_a_wrapper_holds_what_it_does_not_change_and_the_next_one_what_is_patched(tmp_path):
     patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
     runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
@@ -257,18 +248,11 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
     runtime.act(model, data, np.array([0.3]))
     mujoco.mj_step(model, data, runtime.n_steps)
     assert np.array_equal(model.actuator_gainprm, gain)
-    assert np.array_equal(model.actuator_forcelimited, limited)
-    assert math.isclose(data.time, 0.002)
-
-
-def test_a_second_wrapper_has_the_numbers_of_the_patched_model(tmp_path):
-    patch = make_patch(ROBOT, *made({DeadZone: 0.02}))
-    (tmp_path / "runtime.toml").write_text(patch.runtime)
-    model = mujoco.MjModel.from_xml_string(patch.model_xml)
-    data, gain = mujoco.MjData(model), model.actuator_gainprm.copy()
     for is_on in (False, True):
         RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1), is_on=is_on)
     assert np.array_equal(model.actuator_gainprm, gain)
+    assert np.array_equal(model.actuator_forcelimited, limited)
+    assert math.isclose(data.time, 0.002)
 
 
 @pytest.mark.parametrize(
@@ -277,6 +261,8 @@ def test_a_second_wrapper_has_the_numbers_of_the_patched_model(tmp_path):
         ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
         ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
         ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ('place = "swing"', 'place = "lift"', "lift: .*: its places are not one joint"),
+        ('place = "swing"\ntext', 'place = "lift"\ntext', "its places are not one joint"),
         ("", "", "use the patched model"),
     ],
 )
@@ -293,6 +279,8 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
     patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
     with pytest.raises(RobotError, match="no actuator 'swing'"):
         read_runtime(tmp_path, patch.runtime, PLAIN.model_xml)
+    with pytest.raises(RobotError, match="its dry friction is not that of a patch"):
+        read_runtime(tmp_path, patch.runtime, patch.model_xml.replace("solimpfriction", "solimplimit"))
     for step_s in ("0.0013", "0.1"):
         with pytest.raises(RobotError, match=f"{step_s} s is no whole part of the control period of 0.002 s"):
             read_runtime(tmp_path, patch.runtime, patch.model_xml.replace('"0.002"', f'"{step_s}"', 1))
@@ -301,6 +289,10 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
     for command in (np.zeros(2), np.array([np.nan]), 0.1):
         with pytest.raises(RobotError, match="give a number for each of 1 joints"):
             runtime.act(model, mujoco.MjData(model), command)
+    wrong = [("gain", one) for one in ([np.nan], [np.inf], -1.0, [1.0, 1.0])]
+    for name, one in (*wrong, ("is_on", [None]), ("temperature_degC", [20.0, 20.0])):
+        with pytest.raises(RobotError, match=f"{name}: is .* for each of 1 joints"):
+            runtime.act(model, mujoco.MjData(model), np.zeros(1), **{name: one})
 
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):

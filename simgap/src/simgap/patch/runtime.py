@@ -11,11 +11,11 @@
 It calls the same hooks as the engine of the diagnosis, with one simulation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Final, Self
+from typing import Any, Final, Self
 from weakref import WeakKeyDictionary
 
 import mujoco
@@ -24,19 +24,14 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.common.toml import read_toml
-from simgap.effects.effect import HISTORY_S, Effect, State, Tick
+from simgap.effects.effect import BODY_HOOKS, HISTORY_S, RUN_HOOKS, Effect, State, Tick
 from simgap.patch.patch import FORMAT
 from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
+from simgap.simulation.compiled import HARD_IMPEDANCE
 
-
-CHANGED: Final = (
-    *("dof_frictionloss", "actuator_gainprm", "actuator_biasprm"),
-    *("actuator_forcelimited", "actuator_forcerange"),
-)
-"""Fields of the model that effects change in each period."""
-_patched: Final[WeakKeyDictionary[mujoco.MjModel, SimpleNamespace]] = WeakKeyDictionary()
-"""These fields of each model before its first wrapper: a second one finds what that has left."""
+_patched: Final[WeakKeyDictionary[mujoco.MjModel, mujoco.MjModel]] = WeakKeyDictionary()
+"""Copy of each model before its first wrapper: the next one would take over what that has left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +101,7 @@ class RuntimeEffects:
         ]
         motor = self._motor
         self._gear = model.actuator_gear[motor, 0].copy()
-        if model not in _patched:
-            _patched[model] = SimpleNamespace(**{name: getattr(model, name).copy() for name in CHANGED})
-        own = _patched[model]
+        own = _patched.setdefault(model, copy(model))
         self._friction_Nm = own.dof_frictionloss[self._motor_dof]
         # in the model the limit is that of the actuator
         high = np.where(own.actuator_forcelimited[motor], own.actuator_forcerange[motor, 1], np.inf)
@@ -131,9 +124,17 @@ class RuntimeEffects:
         try:
             joints = [RuntimeJoint(**{**one, "mode": ControlMode(one["mode"])}) for one in content["joints"]]
             effects = [read_effect(one, path) for one in content.get("effects", [])]
-            return cls(model, effects, joints, float(content["control_period_s"]))
+            made = cls(model, effects, joints, float(content["control_period_s"]))
+            if (model.dof_solimp[made._dof] != HARD_IMPEDANCE).any():  # every patch sets it
+                raise ValueError("its dry friction is not that of a patch")
         except (KeyError, TypeError, ValueError) as error:
             raise RobotError(f"{path}: does not fit the model ({error}); use the patched model") from error
+        for one, table in zip(made._acting, content.get("effects", []), strict=True):
+            effect, at = one.effect, one.joint
+            is_moved = table.get("place") != effect.place or getattr(effect, "index", at) != at
+            if is_moved or (at < 0 and effect.overrides(*{*RUN_HOOKS} - BODY_HOOKS)):
+                raise RobotError(f"{path}: {effect.key}: its places are not one joint; make the patch anew")
+        return made
 
     def act(
         self,
@@ -154,20 +155,23 @@ class RuntimeEffects:
             is_on: Whether the motors have torque, (n_joints,).
 
         Raises:
-            RobotError: There is not a command for each joint.
+            RobotError: There is not a command for each joint, or another number is wrong.
         """
         command = self._numbers("command", command)
+        gain = self._numbers("gain", gain, "a number from 0", lambda one: (one >= 0.0) & (one < np.inf))
+        on = self._numbers("is_on", is_on, "True or False", lambda one: (one == 0.0) | (one == 1.0))
+        heat = self._numbers("temperature_degC", temperature_degC, rule=lambda one: ~np.isinf(one))
         self._remember(data)
         if self._last_command is None:  # a run before has left its last numbers
             self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
             mujoco.mj_forward(model, data)
         arrived = self._arrived(command)
-        tick = self._tick(model, data, arrived, temperature_degC)
+        tick = self._tick(model, data, arrived, heat)
         motor = self._motor
         self._close_loops(data, tick.command[0])
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
-        ratio = tick.gain[0] * np.asarray(is_on, dtype=float)
+        ratio = tick.gain[0] * on
         self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain)
 
     def _set_model(
@@ -221,11 +225,15 @@ class RuntimeEffects:
             one.memory.clear()
         self._path_s, self._path_rad = self._path_s[:0], self._path_rad[:0]
 
-    def _numbers(self, what: str, given: Array) -> Array:
-        """Return a copy of numbers, (n_joints,); RobotError without one for each joint."""
+    def _numbers(
+        self, what: str, given: Any, right: str = "a number", rule: Callable[[Array], Flags] | None = None
+    ) -> Array:
+        """Return a copy of right numbers, (n_joints,); with a rule of its own, one may stand for all."""
         numbers = np.array(given, dtype=float)
-        if numbers.shape != self._qpos.shape or not np.isfinite(numbers).all():
-            raise RobotError(f"{what}: is {numbers}; give a number for each of {self._qpos.size} joints")
+        if rule and not numbers.ndim:
+            numbers = np.full(self._qpos.shape, numbers)
+        if numbers.shape != self._qpos.shape or not (rule or np.isfinite)(numbers).all():
+            raise RobotError(f"{what}: is {given}; give {right} for each of {self._qpos.size} joints")
         return numbers
 
     def _with(self, hook: str) -> list[_Acting]:
@@ -264,18 +272,17 @@ class RuntimeEffects:
                 command[j] += data.qvel[self._motor_dof[j]] - data.qvel[self._dof[j]]
 
     def _tick(
-        self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array | None
+        self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array
     ) -> Tick:
         """Let the effects act, as the engine does."""
         dof = self._dof
         force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
-        unknown = np.full(dof.size, np.nan)
         state = State(
             time_s=np.array([data.time]),
             q_rad=data.qpos[None, self._qpos],
             v_rad_s=data.qvel[None, dof],
             load_Nm=force_Nm[None, dof],
-            temperature_degC=(unknown if temperature_degC is None else temperature_degC)[None, :],
+            temperature_degC=temperature_degC[None, :],
         )
         tick = Tick(
             state=state,
