@@ -12,7 +12,7 @@ from helpers.effect_lab import own_effect, play
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
 from simgap.catalogue.own_effects import load_effects
-from simgap.common.errors import RobotError
+from simgap.common.errors import BadOutput, RobotError
 from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
 from simgap.effects.command import (
     AccelerationLimit,
@@ -112,8 +112,13 @@ def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     assert model.actuator_forcerange[0].tolist() == [-1.5, 1.5]
 
 
-def test_the_runtime_file_of_an_earlier_patch_is_deleted(tmp_path):
+def test_the_runtime_file_of_an_earlier_patch_is_deleted_once_all_others_are_written(tmp_path):
     (tmp_path / "runtime.toml").write_text("old")
+    (tmp_path / "effects.toml").mkdir()
+    with pytest.raises(BadOutput, match=r"effects.toml: cannot be written"):
+        save_patch(ROBOT, diagnosis(effects=(), sizes=()), tmp_path)
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["effects.toml", "runtime.toml"]
+    (tmp_path / "effects.toml").rmdir()
     save_patch(ROBOT, diagnosis(effects=(), sizes=()), tmp_path)
     assert sorted(one.name for one in tmp_path.iterdir()) == ["effects.toml", "patched.xml"]
 
