@@ -252,7 +252,7 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
     text = path.read_text()
     for old in ('kind = "', 'finding = "', 'effect = "swing'):
         path.write_text(text.replace(old, f"{old}x"))
-        with pytest.raises(RobotError, match="not 'xsimulation'|has the key '(xswing|swingx)"):
+        with pytest.raises(RobotError, match=r"not 'xsimulation'|has the key '(xswing|swingx)"):
             read_rivals(ROBOT, tmp_path, found.fitted_motions)
 
 
