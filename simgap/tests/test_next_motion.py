@@ -248,6 +248,12 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
     for one, kept in zip(read_rivals(ROBOT, tmp_path, found.fitted_motions), rivals, strict=True):
         assert replace(one, effects=()) == replace(kept, effects=())
         assert [each.key for each in one.effects] == [each.key for each in kept.effects]
+    path = tmp_path / "effects.toml"
+    text = path.read_text()
+    for old in ('kind = "', 'finding = "', 'effect = "swing'):
+        path.write_text(text.replace(old, f"{old}x"))
+        with pytest.raises(RobotError, match=r"not 'xsimulation'|has the key '(xswing|swingx)"):
+            read_rivals(ROBOT, tmp_path, found.fitted_motions)
 
 
 def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
