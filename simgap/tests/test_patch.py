@@ -256,6 +256,9 @@ def test_a_wrapper_holds_what_it_does_not_change_and_the_next_one_what_is_patche
     for is_on in (False, True):
         RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1), is_on=is_on)
     assert np.array_equal(model.actuator_gainprm, gain)
+    model.actuator_gainprm *= 2.0  # a change of the user stays
+    RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1))
+    assert np.array_equal(model.actuator_gainprm, 2.0 * gain)
     assert np.array_equal(model.actuator_forcelimited, limited)
     assert math.isclose(data.time, 0.002)
 

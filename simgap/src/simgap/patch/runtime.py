@@ -12,7 +12,6 @@ It calls the same hooks as the engine of the diagnosis, with one simulation.
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -30,8 +29,19 @@ from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
 from simgap.simulation.compiled import HARD_IMPEDANCE
 
-_patched: Final[WeakKeyDictionary[mujoco.MjModel, mujoco.MjModel]] = WeakKeyDictionary()
-"""Copy of each model before its first wrapper: the next one would take over what that has left."""
+CHANGED: Final = (
+    "dof_frictionloss",
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
+)
+"""Numbers of a model that a wrapper changes."""
+_left: Final[WeakKeyDictionary[mujoco.MjModel, tuple[dict[str, Array], dict[str, Array]]]] = (
+    WeakKeyDictionary()
+)
+"""The numbers of each model without a wrapper, and as the last one left them."""
+
+
+def _copy_numbers(model: mujoco.MjModel) -> dict[str, Array]:
+    return {name: getattr(model, name).copy() for name in CHANGED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +79,7 @@ class RuntimeEffects:
         joints: Sequence[RuntimeJoint],
         control_period_s: float,
     ) -> None:
-        """Keep the numbers of the patched model, which are those at its first wrapper.
+        """Keep the numbers of the patched model, without what another wrapper has left in it.
 
         Args:
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
@@ -101,12 +111,17 @@ class RuntimeEffects:
         ]
         motor = self._motor
         self._gear = model.actuator_gear[motor, 0].copy()
-        own = _patched.setdefault(model, copy(model))
-        self._friction_Nm = own.dof_frictionloss[self._motor_dof]
+        now = _copy_numbers(model)
+        before, left = _left.get(model, (now, now))
+        # what the last wrapper left is not of the model; what was changed since is
+        self._own = {name: np.where(now[name] == left[name], before[name], now[name]) for name in CHANGED}
+        friction_Nm, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
+        _left[model] = self._own, now
+        self._friction_Nm = friction_Nm[self._motor_dof]
         # in the model the limit is that of the actuator
-        high = np.where(own.actuator_forcelimited[motor], own.actuator_forcerange[motor, 1], np.inf)
+        high = np.where(is_limited[motor], limits[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
-        self._gain, self._bias = own.actuator_gainprm[motor, 0], own.actuator_biasprm[motor, :3]
+        self._gain, self._bias = gain[motor, 0], bias[motor, :3]
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
         self._ctrl_scale = np.where(of_gear, self._gear, 1.0)
@@ -193,6 +208,7 @@ class RuntimeEffects:
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
+        _left[model] = self._own, _copy_numbers(model)
 
     def shown(self, data: mujoco.MjData) -> Array:
         """Return what the encoders show at the end of a control period, (n_joints,) [rad]."""
