@@ -90,6 +90,8 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
         where = "Where: nowhere; one model fits both sets of logs."
+        if not all(one.noise_floor > 0.0 for one in made.found.errors):
+            where = "Where: nowhere that shows; the error left is not judged, as no repeats tell its noise."
         if made.found.remaining:
             where = "Where: nowhere that these logs show; one model leaves an error in both sets."
         what = "What: nothing changed that these logs show."
