@@ -33,7 +33,7 @@ from marsarm.diagnosis.model import (
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout
+from marsarm.diagnosis.problem import CONDITIONS, Departures, FeatureLayout
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -138,15 +138,13 @@ def _describe_findings(
             for k in model.equivalence_class(model.sensitivities.index(one.effect.key))
         ]
         alike = [f"{every[k].name} at {every[k].place}" for k in model.equivalence_class(index) if k != index]
-        same = f"; the same here as {join_words(alike, 'and')}" if alike else ""
+        same = f"; or {join_words(alike, 'or')}, which looks the same here" if alike else ""
         yield Finding(
             place=hypothesis.place,
             family=hypothesis.family,
             effect=hypothesis.name,
-            size=tuple(hypothesis.values(size).tolist()),
-            size_names=tuple(
-                f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in hypothesis.parameters
-            ),
+            size=tuple(hypothesis.name_sizes(size).values()),
+            size_names=tuple(hypothesis.name_sizes(size)),
             interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
             text=hypothesis.describe(size) + same,
             share=found.share,

@@ -107,6 +107,11 @@ class Hypothesis(Effect):
         typical, neutral = np.array([(one.typical, one.neutral) for one in self.parameters]).T
         return np.asarray(neutral + typical * departures)
 
+    def name_sizes(self, size: Array) -> dict[str, float]:
+        """Return the values of the parameters by their names; of a factor, the logarithm."""
+        names = [f"ln_{one.name}" if one.unit == LOG_UNIT else one.name for one in self.parameters]
+        return dict(zip(names, self.values(size).tolist(), strict=True))
+
     def describe(self, size: Array) -> str:
         """Return departures in the units of the parameters; a factor as its change in percent."""
         return ", ".join(

@@ -75,7 +75,8 @@ def select_simulated(
         for h, (a, change) in simulated.items():
             sensitivities = sensitivities.with_simulated(h, a, change)
         again = select(model, sensitivities, build_full_whitener(sensitivities), value, seed, excluded)
-        if not again.chosen:  # several large effects that simulations bend one by one may leave none
+        is_refuted = not excluded.isdisjoint(selection.chosen)
+        if not again.chosen and not is_refuted:  # simulations bend several large effects one by one
             break
         selection = again
     return selection

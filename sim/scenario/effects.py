@@ -124,6 +124,8 @@ def read_effect_file(path: Path, tools: Sequence[str]) -> tuple[Effect, ...]:
                 (shorten(key),), f"does not belong in a file of effects; there is only [[{TABLE_NAME}]]"
             )
     found = [read_effect(table, place, findings) for place, table in list_tables(data, TABLE_NAME, findings)]
+    if not data:
+        findings.report((TABLE_NAME,), "is missing; the file holds no effect")
     if findings.problems:
         raise BadEffect("\n".join(f"{path}: {problem}" for problem in findings.problems))
     return tuple(effect for effect in found if effect is not None)

@@ -14,6 +14,7 @@ from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects import effect as interface
 from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
+from simgap.effects.variation import Difference, unbound
 from simgap.logs import JointLog, Logs, Motion, Signal
 
 ARM = robot_of(ARM_XML)
@@ -90,6 +91,12 @@ def test_base_effects_are_candidates_only_where_the_joint_is_known(arm_logs):
     known = dataclasses.replace(ARM, joints=joints)
     assert base <= names(catalogue(known, arm_logs))
     assert base_effects(known, arm_logs) == ()
+
+
+def test_a_parameter_may_fall_by_more_than_the_number_of_the_model(arm_logs):
+    for one in base_effects(ARM, arm_logs):
+        changes = Difference(one.place, unbound(one)).sizes
+        assert all(change.low <= -size.high for change, size in zip(changes, one.sizes, strict=True))
 
 
 def test_priors_of_base_effects_allow_ten_typical_sizes_and_the_nominal_value(arm_logs):

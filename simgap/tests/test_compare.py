@@ -120,6 +120,8 @@ def test_four_lines_tell_a_change_or_what_could_not_be_seen():
     where, what, _, following = comparison_lines(nothing)
     assert where == "Where: nowhere; one model fits both sets of logs."
     assert what == "What: nothing changed that these logs show."
+    found_so = replace(found, findings=(), errors=(replace(LIFT, noise_floor=0.0),))
+    assert "the error left is not judged" in comparison_lines(Comparison(found_so, (limit,)))[0]
     assert following == "Not seen: smaller changes; the limits of each joint follow."
     limits = "Changes may lie within gain_ratio of lift from -0.02 to +0.03 (90 %)."
     assert comparison_details(nothing)[-1] == limits

@@ -9,7 +9,7 @@ import pytest
 
 from helpers.robot_folder import write_robot
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.command.check import check_robot
+from simgap.command.check import check_robot, simulate_nominal
 from simgap.command.request import CheckRequest
 from simgap.common.errors import RobotError
 from simgap.compare import compare
@@ -18,6 +18,7 @@ from simgap.effects.variation import Variation
 from simgap.loading import load
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.simulation.compiled import Models
 
 MODEL = """<mujoco model="pendulum">
   <compiler angle="radian" autolimits="true"/>
@@ -30,6 +31,7 @@ MODEL = """<mujoco model="pendulum">
       </body>
     </body>
   </worldbody>
+  <option timestep="0.001"/><actuator><position joint="hinge" kp="9"/></actuator>
 </mujoco>
 """
 ROBOT = """name = "pendulum"
@@ -51,7 +53,9 @@ sets = [{ element = "body", name = "weight", attribute = "pos", index = 2, facto
 mode = "position"
 position = { column = "q", unit = "rad" }
 torque = { column = "tau", unit = "N m" }
+kp_Nm_rad = 20.0
 """
+SETS_MASS = '"body", name = "weight", attribute = "inertial/mass"'
 SETUPS = [(200.0, 0.2), (200.0, 0.3), (500.0, 0.2), (500.0, 0.3), (800.0, 0.2), (800.0, 0.3)]
 FRICTION_Nm = 0.2
 ADDED_Nm_kg = 1.0
@@ -147,17 +151,34 @@ def test_what_follows_a_condition_in_two_sets_is_no_change(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (('name = "weight"', 'name = "load"'), "the model has 0 <body> named 'load'"),
+        (('name = "weight"', 'name = "load"'), "sets[1]: the model has no <body> 'load'; it has"),
         (("index = 2", "index = 3"), "pos of 'weight' has 3 numbers in the model"),
         (('column = "length"', "values = { 0 = 0.2 }"), "motion '1' has no value; add it, or its log file"),
         (('column = "length"', "values = { 9 = 0.2 }"), "'9' is no motion"),
-        (("inertial/mass", "inertial/diaginertia"), "MuJoCo cannot compile it with mass_kg = 200"),
+        (("inertial/mass", "inertial/diaginertia"), "robot.toml: sets of conditions: "),
+        (('"inertial/mass"', '"pos", index = 2'), "conditions.mass_kg.sets[1] sets this number too"),
+        ((SETS_MASS, '"option", attribute = "timestep"'), "time_step_s sets this number too; keep one"),
+        ((SETS_MASS, '"position", attribute = "kp"'), "joints.hinge.kp_Nm_rad sets this number too"),
+        (('column = "length"', 'column = "length"\neffects = ["a", "A"]'), "effects: 'a' stands there twice"),
         (('column = "length"', ""), "column and values: give one of the two"),
     ],
 )
 def test_a_condition_that_cannot_be_is_refused(tmp_path, change, said):
     with pytest.raises(RobotError, match=re.escape(said)):
         residual_model(*read(tmp_path, change))
+
+
+def test_a_check_simulates_each_motion_with_the_model_of_its_set_up(tmp_path):
+    robot, log = read(tmp_path, ("torque = {", "command = {"), ('"position"', '"torque"'))
+    report = check_robot(CheckRequest(robot.path, (log,)))
+    for motion, nominal in zip(report.logs.motions, report.nominal, strict=True):
+        expected = simulate_nominal(Models(robot.under(motion.conditions)), motion)
+        assert nominal.mean_abs_rad == expected.mean_abs_rad
+
+
+def test_a_check_tells_that_a_diagnosis_refuses_a_model_under_a_condition(tmp_path):
+    robot, log = read(tmp_path, ("inertial/mass", "inertial/diaginertia"))
+    assert "with mass_kg = 200" in check_robot(CheckRequest(robot.path, (log,))).refusal
 
 
 def test_an_effect_that_no_joint_can_have_is_refused(tmp_path):

@@ -233,7 +233,7 @@ def test_the_finding_in_most_doubt_has_the_most_probable_rival_whichever_comes_f
     sure, late = rival(DELAY, 0.02, 1.0), replace(rival(DELAY, 0.02, 1.0), finding=LATE_LOG.key)
     back = [replace(rival(ZONE, 5e-5, p), finding=late.finding) for p in (0.08, 0.5)]
     assert choose_rivals([sure, rival(ZONE, 5e-5, 0.2), late, *back])[0].finding == LATE_LOG.key
-    with pytest.raises(RobotError, match="keeps no rivals of a finding; diagnose without --start"):
+    with pytest.raises(RobotError, match="no finding has a rival"):
         choose_rivals([])
 
 
@@ -248,6 +248,12 @@ def test_the_rivals_of_a_diagnosis_are_read_again_with_their_sizes(tmp_path):
     for one, kept in zip(read_rivals(ROBOT, tmp_path, found.fitted_motions), rivals, strict=True):
         assert replace(one, effects=()) == replace(kept, effects=())
         assert [each.key for each in one.effects] == [each.key for each in kept.effects]
+    path = tmp_path / "effects.toml"
+    text = path.read_text()
+    for old in ('kind = "', 'finding = "', 'effect = "swing'):
+        path.write_text(text.replace(old, f"{old}x"))
+        with pytest.raises(RobotError, match=r"not 'xsimulation'|has the key '(xswing|swingx)"):
+            read_rivals(ROBOT, tmp_path, found.fitted_motions)
 
 
 def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):

@@ -12,7 +12,7 @@ from helpers.effect_lab import own_effect, play
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
 from simgap.catalogue.own_effects import load_effects
-from simgap.common.errors import RobotError
+from simgap.common.errors import BadOutput, RobotError
 from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
 from simgap.effects.command import (
     AccelerationLimit,
@@ -68,13 +68,19 @@ def test_patched_model_and_runtime_file_simulate_what_the_engine_simulates(tmp_p
     assert patch == pytest.approx(engine, abs=1e-9)
 
 
-def test_a_run_that_begins_with_place_remembers_no_other(tmp_path):
+def test_a_run_that_begins_with_place_or_a_reset_remembers_no_other(tmp_path):
     effects, sizes = made(AT_RUN_TIME)
     by_patch(effects, sizes, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
     runtime = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")
     first, again = (play(model, runtime, COMMAND[:, None], np.zeros(1)) for _ in range(2))
     assert np.array_equal(first, again)
+    inputs = []
+    for one in (runtime, RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")):
+        data = mujoco.MjData(model)  # its time is before the end of the last run
+        one.act(model, data, COMMAND[[60]])
+        inputs.append([*data.ctrl, *one.shown(data)])
+    assert inputs[0] == inputs[1]
 
 
 @pytest.mark.parametrize("kind", AT_RUN_TIME, ids=lambda kind: kind.__name__)
@@ -106,8 +112,13 @@ def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     assert model.actuator_forcerange[0].tolist() == [-1.5, 1.5]
 
 
-def test_the_runtime_file_of_an_earlier_patch_is_deleted(tmp_path):
+def test_the_runtime_file_of_an_earlier_patch_is_deleted_once_all_others_are_written(tmp_path):
     (tmp_path / "runtime.toml").write_text("old")
+    (tmp_path / "effects.toml").mkdir()
+    with pytest.raises(BadOutput, match=r"effects.toml: cannot be written"):
+        save_patch(ROBOT, diagnosis(effects=(), sizes=()), tmp_path)
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["effects.toml", "runtime.toml"]
+    (tmp_path / "effects.toml").rmdir()
     save_patch(ROBOT, diagnosis(effects=(), sizes=()), tmp_path)
     assert sorted(one.name for one in tmp_path.iterdir()) == ["effects.toml", "patched.xml"]
 
@@ -233,7 +244,7 @@ def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
     assert data.qfrc_applied[0] == pytest.approx(0.2)
 
 
-def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
+def test_a_wrapper_holds_what_it_does_not_change_and_the_next_one_what_is_patched(tmp_path):
     patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
     model = mujoco.MjModel.from_xml_string(patch.model_xml)
     runtime = read_runtime(tmp_path, patch.runtime, patch.model_xml)
@@ -242,6 +253,12 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
     runtime.act(model, data, np.array([0.3]))
     mujoco.mj_step(model, data, runtime.n_steps)
     assert np.array_equal(model.actuator_gainprm, gain)
+    for is_on in (False, True):
+        RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1), is_on=is_on)
+    assert np.array_equal(model.actuator_gainprm, gain)
+    model.actuator_gainprm *= 2.0  # a change of the user stays
+    RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1))
+    assert np.array_equal(model.actuator_gainprm, 2.0 * gain)
     assert np.array_equal(model.actuator_forcelimited, limited)
     assert math.isclose(data.time, 0.002)
 
@@ -252,6 +269,8 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
         ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
         ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
         ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ('place = "swing"', 'place = "lift"', "lift: .*: its places are not one joint"),
+        ('place = "swing"\ntext', 'place = "lift"\ntext', "its places are not one joint"),
         ("", "", "use the patched model"),
     ],
 )
@@ -268,6 +287,8 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
     patch = make_patch(PLAIN, *made({LoadFriction: 0.1}))
     with pytest.raises(RobotError, match="no actuator 'swing'"):
         read_runtime(tmp_path, patch.runtime, PLAIN.model_xml)
+    with pytest.raises(RobotError, match="its dry friction is not that of a patch"):
+        read_runtime(tmp_path, patch.runtime, patch.model_xml.replace("solimpfriction", "solimplimit"))
     for step_s in ("0.0013", "0.1"):
         with pytest.raises(RobotError, match=f"{step_s} s is no whole part of the control period of 0.002 s"):
             read_runtime(tmp_path, patch.runtime, patch.model_xml.replace('"0.002"', f'"{step_s}"', 1))
@@ -276,6 +297,10 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
     for command in (np.zeros(2), np.array([np.nan]), 0.1):
         with pytest.raises(RobotError, match="give a number for each of 1 joints"):
             runtime.act(model, mujoco.MjData(model), command)
+    wrong = [("gain", one) for one in ([np.nan], [np.inf], -1.0, [1.0, 1.0])]
+    for name, one in (*wrong, ("is_on", [None]), ("temperature_degC", [20.0, 20.0])):
+        with pytest.raises(RobotError, match=f"{name}: is .* for each of 1 joints"):
+            runtime.act(model, mujoco.MjData(model), np.zeros(1), **{name: one})
 
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):

@@ -187,6 +187,9 @@ def test_a_base_parameter_that_accounts_for_most_of_an_error_says_where_and_what
         "With that of the model, 90 % of the error of its joint comes back."
     )
     assert not any("armature" in one for one in said)
+    gain = replace(GAIN, name="gain_ratio", nominal=0.0, value=0.991, interval=(0.98, 1.0))
+    said = "gain_ratio of lift differs from the model by +99.1 %; with 90 % probability from +98 % to +100 %."
+    assert detail_lines(replace(only, base=(gain,)))[1].startswith(said)
 
 
 def test_base_parameters_alone_tell_the_error_of_each_joint_and_no_verdict():

@@ -18,6 +18,7 @@ from fsw.dictionary.params import Params, digest
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
 from sim.arm_model.load import ArmModel
 from simgap.checks.records import runs
+from simgap.common.console import pluralize
 from simgap.report.sentences import join_words
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -177,7 +178,7 @@ def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
     for joint, count in _motions(recordings).items():
         if count < MIN_SEGMENTS:
             yield (
-                f"{joint.name.lower()} moves {count} times; without {MIN_SEGMENTS} motions of it, "
+                f"{joint.name.lower()} has {pluralize(count, 'motion')}; without {MIN_SEGMENTS}, "
                 f"one each way, its actuator cannot be diagnosed"
             )
     if not any(map(_shows_links, recordings)):

@@ -279,12 +279,17 @@ def check_cache_folder(kept_in: Path) -> None:
 
 def campaign_digest(logs: Logs, kinds: Names, arm: str) -> str:
     """Return the SHA-256 of all inputs of the sensitivities: logs, drawing of the arm, model and code."""
-    trackers = (path.with_suffix(".tracker.csv") for path in logs)
     drawing = arm_named(arm).model
     parts = [digest_sources(DECIDING), *kinds, digest(drawing.params)]
     parts.append(model_digest(build(World(), drawing).compile()))
-    parts += map(file_sha256, (*logs, *(path for path in trackers if path.exists())))
+    parts += digest_logs(logs)
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def digest_logs(logs: Logs) -> list[str]:
+    """Return the SHA-256 of each log, then of each table of tracker poses beside them."""
+    trackers = (path.with_suffix(".tracker.csv") for path in logs)
+    return [file_sha256(path) for path in (*logs, *(one for one in trackers if one.exists()))]
 
 
 @cache

@@ -123,7 +123,7 @@ def diagnose_case(
 ) -> CaseDiagnosis:
     """Diagnose a case: fit its nuisances, find its effects, and judge them on held-out motion.
 
-    NotForDiagnosis if most motions of the campaign are missing.
+    NotForDiagnosis if most motions of the campaign are missing, or too few to show any effect.
     """
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
@@ -135,8 +135,7 @@ def diagnose_case(
     model = _restrict_model(campaign.model, first)
     fit, selection = fit_nuisances(model, first, patch, seed)
     found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
-    seen = int(np.sum(model.family_wise_limits <= 1.0))
-    shown = f"these motions would show {seen} of {len(model.limits)} effects at their typical size"
+    shown = count_shown(model, found.diagnosis)
     remarks = (*audit_recordings(recordings), *missing, *arm.floor_notes, shown)
     diagnosis = replace(
         found.diagnosis,
@@ -149,6 +148,15 @@ def diagnose_case(
         judged = tuple(one.name for one in held_out)
         diagnosis = replace(diagnosis, errors=errors, judged_motions=judged) if errors else diagnosis
     return CaseDiagnosis(diagnosis, tuple(_make_traces(fit, found)), model)
+
+
+def count_shown(model: DiagnosisModel, diagnosis: Diagnosis) -> str:
+    """Say how many effects the motions can show; NotForDiagnosis if none, so that agreement means nothing."""
+    seen = int(np.sum(model.family_wise_limits <= 1.0))
+    shown = f"these motions would show {seen} of {len(model.limits)} effects at their typical size"
+    if not (seen or diagnosis.findings or diagnosis.remaining):
+        raise NotForDiagnosis(f"too little motion for a diagnosis: {shown}")
+    return shown
 
 
 def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:

@@ -16,7 +16,7 @@ from marsarm.common.pool import select_runner
 from marsarm.common.requests import load_fitting_params, parse_effects, select_arm
 from marsarm.diagnosis.arm.arm_effects import effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import Logs
+from marsarm.diagnosis.arm.campaign_sensitivities import Logs, digest_logs
 from marsarm.diagnosis.arm.case import CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
@@ -30,7 +30,7 @@ from sim.scenario.effects import effect_file_text, effect_text
 from sim.scenario.records import shorten
 from simgap import Diagnosis, to_document
 from simgap.common.errors import BadRequest
-from simgap.common.files import atomic_write, cache_folder, file_sha256, json_sha256
+from simgap.common.files import atomic_write, cache_folder, check_distinct_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
@@ -52,6 +52,8 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     check_options(request)
     logs, held_out = expand_logs(request.logs, "log"), expand_logs(request.held_out, "held-out log")
     arm = select_arm(request.arm, None).model
+    written = {name: getattr(request, name, None) for name in ("patch", "new_params", "out")}
+    check_distinct_files({"flight parameters of these logs": logs[0].parent / PARAMS_FILE, **written})
     base = _read_params(request, logs[0].parent, arm)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
@@ -63,7 +65,7 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     params = base or fitted[0].params
     judged = load_checked_recordings(held_out, params, arm)
     digests = {
-        kind: json_sha256({"sha256": sorted(map(file_sha256, paths))})
+        kind: json_sha256({"sha256": sorted(digest_logs(paths))})
         for kind, paths in (("logs", logs), ("held-out logs", held_out))
         if paths
     }

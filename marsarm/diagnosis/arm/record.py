@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Final, Literal
+from zlib import crc32
 
 import numpy as np
 from pydantic import Field
@@ -142,6 +143,7 @@ def read_motion(path: Path) -> PlannedMotion:
 
 HELD_OUT_FOLDER: Final = "held-out"
 """Name of the folder of held-out logs, inside the folder of logs."""
+NOT_COMPLETED: Final = (plans.SessionFailed, PlantDiverged)
 PARAMS_FILE: Final = "flight-params.toml"
 """Name of the file of flight parameters beside the logs, in the form of --params."""
 
@@ -159,22 +161,36 @@ def record_campaign(
 
     Flight software starts with the zeros of the reference. The effects begin with the run.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for number, session in enumerate(sessions):
         progress(number, len(sessions), session.name)
-        noise = int(np.random.default_rng([seed, number]).integers(2**31))
-        loop = plans.start_session(session, arm, reference, noise, effects)
-        path = folder / f"{session.name}.mcap"
-        try:
-            _record_session(path, session, loop, seed + number)
-            paths.append(path)
-        except (plans.SessionFailed, PlantDiverged):
-            path.unlink(missing_ok=True)
+        with suppress(*NOT_COMPLETED):
+            paths.append(record_session(folder, session, arm, reference, (seed, number), effects))
     return paths
 
 
-def _record_session(path: Path, session: plans.DiagnosisSession, loop: ClosedLoop, seed: int) -> None:
+def record_session(
+    folder: Path,
+    session: plans.DiagnosisSession,
+    arm: BuiltArm,
+    reference: Reference,
+    seeds: tuple[int, int],
+    effects: tuple[Effect, ...],
+) -> Path:
+    """Record one session as `record_campaign` does; raise one of NOT_COMPLETED if the arm does not."""
+    folder.mkdir(parents=True, exist_ok=True)
+    noise = int(np.random.default_rng(seeds).integers(2**31))
+    loop = plans.start_session(session, arm, reference, noise, effects)
+    path = folder / f"{session.name}.mcap"
+    try:
+        _write_session(path, session, loop, sum(seeds))
+    except NOT_COMPLETED:
+        path.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _write_session(path: Path, session: plans.DiagnosisSession, loop: ClosedLoop, seed: int) -> None:
     rng = np.random.default_rng([seed, 7])
     header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
     rows: list[tuple[int, Pose, Array]] = []
@@ -224,6 +240,12 @@ def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[plans.Diagno
     return chosen
 
 
+def draw_seed(seed: int, name: str, names: Sequence[str]) -> int:
+    """Return another seed for each seed and session, whatever else is recorded: logs share no noise."""
+    own = names.index(name) if name in names else len(names) + crc32(name.encode())
+    return seed * 2**33 + own
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedLogs:
     """Recorded logs, and the names of the sessions that the arm did not complete."""
@@ -245,7 +267,8 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> Rec
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
     check_new_path(request.out, "out")
-    reference, paths, left_out = true_reference(arm), [], []
+    reference, paths, left_out = true_reference(arm), list[Path](), dict[str, str]()
+    names = [session.name for session in plans.campaign_sessions(arm.params)]
     try:
         with atomic_path(request.out.resolve()) as part:
             part.mkdir(parents=True, exist_ok=True)
@@ -254,12 +277,17 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> Rec
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
                 folder = part / HELD_OUT_FOLDER if session.name in plans.HELD_OUT_SESSIONS else part
-                seed = request.seed + number
-                made = record_campaign(folder, [session], arm, reference, seed, no_progress, begun)
-                paths += [request.out / log.relative_to(part) for log in made]
-                left_out += [] if made else [session.name]
+                seeds = draw_seed(request.seed, session.name, names), 0
+                try:
+                    log = record_session(folder, session, arm, reference, seeds, begun)
+                    paths.append(request.out / log.relative_to(part))
+                except NOT_COMPLETED as error:
+                    left_out[session.name] = str(error)
             if not paths:
-                raise BadRequest("effect: the arm completes no session; with smaller effects it may")
+                raise BadRequest(
+                    "the arm completes no session; with smaller effects, or another motion, it may. "
+                    f"{[*left_out.values()][-1]}"
+                )
     except OSError as error:
         raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
     progress(len(wanted), len(wanted), "recorded")

@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 Array = NDArray[np.float64]
+Slopes = NDArray[np.float32]
+"""Derivatives by differences: they are known to three digits, and fill the memory."""
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -12,8 +14,11 @@ Flags = NDArray[np.bool_]
 def orthonormal(changes: Array) -> Array:
     """Return an orthonormal basis, (n_rows, rank), of what changes (n_rows, n_sizes) span, without a unit."""
     lengths = np.linalg.norm(changes, axis=0)
-    left, values, _ = np.linalg.svd(changes[:, lengths > 0.0] / lengths[lengths > 0.0], full_matrices=False)
-    return np.asarray(left[:, values > 1e-8 * np.max(values, initial=0.0)])
+    changes = changes[:, lengths > 0.0]
+    changes /= lengths[lengths > 0.0]  # in place, as those at all joints are large
+    left, values, _ = np.linalg.svd(changes, full_matrices=False)
+    known = values > 1e-8 * np.max(values, initial=0.0)
+    return np.asarray(left if known.all() else left[:, known])
 
 
 def find_bounded_minimum(

@@ -16,12 +16,14 @@ from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.common.files import read_bytes
 from simgap.common.toml import decode_text
-from simgap.files.robot_file import ConditionTable, JointTable, SettingTable
+from simgap.files.robot_file import JointTable, RobotFile, SettingTable
 
 MAX_BYTES: Final = 1 << 30
 """Largest size of a model: it may hold its meshes."""
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
+FILE_NUMBERS: Final = {"kp": "kp_Nm_rad", "kv": "kd_Nms_rad", "forcerange": "torque_limit_Nm"}
+"""Numbers of an actuator in a model, and those of its joint in the robot file that replace them."""
 
 
 def read_model_text(path: Path) -> str:
@@ -53,18 +55,25 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
                 parent[k : k + 1] = [*included]
 
 
-def set_conditions(
-    xml: str, tables: Mapping[str, ConditionTable], values: Mapping[str, float], path: Path
-) -> str:
+def set_conditions(xml: str, file: RobotFile, values: Mapping[str, float], path: Path) -> str:
     """Return the text of a model with numbers that conditions set; RobotError if it has no place for one."""
     root = ElementTree.fromstring(xml)
+    taken: dict[tuple[Any, ...], str] = {(None, "timestep"): "time_step_s"}
+    for name, joint in file.joints.items():
+        own = {each: key for each, key in FILE_NUMBERS.items() if getattr(joint, key) is not None}
+        taken |= {(joint.joint or name, each): f"joints.{name}.{key}" for each, key in own.items()}
     is_changed = False
-    for name, table in tables.items():
-        for one in table.sets:
-            element, numbers = _find_place(root, one, f"{path}: conditions.{name}.sets")
+    for name, table in file.conditions.items():
+        for k, one in enumerate(table.sets, 1):
+            key, attribute = f"conditions.{name}.sets[{k}]", one.attribute.split("/")[-1]
+            element, numbers = _find_place(root, one, f"{path}: {key}")
+            first = taken.setdefault((element, attribute, one.index or 0), key)
+            first = taken.get((element.get("joint"), attribute), first)
+            if first != key:
+                raise RobotError(f"{path}: {key}: {first} sets this number too; keep one of the two")
             if name in values:
                 numbers[one.index or 0] = repr(one.offset + one.factor * values[name])
-                element.set(one.attribute.split("/")[-1], " ".join(numbers))
+                element.set(attribute, " ".join(numbers))
                 is_changed = True
     return ElementTree.tostring(root, encoding="unicode") if is_changed else xml
 
@@ -74,6 +83,9 @@ def _find_place(
 ) -> tuple[ElementTree.Element, list[str]]:
     """Return the element with a number, and all numbers of its attribute."""
     *inner, attribute = one.attribute.split("/")
+    names = [each.get("name", "") for each in root.iter(one.element)]
+    if one.name not in names:
+        raise RobotError(f"{where}: {describe_unknown(f'<{one.element}>', one.name, names)}")
     named = [each for each in root.iter(one.element) if each.get("name", "") == one.name]
     found = [part for each in named for part in (each.findall("/".join(inner)) if inner else [each])]
     if len(found) != 1:

@@ -1,6 +1,7 @@
 """A robot: its compiled model, how its joints are driven and logged, and how it is made from its file."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -178,7 +179,7 @@ ROUNDING: Final = 1e-3
 def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})) -> Robot:
     """Compile the model of a robot file that is, or will be, at this path; RobotError if it is wrong."""
     model_path = path.parent / file.model
-    xml = mjcf.set_conditions(mjcf.read_model_text(model_path), file.conditions, conditions, path)
+    xml = mjcf.set_conditions(mjcf.read_model_text(model_path), file, conditions, path)
     left_out = tuple(file.left_out)
     try:
         model = mujoco.MjModel.from_xml_string(xml)
@@ -190,7 +191,9 @@ def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = M
     except ValueError as error:
         under = "".join(f" with {name} = {value:g}" for name, value in conditions.items())
         why = " ".join(str(error).split())
-        raise RobotError(f"{model_path}: MuJoCo cannot compile it{under}: {why}") from error
+        where = f"{path}: sets of conditions: {model_path}" if conditions else model_path
+        why = re.sub(r",? line \d+", "", why) if conditions else why  # of a text that nobody sees
+        raise RobotError(f"{where}: MuJoCo cannot compile it{under}: {why}") from error
     model.opt.timestep = file.time_step_s
     _check_base(model, path)
     numbers = {name: _find_joint(name, table, model, path) for name, table in file.joints.items()}

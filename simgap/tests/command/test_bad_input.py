@@ -56,6 +56,8 @@ def folder(tmp_path_factory):
     for name, text in EFFECTS.items():
         (place / name).write_text(text)
     (place / "held" / "runtime.toml").mkdir(parents=True)
+    (place / "linked").mkdir()
+    (place / "linked" / "effects.toml").symlink_to("nosuch")
     (place / "patched.toml").write_text(robot.replace("model.xml", "patched.xml"))
     (place / "patched.xml").write_text((place / "model.xml").read_text())
     return place
@@ -162,6 +164,7 @@ DIAGNOSE = {
     "robot.toml log.parquet --patch nosuch/a": "there is no folder nosuch",
     "robot.toml log.parquet --patch log.parquet": "this is a file; give the path of a folder",
     "robot.toml log.parquet --patch held": "held/runtime.toml: this is a folder; give another folder",
+    "robot.toml log.parquet --patch linked": "effects.toml: this is a link to nosuch, which is not there",
     "patched.toml log.parquet --patch .": "this is the file of model too",
     "robot.toml still_elbow.parquet": "constant; the position stays at 0.4 rad, while the command spans",
     "robot.toml log.parquet --patch a.html --report a.html": "this is the file of report too",

@@ -42,9 +42,7 @@ def results(made, campaign):
         "beside": (3, sized(made, campaign, 4, 8.0), strange(made)),
     }
     return {
-        name: select_and_diagnose(
-            campaign, made.measured(np.random.default_rng(seed), t, robot=seed) + extra, seed=1
-        )
+        name: select_and_diagnose(campaign, made.measured(np.random.default_rng(seed), t, seed) + extra)
         for name, (seed, t, extra) in cases.items()
     }
 

@@ -9,16 +9,12 @@ from typer.testing import CliRunner
 
 from helpers.marks import slow_but
 from marsarm.cli.app import app
-from marsarm.diagnosis.arm.case import CaseDiagnosis
+from marsarm.diagnosis.arm.case import CaseDiagnosis, count_shown
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.model import build_model
 from simgap import Trace, to_document, verdict_lines
 from simgap.report.sentences import level, verdict_word
-from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, world
-
-
-def _diagnose(made, campaign, rng, t, extra=0.0):
-    return select_and_diagnose(campaign, made.measured(rng, t) + extra, seed=1)
+from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, strange, world
 
 
 def test_every_case_has_its_verdict_and_level(results):
@@ -35,7 +31,21 @@ def test_an_effect_has_its_interval_and_says_what_is_the_same(results):
     ((low, high),) = finding.interval
     assert low < finding.size[0] < high
     assert finding.places == (finding.place,)
-    assert "; the same here as effect " in aliased.text
+    assert "; or effect " in aliased.text
+
+
+def test_the_document_has_sizes_in_the_units_of_their_names(results):
+    document = to_document(results["named"])
+    ((name, value),) = document["effects"][0]["size"].items()
+    (size,) = document["findings"][0]["sizes"]
+    assert (name, value) == (size["name"], size["value"])
+
+
+def test_agreement_of_motions_that_show_no_effect_is_refused(made, results):
+    weak = build_model(replace(made, effect=1e-6 * made.effect, curve=0.0 * made.curve))
+    with pytest.raises(NotForDiagnosis, match="would show 0 of"):
+        count_shown(weak, results["nothing"])
+    assert "would show 0 of" in count_shown(weak, results["named"])
 
 
 def test_structure_is_reported_where_it_is(results):
@@ -48,7 +58,7 @@ def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):
     """They have the place, and no name."""
     first, second = (h for h in (10, 15) if made.hypotheses[h].place == made.hypotheses[10].place)
     t = sized(made, campaign, first, 6.0) + sized(made, campaign, second, 6.0)
-    diagnosis = _diagnose(made, campaign, rng, t)
+    diagnosis = select_and_diagnose(campaign, made.measured(rng, t))
     assert {*indices(campaign, diagnosis)} == {first, second}
     assert all(level(one) == "place" and not one.effects for one in diagnosis.findings)
 
@@ -56,10 +66,8 @@ def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):
 def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, campaign, rng):
     first, second = 10, 16
     assert made.hypotheses[first].place != made.hypotheses[second].place
-    layout, c = made.layout, made.layout.condition
-    strange = 3.0 * layout.sigma * c[:, 1] * c[:, 3] * (layout.channel == "place 4.a")
     t = sized(made, campaign, first, 8.0) + sized(made, campaign, second, 8.0)
-    diagnosis = _diagnose(made, campaign, rng, t, strange)
+    diagnosis = select_and_diagnose(campaign, made.measured(rng, t) + 3.0 * strange(made, "place 4.a"))
     assert diagnosis.remaining
     assert len({one.place for one in diagnosis.findings}) > 1
     assert all(level(one) == "none" and len(one.places) == 5 for one in diagnosis.findings)
@@ -68,7 +76,7 @@ def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, c
 def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(made, campaign, rng):
     left = replace(campaign, left_out_effect=made.hypotheses[4].name)
     assert {4, *campaign.equivalence_class(4)} <= left.left_out
-    diagnosis = _diagnose(made, left, rng, sized(made, campaign, 4, 6.0))
+    diagnosis = select_and_diagnose(left, made.measured(rng, sized(made, campaign, 4, 6.0)))
     assert verdict_word(diagnosis) != "none"
     gone = {made.hypotheses[h].key for h in left.left_out}
     assert not {key for one in diagnosis.findings for key in one.effects} & gone
@@ -80,9 +88,7 @@ def test_a_nonlinear_effect_is_fitted(rng, times):
     bent = world(bent=0.8)
     campaign = build_model(bent)
     y = bent.measured(rng, (bent.owner == 4) * times)
-    stepped, curved = (
-        select_and_diagnose(campaign, y, seed=1, simulate=one) for one in (bent.simulate, None)
-    )
+    stepped, curved = (select_and_diagnose(campaign, y, one) for one in (bent.simulate, None))
     truth = times * bent.hypotheses[4].parameters[0].typical
     assert indices(campaign, stepped)[0] == indices(campaign, curved)[0] == 4
     assert stepped.findings[0].size[0] == pytest.approx(truth, rel=0.1)

@@ -15,6 +15,7 @@ from marsarm.diagnosis.arm.case import CaseDiagnosis
 from marsarm.diagnosis.arm.next_motion import NextArmMotion, propose_motion, save_files
 from marsarm.diagnosis.arm.record import list_motions, make_session, motion_text, read_motion
 from marsarm.diagnosis.arm.request import NextRequest
+from marsarm.diagnosis.model import build_model
 from marsarm.diagnosis.problem import Departures, fit_parabola, load_sensitivities, save_sensitivities
 from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, select_simulated
 from sim.arms import arm_named, nominal_params
@@ -23,7 +24,8 @@ from sim.initialisation import true_reference
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.page import Origin
 from simgap.common.report import to_json
-from tests.marsarm.diagnosis.worlds import world
+from simgap.residuals.residuals import split_sizes
+from tests.marsarm.diagnosis.worlds import select_and_diagnose, sized, world
 
 
 def test_a_parabola_goes_through_both_steps_and_one_step_makes_a_line(rng):
@@ -151,8 +153,7 @@ def test_the_change_by_effects_is_that_of_the_sensitivities():
     rng = np.random.default_rng(3)
     value, some = WORLD.measured(rng), EFFECTS[4:12:3]
     sizes = rng.uniform(-2.0, 2.0, sum(len(one.sizes) for one in some))
-    parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
-    change = SENSITIVITIES.change(dict(zip(some, parts, strict=True)))
+    change = SENSITIVITIES.change(dict(split_sizes(some, sizes)))
     found = FeatureResiduals(SENSITIVITIES, WHITEN, value).residuals(some, sizes[None])
     np.testing.assert_allclose(found[0], WHITEN(value - change), atol=1e-8)
 
@@ -217,6 +218,18 @@ def test_a_second_simulation_does_not_depend_on_the_first():
     np.testing.assert_array_equal(found.sensitivities.nuisance, last.nuisance)
     np.testing.assert_array_equal(found.sensitivities.curve, last.curve)
     np.testing.assert_allclose(*found.departures.values(), 6.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("shown", [0.0, np.nan])
+def test_an_effect_that_its_simulation_refutes_is_none_where_no_other_is_left(shown):
+    made = world(effects=1, places=1, alike=0, two=0)
+    made = replace(made, reach=np.full_like(made.reach, 0.01))
+    model, rng = build_model(made), np.random.default_rng(1)
+    value = made.measured(rng, sized(made, model, 0, 6.0), robot=1)
+    simulators = None, lambda _: np.full(value.size, shown)
+    found = [select_and_diagnose(model, value, one) for one in simulators]
+    assert [len(one.findings) for one in found] == [1, 0]
+    assert found[1].remaining
 
 
 BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
@@ -285,9 +298,10 @@ def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path,
     assert not (tmp_path / "next.toml").exists()
 
 
-@pytest.fixture
-def propose(tmp_path, monkeypatch, made, campaign, results):
-    """Run the command with a given diagnosis and given sensitivities of the planned motions."""
+def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page(
+    tmp_path, monkeypatch, made, campaign, results
+):
+    """It has a given diagnosis and given sensitivities of the planned motions."""
     monkeypatch.chdir(tmp_path)
     recorded: list[str] = []
 
@@ -307,11 +321,8 @@ def propose(tmp_path, monkeypatch, made, campaign, results):
     for name, stand_in in (("diagnose", diagnose), ("compute_sensitivities", compute)):
         monkeypatch.setattr(f"marsarm.diagnosis.arm.next_motion.{name}", stand_in)
     monkeypatch.setattr("marsarm.diagnosis.arm.record.record_campaign", record)
-    return lambda *words: CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])
-
-
-def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page(propose, tmp_path):
-    done = propose("--out", "next.toml", "--report", "next.html", "--json")
+    words = ("--out", "next.toml", "--report", "next.html", "--json")
+    done = CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])
     said = json.loads(done.stdout)
     assert done.exit_code == 0
     assert read_motion(tmp_path / "next.toml").describe() == said["motions"][0]["motion"]

@@ -88,10 +88,10 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     )
 
 
-def select_and_diagnose(model, value, seed, simulate=None):
+def select_and_diagnose(model, value, simulate=None):
     """Select effects and diagnose; without a simulator, large effects are extrapolated."""
     whiten = build_full_whitener(model.sensitivities)
-    return diagnose(model, value, select_simulated(model, whiten, value, seed, simulate)).diagnosis
+    return diagnose(model, value, select_simulated(model, whiten, value, 1, simulate)).diagnosis
 
 
 def sized(made, campaign, one, times):
@@ -99,10 +99,10 @@ def sized(made, campaign, one, times):
     return np.where(made.owner == one, times * campaign.limits[one], 0.0)
 
 
-def strange(made):
+def strange(made, channel="place 2.a"):
     """Return structure (m,) in one channel that no hypothesis imitates."""
     c, layout = made.layout.condition, made.layout
-    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == "place 2.a")
+    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == channel)
 
 
 def indices(model, diagnosis):

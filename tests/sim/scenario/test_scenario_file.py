@@ -225,6 +225,7 @@ def test_effects_come_back_exactly(tmp_path, effects):
         ('[[effect]]\ntype = "coulomb-frictoin"\n', "effect[1].type: effect 'coulomb-frictoin' is not"),
         ('arm = "nominal"\n', "found.toml: arm: does not belong in a file of effects; there is only"),
         ("[[effect]\n", "found.toml: is not TOML"),
+        ("# found\n", "found.toml: effect: is missing; the file holds no effect"),
         ("effect = 3\n", "found.toml: effect: is no list of tables"),
         (None, "cannot be read"),
     ],

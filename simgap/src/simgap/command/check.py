@@ -20,11 +20,12 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
-from simgap.diagnosis import check_audit, check_motions, end_sentence, list_variations
+from simgap.diagnosis import check_audit, check_motions, check_names, end_sentence, list_variations
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report import page
 from simgap.report.traces import extreme_rows
+from simgap.residuals.conditioned import group_by_robot
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
@@ -107,25 +108,31 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     logs = load(robot, request.logs)
     progress(READ, GUESS, "auditing")
     found = audit(robot, logs)
-    models = Models(robot)
+    try:
+        groups, unfit = group_by_robot(robot, logs.motions), ""
+    except RobotError as error:
+        groups, unfit = [], str(error)
+    models = {motion.name: own for one, part in groups for own in [Models(one)] for motion in part}
     logs_of = [motion.joints.values() for motion in logs.motions]
     durations_s = [max(float(np.ptp(log.position.time_s)) for log in joints) for joints in logs_of]
     ends = np.cumsum([0.0, *durations_s]) / max(sum(durations_s), 1e-9)
     nominal = []
     for motion, done in zip(logs.motions, ends[:-1], strict=True):
         progress(AUDITED + (1.0 - AUDITED) * float(done), 1.0, f"simulating {motion.name}")
-        nominal.append(simulate_nominal(models, motion))
+        nominal.append(simulate_nominal(models.get(motion.name), motion))
     digests = digest_files({"robot": [request.robot], "log": request.logs})
-    return CheckReport(request, robot, logs, found, tuple(nominal), digests, _refusal(robot, logs, found))
+    refusal = _refusal(robot, logs, found) or unfit
+    return CheckReport(request, robot, logs, found, tuple(nominal), digests, refusal)
 
 
-def simulate_nominal(models: Models, motion: Motion) -> NominalMotion:
-    """Simulate a motion once, as a diagnosis does, and compare."""
-    names = [joint.name for joint in models.robot.joints]
-    logged = {name: motion.joints[name].position for name in names}
+def simulate_nominal(models: Models | None, motion: Motion) -> NominalMotion:
+    """Simulate a motion once, as a diagnosis does, and compare; without models it is not simulated."""
+    logged = {name: log.position for name, log in motion.joints.items()}
     predicted = {name: np.full(one.value.size, math.nan) for name, one in logged.items()}
-    error = dict.fromkeys(names, math.nan)
-    windows = _whole_window(models, motion)
+    error = dict.fromkeys(logged, math.nan)
+    if models is None:
+        return NominalMotion(motion.name, predicted, error, is_simulated=False)
+    windows, names = _whole_window(models, motion), [joint.name for joint in models.robot.joints]
     for window in windows:
         found = Engine(models, [], [window], 1).positions(np.zeros((1, 0)))[0]
         parts = np.split(found, np.cumsum([one.size for one in window.sample_time_s])[:-1])
@@ -183,7 +190,8 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
         list_kinds(robot, logs.fit, found.usable)
-        list_variations(robot, logs, catalogue(robot, logs))
+        known = catalogue(robot, logs)
+        check_names([*known, *list_variations(robot, logs, known)])
     except RobotError as error:
         return str(error)
     return ""

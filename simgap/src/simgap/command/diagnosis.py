@@ -14,6 +14,7 @@ from simgap.common.files import (
     cache_folder,
     check_distinct_files,
     check_new_path,
+    check_output,
     digest_files,
     json_sha256,
 )
@@ -195,3 +196,5 @@ def _check_folder(folder: Path | None) -> None:
     for name in (MODEL_FILE, RUNTIME_FILE, FOUND_FILE, ARM_FILE, CALIBRATED_FILE):
         if (folder / name).is_dir():
             raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")
+        if folder.exists():
+            check_output(folder / name, (".toml", ".xml"), "patch")

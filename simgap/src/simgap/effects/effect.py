@@ -151,10 +151,7 @@ BODY_HOOKS: Final = frozenset({*MODEL_HOOKS, "act"})
 
 
 class Effect(ABC):
-    """A physical cause of a difference between a robot and its model.
-
-    Subclasses are frozen dataclasses with the fields `place` and whatever they need to know of the robot.
-    """
+    """A physical cause of a difference between a robot and its model; frozen dataclasses with a place."""
 
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
@@ -199,6 +196,10 @@ class Effect(ABC):
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
         """Return whether sizes, (n_sizes,), can be real beside those of others at the place, by name."""
         return True
+
+    def name_sizes(self, size: Array) -> dict[str, float]:
+        """Return the sizes, (n_sizes,), by the names that tell their units."""
+        return {one.name: float(value) for one, value in zip(self.sizes, size, strict=True)}
 
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""

@@ -62,10 +62,13 @@ class Variation(Dependent):
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Return sizes for a number of 1; differences may have either sign."""
+        """Return sizes for a number of 1; differences may have either sign.
+
+        A fall may be larger than the number of the model, as the fitted one may be.
+        """
         found = []
         for k, one in enumerate(self.effect.sizes):
-            low = -one.high if one.low == 0.0 else one.low
+            low = min(one.low, -one.high)
             unit = self.largest if k < self.n_scaled else 1.0
             found.append(Size(one.name, low / unit, one.high / unit, one.typical / unit))
         return tuple(found)

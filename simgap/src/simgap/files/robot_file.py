@@ -271,6 +271,9 @@ class ConditionTable(Record):
     def _check(self) -> "ConditionTable":
         if bool(self.column) == bool(self.values):
             raise ValueError("column and values: give one of the two")
+        names = [one.lower() for one in self.effects]
+        if twice := [one for k, one in enumerate(names) if one in names[:k]]:
+            raise ValueError(f"effects: {twice[0]!r} stands there twice; name it once")
         return self
 
 

@@ -74,7 +74,7 @@ def choose_rivals(rivals: Sequence[Rival]) -> list[Rival]:
     """
     if not rivals:
         raise RobotError(
-            "the result keeps no rivals of a finding; diagnose without --start, with effects that compete"
+            "no finding has a rival; an effect must be found, without an earlier result, and others compete"
         )
     groups = [list(own) for _, own in groupby(rivals, key=lambda one: (one.kind, one.finding))]
     doubtful = [own for own in groups if len(own) > 1]

@@ -4,6 +4,7 @@ The same hooks that the engine calls change the model here, so that both simulat
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.common.files import atomic_write
 from simgap.common.toml import toml_text
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
 from simgap.patch.text import (
@@ -101,10 +103,12 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
     """Write the files of a patch to a folder, which is made if it is not there, and return them."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime, FOUND_FILE: made.found}
-    (folder / RUNTIME_FILE).unlink(missing_ok=True)  # that of an earlier patch
     written = [folder / name for name, text in files.items() if text]
-    for path in written:
-        path.write_text(files[path.name], encoding="utf-8")
+    with ExitStack() as stack:  # all are written before the first replaces one of an earlier patch
+        for path in written:
+            stack.enter_context(atomic_write(path, "patch")).write(files[path.name].encode())
+    if not made.runtime:
+        (folder / RUNTIME_FILE).unlink(missing_ok=True)
     return tuple(written)
 
 

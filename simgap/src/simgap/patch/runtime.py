@@ -11,10 +11,11 @@
 It calls the same hooks as the engine of the diagnosis, with one simulation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Final, Self
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -22,10 +23,25 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.common.toml import read_toml
-from simgap.effects.effect import HISTORY_S, Effect, State, Tick
+from simgap.effects.effect import BODY_HOOKS, HISTORY_S, RUN_HOOKS, Effect, State, Tick
 from simgap.patch.patch import FORMAT
 from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
+from simgap.simulation.compiled import HARD_IMPEDANCE
+
+CHANGED: Final = (
+    "dof_frictionloss",
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
+)
+"""Numbers of a model that a wrapper changes."""
+_left: Final[WeakKeyDictionary[mujoco.MjModel, tuple[dict[str, Array], dict[str, Array]]]] = (
+    WeakKeyDictionary()
+)
+"""The numbers of each model without a wrapper, and as the last one left them."""
+
+
+def _copy_numbers(model: mujoco.MjModel) -> dict[str, Array]:
+    return {name: getattr(model, name).copy() for name in CHANGED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +70,7 @@ class _Acting:
 
 
 class RuntimeEffects:
-    """Effects that act while a model runs; `place` begins a new run."""
+    """Effects that act while a model runs; `place` begins a new run, as does a time that goes back."""
 
     def __init__(
         self,
@@ -63,7 +79,7 @@ class RuntimeEffects:
         joints: Sequence[RuntimeJoint],
         control_period_s: float,
     ) -> None:
-        """Keep the numbers of the patched model.
+        """Keep the numbers of the patched model, without what another wrapper has left in it.
 
         Args:
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
@@ -95,15 +111,17 @@ class RuntimeEffects:
         ]
         motor = self._motor
         self._gear = model.actuator_gear[motor, 0].copy()
-        is_limited = model.actuator_forcelimited[motor].astype(bool)
-        # copies of what effects change in each period; in the model the limit is that of the actuator
-        self._friction_Nm = model.dof_frictionloss[self._motor_dof].copy()
-        high = np.where(is_limited, model.actuator_forcerange[motor, 1], np.inf)
+        now = _copy_numbers(model)
+        before, left = _left.get(model, (now, now))
+        # what the last wrapper left is not of the model; what was changed since is
+        self._own = {name: np.where(now[name] == left[name], before[name], now[name]) for name in CHANGED}
+        friction_Nm, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
+        _left[model] = self._own, now
+        self._friction_Nm = friction_Nm[self._motor_dof]
+        # in the model the limit is that of the actuator
+        high = np.where(is_limited[motor], limits[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
-        self._gain, self._bias = (
-            model.actuator_gainprm[motor, 0].copy(),
-            model.actuator_biasprm[motor, :3].copy(),
-        )
+        self._gain, self._bias = gain[motor, 0], bias[motor, :3]
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._has_kp = np.array([joint.mode is not ControlMode.VELOCITY for joint in joints])
         self._ctrl_scale = np.where(of_gear, self._gear, 1.0)
@@ -121,9 +139,17 @@ class RuntimeEffects:
         try:
             joints = [RuntimeJoint(**{**one, "mode": ControlMode(one["mode"])}) for one in content["joints"]]
             effects = [read_effect(one, path) for one in content.get("effects", [])]
-            return cls(model, effects, joints, float(content["control_period_s"]))
+            made = cls(model, effects, joints, float(content["control_period_s"]))
+            if (model.dof_solimp[made._dof] != HARD_IMPEDANCE).any():  # every patch sets it
+                raise ValueError("its dry friction is not that of a patch")
         except (KeyError, TypeError, ValueError) as error:
             raise RobotError(f"{path}: does not fit the model ({error}); use the patched model") from error
+        for one, table in zip(made._acting, content.get("effects", []), strict=True):
+            effect, at = one.effect, one.joint
+            is_moved = table.get("place") != effect.place or getattr(effect, "index", at) != at
+            if is_moved or (at < 0 and effect.overrides(*{*RUN_HOOKS} - BODY_HOOKS)):
+                raise RobotError(f"{path}: {effect.key}: its places are not one joint; make the patch anew")
+        return made
 
     def act(
         self,
@@ -144,20 +170,23 @@ class RuntimeEffects:
             is_on: Whether the motors have torque, (n_joints,).
 
         Raises:
-            RobotError: There is not a command for each joint.
+            RobotError: There is not a command for each joint, or another number is wrong.
         """
         command = self._numbers("command", command)
+        gain = self._numbers("gain", gain, "a number from 0", lambda one: (one >= 0.0) & (one < np.inf))
+        on = self._numbers("is_on", is_on, "True or False", lambda one: (one == 0.0) | (one == 1.0))
+        heat = self._numbers("temperature_degC", temperature_degC, rule=lambda one: ~np.isinf(one))
+        self._remember(data)
         if self._last_command is None:  # a run before has left its last numbers
             self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
             mujoco.mj_forward(model, data)
-        self._remember(data)
         arrived = self._arrived(command)
-        tick = self._tick(model, data, arrived, temperature_degC)
+        tick = self._tick(model, data, arrived, heat)
         motor = self._motor
         self._close_loops(data, tick.command[0])
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
-        ratio = tick.gain[0] * np.asarray(is_on, dtype=float)
+        ratio = tick.gain[0] * on
         self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain)
 
     def _set_model(
@@ -179,6 +208,7 @@ class RuntimeEffects:
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
+        _left[model] = self._own, _copy_numbers(model)
 
     def shown(self, data: mujoco.MjData) -> Array:
         """Return what the encoders show at the end of a control period, (n_joints,) [rad]."""
@@ -202,27 +232,35 @@ class RuntimeEffects:
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
         data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the run before."""
         self._last_command = None
         for one in self._acting:
             one.memory.clear()
         self._path_s, self._path_rad = self._path_s[:0], self._path_rad[:0]
 
-    def _numbers(self, what: str, given: Array) -> Array:
-        """Return a copy of numbers, (n_joints,); RobotError without one for each joint."""
+    def _numbers(
+        self, what: str, given: Any, right: str = "a number", rule: Callable[[Array], Flags] | None = None
+    ) -> Array:
+        """Return a copy of right numbers, (n_joints,); with a rule of its own, one may stand for all."""
         numbers = np.array(given, dtype=float)
-        if numbers.shape != self._qpos.shape or not np.isfinite(numbers).all():
-            raise RobotError(f"{what}: is {numbers}; give a number for each of {self._qpos.size} joints")
+        if rule and not numbers.ndim:
+            numbers = np.full(self._qpos.shape, numbers)
+        if numbers.shape != self._qpos.shape or not (rule or np.isfinite)(numbers).all():
+            raise RobotError(f"{what}: is {given}; give {right} for each of {self._qpos.size} joints")
         return numbers
 
     def _with(self, hook: str) -> list[_Acting]:
         return [one for one in self._acting if one.effect.overrides(hook)]
 
     def _remember(self, data: mujoco.MjData) -> None:
-        if self._path_s.size and data.time <= self._path_s[-1]:
-            return
-        most = round(HISTORY_S / self._period_s)
-        self._path_s = np.append(self._path_s, data.time)[-most:]
-        self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]
+        if self._path_s.size and data.time < self._path_s[-1]:  # as after mj_resetData
+            self._begin()
+        most, before = round(HISTORY_S / self._period_s), self._path_s < data.time
+        self._path_s = np.append(self._path_s[before], data.time)[-most:]
+        self._path_rad = np.concatenate([self._path_rad[before], data.qpos[None, self._shown]])[-most:]
 
     def _arrived(self, command: Array) -> Array:
         """Return the command as it arrives, (n_joints,).
@@ -250,18 +288,17 @@ class RuntimeEffects:
                 command[j] += data.qvel[self._motor_dof[j]] - data.qvel[self._dof[j]]
 
     def _tick(
-        self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array | None
+        self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array
     ) -> Tick:
         """Let the effects act, as the engine does."""
         dof = self._dof
         force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
-        unknown = np.full(dof.size, np.nan)
         state = State(
             time_s=np.array([data.time]),
             q_rad=data.qpos[None, self._qpos],
             v_rad_s=data.qvel[None, dof],
             load_Nm=force_Nm[None, dof],
-            temperature_degC=(unknown if temperature_degC is None else temperature_degC)[None, :],
+            temperature_degC=temperature_degC[None, :],
         )
         tick = Tick(
             state=state,

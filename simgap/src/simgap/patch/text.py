@@ -292,7 +292,7 @@ class FoundRival(Record):
     finding: str
     effect: str
     p: Annotated[float, Field(ge=0, le=1)]
-    kind: str
+    kind: Literal["simulation", "inverse dynamics", "second encoder"]
     n_fitted: Annotated[int, Field(ge=1)]
     sizes: dict[str, list[float]]
     """Sizes of all effects that act, by the key of each."""
@@ -332,9 +332,10 @@ def read_rivals(robot: Robot, folder: Path, motions: Sequence[str]) -> tuple[Riv
     effects = {one.key: one for one, _ in _read_effects(robot, tables, path)}
     found = []
     for rival in content.rivals:
+        unknown = ({rival.finding, *rival.sizes} - {*effects}) | ({rival.effect} - {*rival.sizes})
+        if unknown:
+            raise RobotError(f"{path}: rivals: none has the key {min(unknown)!r}; write the patch again")
         for key, size in rival.sizes.items():
-            if key not in effects:
-                raise RobotError(f"{path}: rivals: no effect has the key {key!r}; write the patch again")
             _check_sizes(effects[key], size, path)
         if rival.n_fitted > len(rival.sizes):
             raise RobotError(f"{path}: rivals: n_fitted is {rival.n_fitted}; write 1 to {len(rival.sizes)}")

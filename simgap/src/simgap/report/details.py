@@ -106,10 +106,11 @@ def _evidence(finding: Finding) -> str:
 
 def base_sentence(one: Base, has_start: bool = False) -> str:
     """Return a base parameter that differs from the model with its interval and its own share."""
-    low, high = one.interval
+    is_ratio = one.name.endswith("_ratio")
+    low, high = (f"{100 * end:+.4g} %" if is_ratio else f"{end:.4g}" for end in one.interval)
     before = EARLIER if has_start else "model"
     lost = f" With that of the {before}, {percent(one.share)} of the error of its joint comes back."
-    words = f"{base_words(one, has_start)}; with 90 % probability from {low:.4g} to {high:.4g}."
+    words = f"{base_words(one, has_start)}; with 90 % probability from {low} to {high}."
     return words + (lost if isfinite(one.share) else "")
 
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any, Final
 
+import numpy as np
+
 from simgap.common.report import to_json
 from simgap.report.details import detail_lines, finding_lines, log_lines
 from simgap.report.sentences import level, verdict_lines, verdict_word
@@ -31,7 +33,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
             {
                 "key": effect.key,
                 "kind": kind,
-                "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
+                "size": {name: number(value) for name, value in effect.name_sizes(np.array(size)).items()},
             }
             for kind in diagnosis.kinds
             for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
@@ -88,6 +90,8 @@ def comparison_lines(made: Comparison) -> tuple[str, str, str, str]:
     limits = small if made.limits else "No base parameter can be told."
     if not made.found.findings:
         where = "Where: nowhere; one model fits both sets of logs."
+        if not all(one.noise_floor > 0.0 for one in made.found.errors):
+            where = "Where: nowhere that shows; the error left is not judged, as no repeats tell its noise."
         if made.found.remaining:
             where = "Where: nowhere that these logs show; one model leaves an error in both sets."
         what = "What: nothing changed that these logs show."

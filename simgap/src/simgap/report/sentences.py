@@ -190,6 +190,9 @@ def list_differing(diagnosis: Diagnosis) -> list[Base]:
 
 def base_words(one: Base, has_start: bool = False) -> str:
     """Return a base parameter as fitted, beside the number of the model or of an earlier result."""
+    if one.name.endswith("_ratio"):
+        before = f", in the {EARLIER} by {100 * one.nominal:+.3g} %" if has_start else ""
+        return f"{one.name} of {one.place} differs from the model by {100 * one.value:+.3g} %{before}"
     before = EARLIER if has_start else "model"
     return f"{one.name} of {one.place} is {one.value:.3g}, in the {before} {one.nominal:.3g}"
 

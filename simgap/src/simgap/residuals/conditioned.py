@@ -27,14 +27,7 @@ MakePart = Callable[[Robot, Sequence[Motion], float], ResidualModel]
 def join_conditions(robot: Robot, motions: Sequence[Motion], make: MakePart) -> ResidualModel:
     """Make the residuals of motions, each by the robot under its conditions; RobotError if it has no such."""
     tables = {} if robot.file is None else robot.file.conditions
-    setting = [name for name, table in tables.items() if table.sets]
-    groups: dict[tuple[float, ...], list[Motion]] = {}
-    for motion in motions:
-        groups.setdefault(tuple(motion.conditions[name] for name in setting), []).append(motion)
-    parts = [
-        make(robot.under(dict(zip(setting, values, strict=True))), part, len(part) / len(motions))
-        for values, part in groups.items()
-    ]
+    parts = [make(one, part, len(part) / len(motions)) for one, part in group_by_robot(robot, motions)]
     model = parts[0] if len(parts) == 1 else JoinedResiduals(parts, [motion.name for motion in motions])
     numbers = {
         name: np.array([motion.conditions[name] - table.neutral for motion in motions])
@@ -42,6 +35,15 @@ def join_conditions(robot: Robot, motions: Sequence[Motion], make: MakePart) -> 
         if table.effects
     }
     return ConditionedResiduals(model, numbers) if numbers else model
+
+
+def group_by_robot(robot: Robot, motions: Sequence[Motion]) -> list[tuple[Robot, list[Motion]]]:
+    """Return the robot under each set of conditions, with its motions; RobotError if it has no such."""
+    setting = [name for name, one in (robot.file.conditions if robot.file else {}).items() if one.sets]
+    groups: dict[tuple[float, ...], list[Motion]] = {}
+    for motion in motions:
+        groups.setdefault(tuple(motion.conditions[name] for name in setting), []).append(motion)
+    return [(robot.under(dict(zip(setting, values, strict=True))), part) for values, part in groups.items()]
 
 
 class JoinedResiduals:

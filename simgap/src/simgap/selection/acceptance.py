@@ -92,11 +92,11 @@ def compare_motions(motion: Integers, before: Array, after: Array) -> float:
 
 
 def _mean_over_error(values: Array) -> float:
-    """Return the mean of values, (n,), over its standard error; 0 if there is none."""
-    if len(values) < 2:
+    """Return the mean of values, (n,), over its standard error; 0 of a mean of 0 or a single value."""
+    if len(values) < 2 or not np.any(values):
         return 0.0
     error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
-    return float(np.mean(values)) / error if error > 0.0 else 0.0
+    return float(np.mean(values) / error) if error > 0.0 else float(np.copysign(np.inf, values[0]))
 
 
 def compare_with_noise(context: Context, rows: Integers, before: Array, after: Array) -> float:

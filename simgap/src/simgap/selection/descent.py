@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, find_bounded_minimum
+from simgap.arrays import Array, Flags, Slopes, find_bounded_minimum
 from simgap.residuals.residuals import ResidualModel, pseudo_huber, root_weight
 from simgap.selection.fit import STEP, Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
@@ -58,8 +58,8 @@ class Descent:
             self._unknown = np.asarray(np.isnan(given).any(axis=0))
         # of a size that moves one joint, the derivatives of the others are none, and would fill the memory
         parts = [self._part[j] for j in self._moves]
-        self._derivatives = [
-            np.zeros(part.size) if given is None or unknown else given[part, k]
+        self._derivatives: list[Slopes] = [
+            np.zeros(part.size, np.float32) if given is None or unknown else given[part, k]
             for k, (part, unknown) in enumerate(zip(parts, self._unknown, strict=True))
         ]
         self._is_exact, self._damping, self._failures = False, DAMPING, 0
@@ -131,10 +131,10 @@ class Descent:
 
     def _set_derivatives(self, found: list[Array]) -> None:
         for k, moved in zip(np.flatnonzero(self._unknown), found, strict=True):
-            self._derivatives[k] = np.zeros(moved.size)
+            self._derivatives[k] = np.zeros(moved.size, np.float32)
             if self._steps[k]:
                 change = (moved - self.residuals[self._part[self._moves[k]]]) / self._steps[k]
-                self._derivatives[k] = np.where(np.isfinite(change), change, 0.0)
+                self._derivatives[k][:] = np.where(np.isfinite(change), change, 0.0)
         self._is_exact = bool(self._unknown.all())
         self._unknown[:], self._seems_converged, self._failures = False, False, 0
         self._passed.clear()
@@ -142,7 +142,8 @@ class Descent:
     def _step(self) -> tuple[Array, float]:
         """Return the end of a step inside the bounds, and the decrease of the loss that it should make."""
         robust = self._weight * root_weight(self.residuals * self._weight)
-        a, prior, at = self._slopes() * robust[:, None], self._prior_weight**2, self.sizes[self.free]
+        a, prior, at = self._slopes(), self._prior_weight**2, self.sizes[self.free]
+        a *= robust[:, None]  # in place, as derivatives at all joints are large
         gradient = a.T @ (self.residuals * robust) + prior * at
         hessian = a.T @ a + np.diag(prior)
         scale = np.diag(hessian) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
@@ -162,13 +163,13 @@ class Descent:
             return slopes
         steps = np.array([(x - self.sizes[self.free]) / self._typical for x, _ in self._passed])
         changes = np.column_stack([residuals - self.residuals for _, residuals in self._passed])
-        missed = changes - slopes @ (steps * self._typical).T
+        changes -= slopes @ (steps * self._typical).T
         square = np.sum(steps**2, axis=1)
         weighted = steps / (square + STEP**2)[:, None]  # nearer than STEP, roughness would count as a slope
         ridge = RIDGE * np.mean(square / (square + STEP**2)) * np.eye(len(self.free))
-        correction = np.linalg.solve(weighted.T @ steps + ridge, weighted.T @ missed.T).T / self._typical
+        correction = np.linalg.solve(weighted.T @ steps + ridge, weighted.T) / self._typical[:, None]
         for k, joint in enumerate(self._moves):
-            slopes[self._part[joint], k] += correction[self._part[joint], k]
+            slopes[self._part[joint], k] += changes[self._part[joint]] @ correction[k]
         return slopes
 
     def _go(self, trial: Array, moved: Array, expected: float) -> None:
@@ -195,7 +196,7 @@ class Descent:
 
     def begin_at(self, best: JointFit) -> Hypothesis:
         """Return the hypothesis with the sizes, and derivatives by them, that it shares with a fit."""
-        start, jacobian = self.sizes.copy(), self._slopes()
+        start, jacobian = self.sizes.copy(), self._slopes().astype(np.float32)
         _, here, there = np.intersect1d(self.free, best.columns, return_indices=True)
         start[self.free[here]] = best.sizes[self.free[here]]
         jacobian[:, here] = best.jacobian[:, there]
@@ -203,4 +204,5 @@ class Descent:
 
     def fit(self) -> JointFit:
         """Return the hypothesis as it is now."""
-        return JointFit(self.sizes, self.free, self.joint, self.residuals, self.rows, self._slopes())
+        jacobian = self._slopes().astype(np.float32)
+        return JointFit(self.sizes, self.free, self.joint, self.residuals, self.rows, jacobian)

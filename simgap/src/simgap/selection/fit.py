@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Integers
+from simgap.arrays import Array, Integers, Slopes
 from simgap.effects.effect import Effect, Size
 from simgap.residuals.residuals import ResidualModel
 from simgap.selection.sharing import ALL_JOINTS
@@ -73,7 +73,7 @@ class Hypothesis:
     """Sizes of the whole union, (n_sizes,)."""
     joint: int = ALL_JOINTS
     """Index of the joint whose residuals count."""
-    jacobian: Array | None = None
+    jacobian: Slopes | None = None
     """Derivatives to begin with, (n_rows, p), from a fit that is near; NaN in columns that are not known."""
     other_starts: tuple[Array, ...] = ()
     """Further sizes, (n_sizes,) each, from which the fit begins if they explain more."""
@@ -92,7 +92,7 @@ class JointFit:
     """Residuals of its joint, (n_rows,)."""
     rows: Integers
     """Their indices in the residual model."""
-    jacobian: Array
+    jacobian: Slopes
     """Derivatives of the residuals by the free sizes, (n_rows, p)."""
 
 

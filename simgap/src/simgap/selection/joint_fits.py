@@ -231,7 +231,7 @@ def start_fit(
     """Return the hypothesis of base and effects at a joint, with derivatives of near fits of this model."""
     free = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
     columns = context.union.columns(free)
-    slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
+    slopes = np.full((len(context.model.joint_of), len(columns)), np.nan, np.float32)
     for fit in known:
         here = np.flatnonzero(np.isin(columns, fit.columns))
         there = [int(np.flatnonzero(fit.columns == columns[k])[0]) for k in here]

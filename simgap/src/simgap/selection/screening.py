@@ -165,6 +165,8 @@ class Whitened:
     @property
     def basis(self) -> Array:
         """Base changes of all joints, orthonormal, (n_rows, n_base)."""
+        if len(self.parts) == 1:
+            return self.parts[0][2]
         together = np.zeros((self.residual.size, sum(basis.shape[1] for *_, basis in self.parts)))
         first = 0
         for rows, _, basis in self.parts:

@@ -299,7 +299,7 @@ def test_what_is_wrong_with_a_recording_is_noted_or_refused(recordings, find, na
 
 def test_a_campaign_that_is_too_small_is_noted(recordings):
     alone, repeated = ("\n".join(audit_recordings(some)) for some in (recordings[:1], recordings))
-    assert "moves 1 times" in alone
+    assert "has 1 motion;" in alone
     assert "no motion was repeated" in alone
     assert "no motion was repeated" not in repeated
 
@@ -307,7 +307,7 @@ def test_a_campaign_that_is_too_small_is_noted(recordings):
 def test_logs_in_which_nothing_moves_are_too_little(recordings):
     drive = recordings[2].drive
     still = replace(recordings[2], drive={**drive, "power_on": np.zeros_like(drive["power_on"])})
-    assert any("wrist moves 0 times" in sentence for sentence in find_missing_motion([still]))
+    assert any("wrist has 0 motions" in sentence for sentence in find_missing_motion([still]))
     assert find_missing_motion([still, recordings[0]]) == ()
     assert find_missing_motion(recordings[2:]) == ()
 

@@ -56,8 +56,9 @@ def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> Campaign
     return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), no_progress, KINDS)
 
 
-def loaded(folder: Path, *effects: Effect) -> tuple[list[Recording], list[Recording]]:
-    fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(folder, effects, 9))
+def loaded(folder: Path, *effects: Effect, name: str = "nominal") -> tuple[list[Recording], list[Recording]]:
+    sides, arm = recorded(folder, effects, 9, name), arm_named(name).model
+    fitted, apart = ([load_recording(path, arm) for path in paths] for paths in sides)
     return fitted, apart
 
 
@@ -121,11 +122,9 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(against, tmp_path, mo
 def test_an_effect_of_another_arm_is_named(tmp_path):
     """One of its tools has a name that the default arm has not, and nuisances of its own."""
     campaign = recorded(tmp_path / "campaign", (), 1, "m2020")
-    run, arm = local_runner(1), arm_named("m2020").model
-    model = load_campaign_model(*campaign, tmp_path / "kept", run, no_progress, KINDS, "m2020")
-    logs = recorded(tmp_path / "case", (LONG_LINK,), 9, "m2020")
-    fitted, apart = ([load_recording(path, arm) for path in paths] for paths in logs)
-    assert is_named(diagnose_case(fitted, apart, model, 0).diagnosis, "link-length", 5e-3)
+    model = load_campaign_model(*campaign, tmp_path / "kept", local_runner(1), no_progress, KINDS, "m2020")
+    logs = loaded(tmp_path / "case", LONG_LINK, name="m2020")
+    assert is_named(diagnose_case(*logs, model, 0).diagnosis, "link-length", 5e-3)
     assert any("frame pixl." in one.name for one in model.model.sensitivities.nuisances)
 
 

@@ -2,8 +2,8 @@
 
 import json
 import re
-from collections import Counter
-from dataclasses import dataclass, replace
+from collections import Counter, namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,20 +53,19 @@ def test_a_folder_is_all_logs_in_it(folder):
 
 
 @pytest.mark.parametrize(
-    ("logs", "held_out", "options", "said"),
+    ("options", "said"),
     [
-        (["empty"], [], {}, r"log .*empty: this folder holds no \.mcap file"),
-        (["logs"], ["n" * 300], {}, "no such log or folder"),
-        (["logs"], ["/dev/null"], {}, "held-out log /dev/null: is not a regular file; give a log or a fol"),
-        (["logs"], [], {"catalogue": "sensor-fault"}, "'sensor-fault' is no effect"),
-        (["logs"], [], {"campaign": "none"}, "campaign .*none: there is no such folder"),
+        ({"held_out": (Path("n" * 300),)}, "held-out log n*: no such log or folder"),
+        ({"held_out": (Path("/dev/null"),)}, "held-out log /dev/null: is not a regular file; give a log or"),
+        ({"campaign": Path("none")}, "campaign none: there is no such folder"),
+        ({"patch": Path("logs/flight-params.toml")}, "is the file of flight parameters of these logs"),
     ],
 )
-def test_what_is_wrong_is_refused(folder, logs, held_out, options, said):
-    paths = [tuple(folder / path for path in some) for some in (logs, held_out)]
-    options = {name: folder / text if name == "campaign" else text for name, text in options.items()}
+def test_what_is_wrong_is_refused(folder, monkeypatch, options, said):
+    """The tests of bad input have what is wrong with logs and with names of effects."""
+    monkeypatch.chdir(folder)
     with pytest.raises(BadRequest, match=said):
-        diagnose(DiagnoseRequest(*paths, **options))
+        diagnose(DiagnoseRequest((Path("logs"),), **options))
 
 
 def diagnosed(results, key, value):
@@ -240,12 +239,8 @@ def test_a_session_that_a_header_cannot_mean_is_refused(text, said):
         load_logs._read_session(text, Path("a.mcap"))
 
 
-@dataclass(frozen=True)
-class Named:
-    """Recording with name and block only."""
-
-    name: str
-    block: str
+Named = namedtuple("Named", "name block")
+"""A recording with name and block only."""
 
 
 def test_a_session_is_given_once_and_a_repeat_of_what_is_fitted_is_not_held_out():
@@ -281,6 +276,12 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
             sides(*case)
 
 
+def test_logs_of_other_seeds_and_sessions_share_no_noise():
+    names, others = ["poses-level-1", "poses-level-1-again"], ["next-1", "next-2"]
+    drawn = [record.draw_seed(seed, one, names) for seed in (0, 1, 2) for one in (*names, *others)]
+    assert len({*drawn}) == len(drawn)
+
+
 def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monkeypatch):
     """Without a log of any session there is no folder."""
 
@@ -290,13 +291,13 @@ def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monke
             raise SessionFailed(session.name)
 
     completed = {"poses-level-2", "poses-level-5"}
-    monkeypatch.setattr(record, "_record_session", stopped)
+    monkeypatch.setattr(record, "_write_session", stopped)
     request = RecordRequest(tmp_path / "logs", sessions="poses-level-[235]")
     found = record.record_logs(request, no_progress)
     assert [path.name for path in found.logs] == ["poses-level-2.mcap", "poses-level-5.mcap"]
     assert all(path.exists() for path in found.logs)
     assert found.left_out == ("poses-level-3",)
     completed.clear()
-    with pytest.raises(BadRequest, match="completes no session; with smaller effects"):
+    with pytest.raises(BadRequest, match=r"completes no session; with smaller effects.*poses-level-5"):
         record.record_logs(replace(request, out=tmp_path / "none"), no_progress)
     assert [path.name for path in tmp_path.iterdir()] == ["logs"]
