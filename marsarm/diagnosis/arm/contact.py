@@ -18,13 +18,14 @@ from fsw.config import configure
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
-from fsw.kinematics.transforms import Array, rotate, rotate_back
+from fsw.kinematics.transforms import Array, Pose, rotate, rotate_back
 from marsarm.diagnosis.arm.features import TOUCH, TRANSLATION, Feature, still
 from marsarm.diagnosis.arm.logs import Recording, find_touch
 from marsarm.diagnosis.arm.rest_poses import TurningPoints, find_turning_points
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect
 from sim.effects.environment import ContactStiffness, Slip
+from sim.frames import p_R_from_N
 from sim.mujoco_settings import read_pad_springs
 from sim.setting import World
 from sim.world import build
@@ -45,6 +46,13 @@ class TouchFeature:
     """Up to the touch, which stands for a rest."""
     tool: str
     feature: Feature
+
+    def find_height(self, X_RT: Pose) -> float:
+        """Return the height of the lowest pad over the surface [m], which a tool that leans touches first."""
+        arm, surface = self.feature.recording.arm, self.feature.recording.world.surface
+        assert surface is not None
+        over_m = _place_pads(arm, self.tool, X_RT) - p_R_from_N(np.array(surface.p_N_m))[:, None]
+        return float((np.array(surface.normal_N) @ over_m).min()) - _read_pads(arm, self.tool)[2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,13 +97,12 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
             continue
         arm, normal_R = configure(one.params).arm, np.array(surface.normal_N)
         ends = [seen.X_RF[k] @ arm.X_FT[touch.tool] for k in after[[0, -1]]]
-        pads = [switch.p_m for switch in one.arm.description.switches.values() if switch.tool == touch.tool]
-        begin_R_m, end_R_m = (rotate(X_RT.R, np.transpose(pads)) + X_RT.p[:, None] for X_RT in ends)
-        compliance_m_N, friction = _read_pads(one.arm, touch.tool)
+        begin_R_m, end_R_m = (_place_pads(one.arm, touch.tool, X_RT) for X_RT in ends)
+        compliance_m_N, friction, _ = _read_pads(one.arm, touch.tool)
         axis_R = ends[0].R[:, 0]
         cosine = -float(normal_R @ axis_R)
         # the lowest pad alone bears a touch if the tool leans
-        in_m = (one.press_N * cosine - TOUCHING_N * len(pads)) * compliance_m_N
+        in_m = (one.press_N * cosine - TOUCHING_N * begin_R_m.shape[1]) * compliance_m_N
         if in_m <= 0.0:  # pressed no more than touched
             continue
         way_m = (normal_R @ begin_R_m).min() - (normal_R @ end_R_m).mean()
@@ -116,6 +123,12 @@ def list_presses(touches: Sequence[TouchFeature]) -> Iterator[PressFeature]:
         held_m = bent_m_N[1, 1] * friction * surface_N
         feature = _make_feature(one, "slide", aside_R, after)
         yield PressFeature(float(min(ways_m, key=abs)), float(pushed_m), float(held_m), feature)
+
+
+def _place_pads(arm: ArmModel, tool: str, X_RT: Pose) -> Array:
+    """Return the centres of the pads of a tool [m], (3, n)."""
+    pads_T_m = [switch.p_m for switch in arm.description.switches.values() if switch.tool == tool]
+    return np.asarray(rotate(X_RT.R, np.transpose(pads_T_m)) + X_RT.p[:, None])
 
 
 def _make_feature(
@@ -141,9 +154,10 @@ def _bend(arm: Arm, one: Recording, tool: str, ways_R: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _read_pads(arm: ArmModel, tool: str) -> tuple[float, float]:
-    """Read the compliance [m/N] of the pads of a tool side by side, and their friction coefficient."""
+def _read_pads(arm: ArmModel, tool: str) -> tuple[float, float, float]:
+    """Read the compliance of the pads of a tool side by side [m/N], their friction, and their radius [m]."""
     model = build(World(), arm).compile()
     springs, switches = read_pad_springs(model), arm.params.switches
     pads = [model.geom(f"{switches[k].name}_pad").id for k in arm.params.tool_switches[tool]]
-    return 1.0 / float(sum(springs[pad][0] for pad in pads)), float(model.geom_friction[pads[0], 0])
+    friction, radius_m = float(model.geom_friction[pads[0], 0]), float(model.geom_size[pads[0], 0])
+    return 1.0 / float(sum(springs[pad][0] for pad in pads)), friction, radius_m

@@ -39,7 +39,6 @@ from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
 from sim.effects.gears import OutputFriction
-from sim.frames import p_R_from_N
 from sim.loop import SimulationOptions
 from sim.plant import SCREW_AXES
 from simgap import screw_log
@@ -124,11 +123,7 @@ def simulate_touches(feature_set: FeatureSet, effects: Sequence[Effect]) -> Arra
     found = []
     rests = rest_poses.solve_rests([one.turning_points for one in feature_set.touches], effects)
     for one, rest in zip(feature_set.touches, rests, strict=True):
-        surface = one.turning_points.recording.world.surface
-        assert surface is not None
-        p_RoTo_R_m = (rest.X_RF[0] @ X_FT[one.tool]).p
-        height_m = (p_RoTo_R_m - p_R_from_N(np.array(surface.p_N_m))) @ np.array(surface.normal_N)
-        found.append(float(height_m) - shift_m)
+        found.append(one.find_height(rest.X_RF[0] @ X_FT[one.tool]) - shift_m)
     return np.array([*found, *(one.predict(effects) for one in feature_set.presses)])
 
 

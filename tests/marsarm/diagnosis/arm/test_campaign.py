@@ -172,12 +172,16 @@ def test_softer_pads_let_a_pressed_tool_farther_in_and_a_joint_does_not(campaign
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.5])
-def test_a_tool_goes_aside_by_what_friction_does_not_hold(tmp_path: Path, missing: float) -> None:
+def test_a_tool_that_leans_touches_as_drawn_and_goes_aside_by_what_friction_does_not_hold(
+    tmp_path: Path, missing: float
+) -> None:
     (session,) = (one for one in campaign_sessions(nominal_params()) if one.name == "slide-apxs")
     slip = Slip(missing)
     arm = arm_named("nominal").with_effects([slip])
     paths = record_campaign(tmp_path, [session], arm, true_reference(arm), 4, lambda *_: None)
-    _, slide = feature_set.build_feature_set([load_recording(path) for path in paths]).presses
+    found = feature_set.build_feature_set([load_recording(path) for path in paths])
+    assert feature_set.simulate_touches(found, ())[0] == pytest.approx(0.0, abs=1e-4)
+    _, slide = found.presses
     assert slide.predict([]) == slide.predict([GearStiffness(Joint.ELBOW, 0.5)]) == 0.0
     assert slide.feature.sigma < 0.2e-3
     assert slide.measured_m == pytest.approx(slide.predict([slip]), abs=slide.feature.sigma)
