@@ -138,13 +138,14 @@ def _describe_findings(
             for k in model.equivalence_class(model.sensitivities.index(one.effect.key))
         ]
         alike = [f"{every[k].name} at {every[k].place}" for k in model.equivalence_class(index) if k != index]
+        sizes = hypothesis.name_sizes(size)
         same = f"; or {join_words(alike, 'or')}, which looks the same here" if alike else ""
         yield Finding(
             place=hypothesis.place,
             family=hypothesis.family,
             effect=hypothesis.name,
-            size=tuple(hypothesis.name_sizes(size).values()),
-            size_names=tuple(hypothesis.name_sizes(size)),
+            size=tuple(sizes.values()),
+            size_names=tuple(sizes),
             interval=tuple((float(low), float(high)) for low, high in np.clip(ends, *bounds).T),
             text=hypothesis.describe(size) + same,
             share=found.share,

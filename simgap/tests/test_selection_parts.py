@@ -73,6 +73,7 @@ def test_an_improvement_that_repeats_is_sure_beside_motions_of_very_different_st
     before = np.geomspace(1.0, 1e4, 12)
     ratio = 0.9 + 0.02 * np.random.default_rng(1).standard_normal(12)
     assert compare_motions(np.arange(12), before, ratio * before) > 10.0
+    assert compare_motions(np.arange(12), before, 0.5 * before) == np.inf
     assert abs(compare_motions(np.arange(12), before, before[::-1])) < 1e-12
 
 

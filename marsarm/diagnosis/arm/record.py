@@ -144,6 +144,7 @@ def read_motion(path: Path) -> PlannedMotion:
 HELD_OUT_FOLDER: Final = "held-out"
 """Name of the folder of held-out logs, inside the folder of logs."""
 NOT_COMPLETED: Final = (plans.SessionFailed, PlantDiverged)
+"""Errors of a session that the arm does not complete."""
 PARAMS_FILE: Final = "flight-params.toml"
 """Name of the file of flight parameters beside the logs, in the form of --params."""
 

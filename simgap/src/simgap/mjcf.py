@@ -83,10 +83,11 @@ def _find_place(
 ) -> tuple[ElementTree.Element, list[str]]:
     """Return the element with a number, and all numbers of its attribute."""
     *inner, attribute = one.attribute.split("/")
-    names = [each.get("name", "") for each in root.iter(one.element)]
-    if one.name not in names:
+    every = [*root.iter(one.element)]
+    named = [each for each in every if each.get("name", "") == one.name]
+    if not named:
+        names = [each.get("name", "") for each in every]
         raise RobotError(f"{where}: {describe_unknown(f'<{one.element}>', one.name, names)}")
-    named = [each for each in root.iter(one.element) if each.get("name", "") == one.name]
     found = [part for each in named for part in (each.findall("/".join(inner)) if inner else [each])]
     if len(found) != 1:
         words = f"<{one.element}>" + (f" named {one.name!r}" if one.name else " without a name")

@@ -20,7 +20,7 @@ from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.common.report import ReportTable, file_lines, to_json
-from simgap.diagnosis import check_audit, check_motions, check_names, end_sentence, list_variations
+from simgap.diagnosis import check_audit, check_motions, end_sentence, list_variations
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report import page
@@ -112,7 +112,9 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
         groups, unfit = group_by_robot(robot, logs.motions), ""
     except RobotError as error:
         groups, unfit = [], str(error)
-    models = {motion.name: own for one, part in groups for own in [Models(one)] for motion in part}
+    models: dict[str, Models] = {}
+    for one, part in groups:
+        models |= dict.fromkeys([motion.name for motion in part], Models(one))
     logs_of = [motion.joints.values() for motion in logs.motions]
     durations_s = [max(float(np.ptp(log.position.time_s)) for log in joints) for joints in logs_of]
     ends = np.cumsum([0.0, *durations_s]) / max(sum(durations_s), 1e-9)
@@ -190,8 +192,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
         check_audit(found, logs.fit)
         check_motions(robot, logs.fit, logs.judged)
         list_kinds(robot, logs.fit, found.usable)
-        known = catalogue(robot, logs)
-        check_names([*known, *list_variations(robot, logs, known)])
+        list_variations(robot, logs, catalogue(robot, logs))
     except RobotError as error:
         return str(error)
     return ""

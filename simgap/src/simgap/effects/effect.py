@@ -203,7 +203,7 @@ class Effect(ABC):
 
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""
-        return ", ".join(f"{one.name} = {value:.4g}" for one, value in zip(self.sizes, size, strict=True))
+        return ", ".join(f"{name} = {value:.4g}" for name, value in self.name_sizes(size).items())
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Return the commands of this joint, (n_sims, n_ticks), as they arrive; each from those so far."""

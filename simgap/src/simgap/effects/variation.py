@@ -75,8 +75,7 @@ class Variation(Dependent):
 
     def describe(self, size: Array) -> str:
         """Return the sizes with their signs."""
-        names = (one.name for one in self.effect.sizes)
-        text = ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
+        text = ", ".join(f"{name} {value:+.4g}" for name, value in self.name_sizes(size).items())
         return f"{text} for 1 of {self.number}"
 
 
@@ -97,8 +96,7 @@ class Difference(Variation):
 
     def describe(self, size: Array) -> str:
         """Return the differences with their signs."""
-        names = (one.name for one in self.effect.sizes)
-        return ", ".join(f"{name} {value:+.4g}" for name, value in zip(names, size, strict=True))
+        return ", ".join(f"{name} {value:+.4g}" for name, value in self.name_sizes(size).items())
 
     def split(self, size: Array) -> tuple[Array, Array]:
         """Return what is added in the first and in the second set, (.., n_sizes) each."""
