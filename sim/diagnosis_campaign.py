@@ -66,8 +66,6 @@ SLIDE_RAD: Final = float(np.radians(20.0))
 STANDOFF_M: Final = 0.02
 """Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
-SESSION_SETTLE_S: Final = 8.0
-"""Time on the brakes before a session; longer changes every reading by less than its noise."""
 SESSION_REST_S: Final = 1.0
 """Rest before and after a motion."""
 TOUCHING_DEG: Final[Degrees5] = (0, -50, 100, 130, 90)
@@ -271,9 +269,7 @@ def start_session(
     config = configure(arm.params)
     start = round_to_counts(np.array(session.start_rad), reference.zero_rad, config.rad_per_count)
     ambient = Ambient(session.temperature_C)
-    setup = Setup(
-        arm, session.world, joints5(start), seed, reference, (ambient, *effects), settle_s=SESSION_SETTLE_S
-    )
+    setup = Setup(arm, session.world, joints5(start), seed, reference, (ambient, *effects))
     return ClosedLoop(setup)
 
 

@@ -32,8 +32,10 @@ SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Axes of screws and springs: rotations, then translations."""
 
 HARD_FRICTION = 5e-5
-"""Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft. An output
-that friction holds then creeps with a time constant of hours, not of four seconds."""
+"""Factor on the inverse weight of dry friction. Held by it, an output creeps in hours; with 1, in seconds."""
+
+SETTLE_S = 4.0
+"""Time on the brakes in which gravity rises. In twice as long, outputs would come to rest within 2 urad."""
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
@@ -216,25 +218,29 @@ class Plant:
         shift_rad = self.move_disturbance.gear_rad + self.disturbance.gear_rad
         self.model.tendon_lengthspring[self.at.gear_tendons] = self._bands_rad + shift_rad[:, None]
 
-    def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
-        """Put the motors at these angles, shape (5,), with brakes on, and let the arm settle under gravity.
+    def place(
+        self, motor_rad: Array, settle_s: float = SETTLE_S, begin: Callable[[], None] | None = None
+    ) -> None:
+        """Put the motors at these angles, (5,), with brakes on, `begin` effects, and raise gravity from 0.
 
-        `begin` is called once before gravity is applied, to begin effects.
+        Outputs begin on the flanks that their loads press them to, and gravity rises without a jerk: one that
+        falls or swings would rest anywhere in the band of its friction.
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.at.motor] = motor_rad
+        mujoco.mj_forward(self.model, self.data)
+        load_Nm, friction_Nm = -self.data.qfrc_bias[self.at.gear], self.model.tendon_frictionloss
+        is_moved = np.abs(load_Nm) > friction_Nm[self.at.output_tendons]
+        self.data.qpos[self.at.gear] = np.where(is_moved, np.sign(load_Nm) * self.half_backlash_rad, 0.0)
         self.command(motor_rad, np.zeros(len(Joint)))
         self.model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
         if begin is not None:
             begin()
-        gravity, cycles = self.model.opt.gravity.copy(), round(settle_s * CYCLE_HZ / 2)
-        for share in (np.arange(cycles) + 1) / cycles:
-            # gravity rises smoothly: a dropped arm would rest anywhere in the band of its friction
-            self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
-            self.step()
-        for _ in range(cycles):
+        gravity = self.model.opt.gravity.copy()
+        for share in np.linspace(0.0, 1.0, round(settle_s * CYCLE_HZ) + 1)[1:]:
+            self.model.opt.gravity[:] = gravity * share**3 * (10 - 15 * share + 6 * share**2)
             self.step()
         self.data.time = 0.0
 
