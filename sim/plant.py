@@ -35,7 +35,7 @@ HARD_FRICTION = 5e-5
 """Factor on the inverse weight of dry friction. Held by it, an output creeps in hours; with 1, in seconds."""
 
 SETTLE_S = 4.0
-"""Time on the brakes in which gravity rises. In twice as long, outputs would come to rest within 2 urad."""
+"""Time on the brakes in which gravity rises. In twice as long, outputs would come to rest within 4 urad."""
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
