@@ -235,6 +235,20 @@ def digest_code() -> str:
     return digest.hexdigest()
 
 
+def find_steps(
+    cache: str | Path | None,
+    robot: Robot,
+    motions: Sequence[Motion],
+    held_out: Sequence[Motion],
+    usable: Usable | None,
+    effects: Sequence[Effect],
+    seed: int,
+) -> Path | None:
+    """Return the folder of the steps of these inputs in a cache; None if nothing is kept."""
+    digest = cache and digest_inputs(robot, motions, held_out, usable, effects, seed)
+    return Path(cache) / f"{STEPS}{digest}" if cache and digest else None
+
+
 def digest_inputs(
     robot: Robot,
     motions: Sequence[Motion],
