@@ -35,7 +35,7 @@ HARD_FRICTION = 5e-5
 """Factor on the inverse weight of dry friction. Held by it, an output creeps in hours; with 1, in seconds."""
 
 SETTLE_S = 4.0
-"""Time on the brakes in which gravity rises. In twice as long, outputs would come to rest within 4 urad."""
+"""Time on the brakes in which loads rise. In twice as long, outputs would end 4 urad away at most."""
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
@@ -221,28 +221,31 @@ class Plant:
     def place(
         self, motor_rad: Array, settle_s: float = SETTLE_S, begin: Callable[[], None] | None = None
     ) -> None:
-        """Put the motors at these angles, (5,), with brakes on, `begin` effects, and raise gravity from 0.
+        """Put the motors at these angles, (5,), with brakes on, and raise gravity and other loads from 0.
 
-        Outputs begin on the flanks that their loads press them to, and gravity rises without a jerk: one that
-        falls or swings would rest anywhere in the band of its friction.
+        `begin` is called once before, to begin effects. Outputs begin on the flanks that loads press them to,
+        and loads rise without a jerk: what falls or swings would rest anywhere in the band of its friction.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self.at.motor] = motor_rad
-        mujoco.mj_forward(self.model, self.data)
-        load_Nm, friction_Nm = -self.data.qfrc_bias[self.at.gear], self.model.tendon_frictionloss
-        is_moved = np.abs(load_Nm) > friction_Nm[self.at.output_tendons]
-        self.data.qpos[self.at.gear] = np.where(is_moved, np.sign(load_Nm) * self.half_backlash_rad, 0.0)
+        model, data, at, views = self.model, self.data, self.at, self._views
+        mujoco.mj_resetData(model, data)
+        data.qpos[at.motor] = motor_rad
         self.command(motor_rad, np.zeros(len(Joint)))
-        self.model.opt.disableactuator = ALL_ACTUATORS
+        model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
         if begin is not None:
             begin()
-        gravity = self.model.opt.gravity.copy()
+        mujoco.mj_forward(model, data)
+        gravity, applied_Nm = model.opt.gravity.copy(), data.qfrc_applied.copy()
+        load_Nm = (applied_Nm - data.qfrc_bias)[at.gear]
+        held_Nm = model.tendon_frictionloss[at.output_tendons] + model.tendon_frictionloss[at.gear_tendons]
+        flank_rad = np.where(load_Nm > 0.0, views.high_flank_rad, views.low_flank_rad)
+        data.qpos[at.gear] = np.where(np.abs(load_Nm) > held_Nm, flank_rad, 0.0)
         for share in np.linspace(0.0, 1.0, round(settle_s * CYCLE_HZ) + 1)[1:]:
-            self.model.opt.gravity[:] = gravity * share**3 * (10 - 15 * share + 6 * share**2)
+            rise = share**3 * (10 - 15 * share + 6 * share**2)
+            model.opt.gravity[:], data.qfrc_applied[:] = gravity * rise, applied_Nm * rise
             self.step()
-        self.data.time = 0.0
+        data.time = 0.0
 
     def show(self, output_rad: Array, strain: Array) -> None:
         """Set the geometry only, from output angles, shape (5,), and spring strains, (6, 5) or wider."""
@@ -311,16 +314,14 @@ class Plant:
 
     def output_rad(self) -> Array:
         """Return the true output angles, shape (5,): motor, backlash and wind-up."""
-        output: Array = self._views.motor_rad + self._views.gear_rad
-        return output
+        return np.asarray(self._views.motor_rad + self._views.gear_rad)
 
     def backlash_rad(self) -> Array:
         """Return the true position in the backlash, shape (5,): plus or minus half its width on a flank."""
         return self._within_backlash(self._gear_rad())
 
     def _within_backlash(self, gear_rad: Array) -> Array:
-        half_rad = self.half_backlash_rad
-        return np.asarray(np.minimum(np.maximum(gear_rad, -half_rad), half_rad))
+        return np.clip(gear_rad, -self.half_backlash_rad, self.half_backlash_rad)
 
     def gear_torque_Nm(self) -> Array:
         """Return the torque in each gear, shape (5,); a load towards positive angles is positive."""
@@ -329,8 +330,7 @@ class Plant:
 
     def _gear_rad(self) -> Array:
         """Return output less motor angles without the disturbances of the gears, shape (5,)."""
-        gear: Array = self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad
-        return gear
+        return np.asarray(self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad)
 
     def stop_rad(self) -> Array:
         """Return the output angles of the negative hardstops, shape (5,)."""
@@ -357,8 +357,7 @@ class Plant:
 
     def pads_R_m(self) -> Array:
         """Return the positions of the contact switches in RMECH, (n, 3), of the last call of `truth`."""
-        p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
-        return p_R_m
+        return np.asarray(FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M)
 
     def truth(self) -> Truth:
         """Update the forward kinematics and return the state of the plant."""

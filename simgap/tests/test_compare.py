@@ -31,6 +31,7 @@ from simgap.report.traces import trace_motions
 from simgap.residuals.conditioned import Change, ConditionedResiduals, KnownResiduals, changes_of
 from simgap.residuals.residuals import residuals_by_motion
 from simgap.result import Comparison, Limit, Refusal
+from simgap.selection.checkpoint import GOES_ON
 from simgap.selection.context import Score
 from simgap.selection.selection import SHORTLIST, list_best, select_effects
 
@@ -276,6 +277,7 @@ def test_what_the_check_refuses_is_told_of_each_set_before_a_comparison(late):
     assert "after:m1: 3 samples took no part: spike." in comparison_details(found)
 
 
+@pytest.mark.slow
 def test_a_comparison_that_was_interrupted_goes_on_and_ends_with_the_same_bits(late, tmp_path):
     sets = [[swing(k, late)] for k in range(2)]
 
@@ -283,8 +285,9 @@ def test_a_comparison_that_was_interrupted_goes_on_and_ends_with_the_same_bits(l
         if share > 0.5:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as stopped:
         compare(MODEL, *sets, progress=stop, cache=tmp_path)
+    assert stopped.value.__notes__ == [GOES_ON]
     assert [*tmp_path.rglob("*.npz")]
     told: list[str] = []
     again = compare(MODEL, *sets, progress=lambda share, text: told.append(text), cache=tmp_path)

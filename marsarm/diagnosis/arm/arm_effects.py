@@ -9,7 +9,7 @@ more than any effect.
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from functools import partial
-from itertools import product
+from itertools import product, starmap
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,13 @@ from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
-from marsarm.diagnosis.arm.features import CHANNELS, MOTION_CHANNELS, ROTATION, TRANSLATION, MotionFeatures
+from marsarm.diagnosis.arm.features import (
+    MOTION_CHANNELS,
+    ROTATION,
+    TRANSLATION,
+    MotionFeatures,
+    name_channel,
+)
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance, Parameter
 from sim.arm_model.load import ArmModel
@@ -123,9 +129,7 @@ def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
     for joint in Joint:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, sensors.EncoderZero)
     at_joints = product((joint.name.lower() for joint in Joint), MOTION_CHANNELS)
-    channels = [
-        f"{place} {CHANNELS[of]}" for place, of in (*at_joints, ("turret", ROTATION), ("turret", TRANSLATION))
-    ]
+    channels = starmap(name_channel, (*at_joints, ("turret", ROTATION), ("turret", TRANSLATION)))
     for channel, (word, numerics) in product(channels, NUMERICS.items()):  # on or off
         yield Nuisance(
             f"{word} {channel}",

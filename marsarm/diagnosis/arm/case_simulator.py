@@ -22,7 +22,7 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
 from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CHANNELS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.features import UNITS, MotionFeatures, name_channel
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
@@ -77,7 +77,7 @@ def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> 
     layout = FeatureLayout(
         sigma=sigma,
         block=np.array([one.recording.block for one in features], str),
-        channel=np.array([f"{one.place} {CHANNELS[one.channel]}" for one in features], str),
+        channel=np.array([name_channel(one.place, one.channel) for one in features], str),
         unit=np.array([UNITS[one.channel] for one in features], str),
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),

@@ -91,6 +91,11 @@ class MotionFeatures:
         return max((one.span[1] for one in self.features if one.span), default=1)
 
 
+def name_channel(place: str, channel: int) -> str:
+    """Return the name of a channel with its place."""
+    return f"{place} {CHANNELS[channel]}"
+
+
 def still(recording: Recording) -> tuple[float, ...]:
     """Return the conditions of an arm at rest."""
     return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))

@@ -85,10 +85,11 @@ class PlannedMotion(Record):
         """Return the motion in words."""
         pose = ", ".join(f"{one:g}" for one in self.start_deg)
         turning = "all joints" if self.joint == ALL else self.joint
-        seen = f", with a tracker after {self.hold_s:g} s" if self.tracked else ""
+        seen = ", with a tracker" if self.tracked else ""
         return (
             f"{turning} by {self.turn_deg:g} deg and back {self.count} times at {self.speed_share:g} of the "
-            f"nominal speed, from ({pose}) deg, roll {self.roll_deg:g} deg, {self.temperature_C:g} degC{seen}"
+            f"nominal speed, from ({pose}) deg, roll {self.roll_deg:g} deg, {self.temperature_C:g} degC, "
+            f"at rest for {self.hold_s:g} s before and after each way{seen}"
         )
 
 

@@ -130,6 +130,8 @@ def test_a_step_that_lasts_longer_than_all_that_a_guess_has_left_tells_no_time_l
         state.update(share, progress.GUESS, "refit", now_s)
     assert state.left_s(10.5) == pytest.approx((0.25, 2 * 9.5 / 9.0))
     assert state.left_s(11.5) is None
+    state.update(1.0, progress.GUESS, "done", 12.0)
+    assert state.left_s(20.0) == (0.0, 0.0)
 
 
 def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells():

@@ -1,6 +1,7 @@
 """Sensitivities, their normal equations and features, and the next motion that is chosen by them."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -254,6 +255,7 @@ def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, result
         ("count = 2", "count = 0"),
         ('joint = "elbow"', 'joint = "knee"'),
         ("speed_share = 1", "speed_share = 3"),
+        ("hold_s = 1", "hold_s = 0"),
     ],
 )
 def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_its_key(tmp_path, old, new):
@@ -261,6 +263,9 @@ def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_it
     assert {one.joint for one in motions} == {"elbow", "all"}
     path.write_text(motion_text(motions[0]))
     assert read_motion(path) == motions[0]
+    path.write_text(re.sub("hold_s = .*", "", motion_text(motions[0])))  # as before motions had rests
+    assert read_motion(path) == motions[0]
+    path.write_text(motion_text(motions[0]))
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(RobotError, match=rf"next\.toml: {old.split()[0]}"):

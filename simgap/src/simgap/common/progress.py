@@ -188,9 +188,9 @@ class ProgressState:
         work. A step that lasts longer than all that was left refutes the guess.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
+        if self.share >= 1.0:
+            return 0.0, 0.0
         if self.earlier is not None:
-            if self.share >= 1.0:
-                return 0.0, 0.0
             begun_s = self.first_s if first else self.started_s
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
