@@ -66,10 +66,8 @@ SLIDE_RAD: Final = float(np.radians(20.0))
 STANDOFF_M: Final = 0.02
 """Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
-SESSION_SETTLE_S: Final = 8.0
-"""Time on the brakes before a session; longer changes every reading by less than its noise."""
 SESSION_REST_S: Final = 1.0
-"""Rest before and after a motion."""
+"""Rest before and after a motion of the campaign."""
 TOUCHING_DEG: Final[Degrees5] = (0, -50, 100, 130, 90)
 """Pose from which a rock is touched."""
 HELD_OUT_SESSIONS: Final = (
@@ -97,6 +95,8 @@ class DiagnosisSession:
     commands: tuple[Command, ...]
     tracked: bool
     """True if a laser tracker measures the turret whenever the arm rests."""
+    rest_s: float = SESSION_REST_S
+    """Rest before and after each command."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,9 +271,7 @@ def start_session(
     config = configure(arm.params)
     start = round_to_counts(np.array(session.start_rad), reference.zero_rad, config.rad_per_count)
     ambient = Ambient(session.temperature_C)
-    setup = Setup(
-        arm, session.world, joints5(start), seed, reference, (ambient, *effects), settle_s=SESSION_SETTLE_S
-    )
+    setup = Setup(arm, session.world, joints5(start), seed, reference, (ambient, *effects))
     return ClosedLoop(setup)
 
 
@@ -286,7 +284,7 @@ def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> 
 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
     """Run a session with a rest before and after each command; SessionFailed if one is not completed."""
-    yield from _rest_cycles(loop)
+    yield from _rest_cycles(loop, session.rest_s)
     for command in session.commands:
         cycles = run_sequence(loop, (command,))
         while True:
@@ -296,10 +294,10 @@ def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[Session
                 if end.value is not Outcome.DONE:
                     raise SessionFailed(f"session {session.name}: {command} was {end.value}") from None
                 break
-        yield from _rest_cycles(loop)
+        yield from _rest_cycles(loop, session.rest_s)
 
 
-def _rest_cycles(loop: ClosedLoop) -> Iterator[SessionCycle]:
-    ticks = round(SESSION_REST_S * CYCLE_HZ)
+def _rest_cycles(loop: ClosedLoop, rest_s: float) -> Iterator[SessionCycle]:
+    ticks = round(rest_s * CYCLE_HZ)
     for tick in range(ticks):
         yield SessionCycle(loop.cycle(), rested=tick == ticks - 1)

@@ -31,8 +31,6 @@ from sim.record import CycleRecord, Truth
 from sim.setting import World
 from sim.world import build, params_in_world
 
-SETTLE_S = 16.0
-
 
 @dataclass(frozen=True, slots=True)
 class Setup:
@@ -48,8 +46,6 @@ class Setup:
     """Effects beyond those of the arm."""
     time_step_s: float | None = None
     """Time step in place of that of the model."""
-    settle_s: float = SETTLE_S
-    """Time on the brakes before the run."""
 
 
 class ClosedLoop:
@@ -69,7 +65,7 @@ class ClosedLoop:
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))
         self.with_truth = with_truth
         begin = self.avionics.act if hardware.each_cycle else None
-        self.plant.place(np.array(setup.start_rad), setup.settle_s, begin)
+        self.plant.place(np.array(setup.start_rad), begin=begin)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
         self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED, setup.reference)
         self.failure: Exception | None = None
@@ -170,18 +166,6 @@ class RecordedStart:
     """Drawing of the arm."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationOptions:
-    """Options of a simulation."""
-
-    seed: int | None = None
-    """Seed of the sensor noise; None removes noise and rounding, which gives mean readings."""
-    settle_s: float = SETTLE_S
-
-
-NOISE_FREE = SimulationOptions()
-
-
 def scale_shift_rad(
     hardware: Hardware, counted_rad: Array, hardstop_rad: Array, arm: ArmDescription
 ) -> Array:
@@ -203,11 +187,12 @@ def scale_shift_rad(
 
 
 class OpenLoopArm:
-    """Arm at the start of a recorded run."""
+    """Arm at the start of a recorded run.
 
-    def __init__(
-        self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
-    ):
+    The seed is that of the sensor noise; None removes noise and rounding, which gives mean readings.
+    """
+
+    def __init__(self, start: RecordedStart, effects: Iterable[Effect], seed: int | None = None):
         spec, drawing = build(start.world, start.arm), start.arm.description
         effects = tuple(effects)
         built = apply_effects((one for one in effects if one.built_in), spec, nominal_hardware(drawing))
@@ -220,15 +205,14 @@ class OpenLoopArm:
         zero_rad = hardware.counter_zero_rad - hardstop_error_rad
         by_scale_rad = scale_shift_rad(hardware, start.zero_rad, start.hardstop_rad, drawing)
         hardware = replace(hardware, counter_zero_rad=zero_rad + by_scale_rad)
-        hardware = hardware if options.seed is not None else _without_noise(hardware)
-        self.avionics = Avionics(self.plant, hardware, hardware_rng(options.seed or 0))
+        hardware = hardware if seed is not None else _without_noise(hardware)
+        self.avionics = Avionics(self.plant, hardware, hardware_rng(seed or 0))
         # counters must read what they read in the recorded run, so the motors shift with zeros and scales
         self.plant.place(
             start.motor_rad
             + (zero_rad - start.zero_rad)
             + scale_shift_rad(hardware, start.motor_rad, start.hardstop_rad, drawing),
-            options.settle_s,
-            self.avionics.act if hardware.each_cycle else None,
+            begin=self.avionics.act if hardware.each_cycle else None,
         )
 
     def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:

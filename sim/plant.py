@@ -32,8 +32,10 @@ SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Axes of screws and springs: rotations, then translations."""
 
 HARD_FRICTION = 5e-5
-"""Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft. An output
-that friction holds then creeps with a time constant of hours, not of four seconds."""
+"""Factor on the inverse weight of dry friction. Held by it, an output creeps in hours; with 1, in seconds."""
+
+SETTLE_S = 4.0
+"""Time on the brakes in which loads rise. In twice as long, outputs would end 4 urad away at most."""
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
@@ -216,27 +218,34 @@ class Plant:
         shift_rad = self.move_disturbance.gear_rad + self.disturbance.gear_rad
         self.model.tendon_lengthspring[self.at.gear_tendons] = self._bands_rad + shift_rad[:, None]
 
-    def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
-        """Put the motors at these angles, shape (5,), with brakes on, and let the arm settle under gravity.
+    def place(
+        self, motor_rad: Array, settle_s: float = SETTLE_S, begin: Callable[[], None] | None = None
+    ) -> None:
+        """Put the motors at these angles, (5,), with brakes on, and raise gravity and other loads from 0.
 
-        `begin` is called once before gravity is applied, to begin effects.
+        `begin` is called once before, to begin effects. Outputs begin on the flanks that loads press them to,
+        and loads rise without a jerk: what falls or swings would rest anywhere in the band of its friction.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self.at.motor] = motor_rad
+        model, data, at, views = self.model, self.data, self.at, self._views
+        mujoco.mj_resetData(model, data)
+        data.qpos[at.motor] = motor_rad
         self.command(motor_rad, np.zeros(len(Joint)))
-        self.model.opt.disableactuator = ALL_ACTUATORS
+        model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
         if begin is not None:
             begin()
-        gravity, cycles = self.model.opt.gravity.copy(), round(settle_s * CYCLE_HZ / 2)
-        for share in (np.arange(cycles) + 1) / cycles:
-            # gravity rises smoothly: a dropped arm would rest anywhere in the band of its friction
-            self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
+        mujoco.mj_forward(model, data)
+        gravity, applied_Nm = model.opt.gravity.copy(), data.qfrc_applied.copy()
+        load_Nm = (applied_Nm - data.qfrc_bias)[at.gear]
+        held_Nm = model.tendon_frictionloss[at.output_tendons] + model.tendon_frictionloss[at.gear_tendons]
+        flank_rad = np.where(load_Nm > 0.0, views.high_flank_rad, views.low_flank_rad)
+        data.qpos[at.gear] = np.where(np.abs(load_Nm) > held_Nm, flank_rad, 0.0)
+        for share in np.linspace(0.0, 1.0, round(settle_s * CYCLE_HZ) + 1)[1:]:
+            rise = share**3 * (10 - 15 * share + 6 * share**2)
+            model.opt.gravity[:], data.qfrc_applied[:] = gravity * rise, applied_Nm * rise
             self.step()
-        for _ in range(cycles):
-            self.step()
-        self.data.time = 0.0
+        data.time = 0.0
 
     def show(self, output_rad: Array, strain: Array) -> None:
         """Set the geometry only, from output angles, shape (5,), and spring strains, (6, 5) or wider."""
@@ -305,16 +314,14 @@ class Plant:
 
     def output_rad(self) -> Array:
         """Return the true output angles, shape (5,): motor, backlash and wind-up."""
-        output: Array = self._views.motor_rad + self._views.gear_rad
-        return output
+        return np.asarray(self._views.motor_rad + self._views.gear_rad)
 
     def backlash_rad(self) -> Array:
         """Return the true position in the backlash, shape (5,): plus or minus half its width on a flank."""
         return self._within_backlash(self._gear_rad())
 
     def _within_backlash(self, gear_rad: Array) -> Array:
-        half_rad = self.half_backlash_rad
-        return np.asarray(np.minimum(np.maximum(gear_rad, -half_rad), half_rad))
+        return np.clip(gear_rad, -self.half_backlash_rad, self.half_backlash_rad)
 
     def gear_torque_Nm(self) -> Array:
         """Return the torque in each gear, shape (5,); a load towards positive angles is positive."""
@@ -323,8 +330,7 @@ class Plant:
 
     def _gear_rad(self) -> Array:
         """Return output less motor angles without the disturbances of the gears, shape (5,)."""
-        gear: Array = self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad
-        return gear
+        return np.asarray(self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad)
 
     def stop_rad(self) -> Array:
         """Return the output angles of the negative hardstops, shape (5,)."""
@@ -351,8 +357,7 @@ class Plant:
 
     def pads_R_m(self) -> Array:
         """Return the positions of the contact switches in RMECH, (n, 3), of the last call of `truth`."""
-        p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
-        return p_R_m
+        return np.asarray(FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M)
 
     def truth(self) -> Truth:
         """Update the forward kinematics and return the state of the plant."""

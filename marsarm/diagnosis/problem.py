@@ -149,8 +149,8 @@ class Nuisance:
     """Makes the effect of the plant from a departure."""
     same_as: str = ""
     """Key of the hypothesis, or name of the nuisance, that equals it for small departures."""
-    only_place: str = ""
-    """Place of the only features that a numerical error, on or off, influences; empty for all others."""
+    only_channel: str = ""
+    """Channel of the only features that a numerical error, on or off, influences; empty for all others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

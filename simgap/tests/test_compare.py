@@ -18,7 +18,7 @@ from simgap.assemble import select_sure
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
-from simgap.compare import compare, list_differences, list_limits, select_differences, tell_apart
+from simgap.compare import compare, list_competing, list_differences, list_limits, tell_apart
 from simgap.effects.actuation import GainError
 from simgap.effects.command import CommandDelay, CommonCommandDelay, CommonMeasurementDelay, MeasurementDelay
 from simgap.effects.effect import Size
@@ -31,7 +31,7 @@ from simgap.report.traces import trace_motions
 from simgap.residuals.conditioned import Change, ConditionedResiduals, KnownResiduals, changes_of
 from simgap.residuals.residuals import residuals_by_motion
 from simgap.result import Comparison, Limit, Refusal
-from simgap.selection.checkpoint import Meter
+from simgap.selection.checkpoint import GOES_ON
 from simgap.selection.context import Score
 from simgap.selection.selection import SHORTLIST, list_best, select_effects
 
@@ -53,7 +53,7 @@ def draw_sets(seed, common, change):
 
 def compare_toys(model):
     shown = (*CATALOGUE, *BASE)  # a catalogue may have what is in the base too
-    found = select_differences(tell_apart(model), BASE, shown, 1, Meter())
+    found = select_effects(tell_apart(model), BASE, list_competing(BASE, shown), seed=1)
     return select_sure(found, None)[0]
 
 
@@ -275,6 +275,25 @@ def test_what_the_check_refuses_is_told_of_each_set_before_a_comparison(late):
     found = compare(MODEL, [before], [after], audits=audits)
     assert found.found.refused == (Refusal("after:m1", "spike", 3),)
     assert "after:m1: 3 samples took no part: spike." in comparison_details(found)
+
+
+@pytest.mark.slow
+def test_a_comparison_that_was_interrupted_goes_on_and_ends_with_the_same_bits(late, tmp_path):
+    sets = [[swing(k, late)] for k in range(2)]
+
+    def stop(share, text):
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        compare(MODEL, *sets, progress=stop, cache=tmp_path)
+    assert stopped.value.__notes__ == [GOES_ON]
+    assert [*tmp_path.rglob("*.npz")]
+    told: list[str] = []
+    again = compare(MODEL, *sets, progress=lambda share, text: told.append(text), cache=tmp_path)
+    assert told[0] == "going on"
+    assert comparison_document(again) == comparison_document(compare(MODEL, *sets))
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("case", ["copy", "no command", "torque in one"])

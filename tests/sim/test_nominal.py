@@ -13,17 +13,18 @@ from fsw.config import configure
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted
+from fsw.estimate.gear import bound_gear
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.statics import settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose, rotation_z
 from sim.arms import arm_named, nominal_params
 from sim.frames import FLIP
 from sim.loop import ClosedLoop, Setup
 from sim.mujoco_settings import REFERENCE_STEP_S
-from sim.plant import Plant
+from sim.plant import SETTLE_S, Plant
 from sim.sequence import run_sequence
 from sim.setting import MAX_TILT_RAD, World
 from tests.sim import lab
@@ -261,6 +262,22 @@ def move_arm(world: World, time_step_s: float | None, goal_rad: tuple[float, ...
         loop.cycle()
     assert loop.plant.data.eq_active[loop.plant.at.brake].all()
     return loop
+
+
+@pytest.mark.parametrize("pose", ["straight", "ready", "left", "stowed"])
+@pytest.mark.parametrize("world", ["mars", "mars, 25 deg"])
+def test_an_arm_that_is_put_at_rest_is_where_statics_say_and_twice_the_time_changes_little(world, pose):
+    """Friction holds an output at the edge of its band that is nearest to the middle of the backlash."""
+    motor_rad, gravity = POSES[pose], WORLDS[world].gravity_N_m_s2
+    load_Nm = settle_output(CONFIG.arm, motor_rad, gravity).torque_Nm
+    band = bound_gear(CONFIG, CONFIG.half_backlash_rad, load_Nm)
+    soon, late = (lab.plant(WORLDS[world]) for _ in range(2))
+    soon.place(motor_rad)
+    late.place(motor_rad, 2 * SETTLE_S)
+    np.testing.assert_allclose(late.output_rad(), soon.output_rad(), atol=4e-6)
+    np.testing.assert_allclose(
+        lab.gear_rad(soon), np.clip(0.0, band.lowest_rad, band.highest_rad), atol=25e-6
+    )
 
 
 @pytest.mark.parametrize("side", [1, -1])

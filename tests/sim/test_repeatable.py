@@ -16,7 +16,7 @@ from sim.effects.gears import CoulombFriction, ViscousFriction
 from sim.effects.geometry import ToolOffset
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.initialisation import start_loop, true_reference
-from sim.loop import ClosedLoop, OpenLoopArm, RecordedStart, Setup, SimulationOptions
+from sim.loop import ClosedLoop, OpenLoopArm, RecordedStart, Setup
 from sim.record import CycleRecord
 from sim.scenario.effects import BadEffect, effect_text
 from sim.sequence import Outcome, run_commands, run_sequence
@@ -104,7 +104,6 @@ REFERENCE = true_reference(ARM)
 JOINTS = ARM.params.joints.in_order()
 SEED = 3
 NOISE_A = 0.02
-BRIEF = SimulationOptions(settle_s=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -123,16 +122,16 @@ def run():
     return RecordedStart(World(), motor, REFERENCE.zero_rad, hardstops), records
 
 
-def drive_open_loop(run, options: SimulationOptions, *effects: Effect) -> list[Sensors]:
+def drive_open_loop(run, *effects: Effect, seed: int | None = None) -> list[Sensors]:
     start, records = run
-    return list(OpenLoopArm(start, effects, options).readings(record.outputs.drive for record in records))
+    return list(OpenLoopArm(start, effects, seed).readings(record.outputs.drive for record in records))
 
 
 @pytest.fixture(scope="module")
 def apart(run):
     """Compare the currents of the open loop with an effect and without one."""
-    nominal = drive_open_loop(run, BRIEF)
-    return lambda effect: difference("current_A", drive_open_loop(run, BRIEF, effect), nominal)
+    nominal = drive_open_loop(run)
+    return lambda effect: difference("current_A", drive_open_loop(run, effect), nominal)
 
 
 def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarray:
@@ -140,14 +139,14 @@ def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarra
 
 
 def test_the_same_plant_under_the_same_drive_reads_the_same_bit_for_bit(run):
-    for now, record in zip(drive_open_loop(run, SimulationOptions(SEED)), run[1], strict=True):
+    for now, record in zip(drive_open_loop(run, seed=SEED), run[1], strict=True):
         for field in fields(Sensors):
             np.testing.assert_array_equal(getattr(now, field.name), getattr(record.sensors, field.name))
 
 
 @pytest.mark.slow
 def test_without_noise_it_reads_the_mean_of_what_it_reads_with_noise(run):
-    off_A = difference("current_A", [r.sensors for r in run[1]], drive_open_loop(run, SimulationOptions()))
+    off_A = difference("current_A", [r.sensors for r in run[1]], drive_open_loop(run))
     assert np.abs(off_A.mean(axis=0)).max() < 4 * NOISE_A / np.sqrt(len(off_A))
     assert off_A.std() == pytest.approx(NOISE_A, rel=0.05)
 
@@ -170,7 +169,7 @@ def test_what_is_wrong_at_a_joint_on_its_brake_is_not_seen_but_in_its_sensor(apa
 
 
 def test_an_encoder_that_lost_count_shows_in_no_motion(run):
-    nominal, lost = (drive_open_loop(run, BRIEF, *e) for e in ((), (EncoderZero(Joint.WRIST, 2e-3),)))
+    nominal, lost = (drive_open_loop(run, *e) for e in ((), (EncoderZero(Joint.WRIST, 2e-3),)))
     np.testing.assert_array_equal(lost[0].encoder_count, nominal[0].encoder_count)
     # gravity pulls a little otherwise
     assert np.abs(difference("current_A", lost, nominal)).max() < 0.1 * NOISE_A

@@ -9,6 +9,7 @@ more than any effect.
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from functools import partial
+from itertools import product, starmap
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +19,13 @@ from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
-from marsarm.diagnosis.arm.features import MotionFeatures
+from marsarm.diagnosis.arm.features import (
+    MOTION_CHANNELS,
+    ROTATION,
+    TRANSLATION,
+    MotionFeatures,
+    name_channel,
+)
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance, Parameter
 from sim.arm_model.load import ArmModel
@@ -121,15 +128,17 @@ def list_nuisances(arm: ArmModel) -> Iterator[Nuisance]:
         )
     for joint in Joint:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, sensors.EncoderZero)
-        for word, numerics in NUMERICS.items():  # on or off
-            yield Nuisance(
-                f"{word} {joint.name.lower()}",
-                "1",
-                NUMERICS_SIGMA,
-                effect=partial(lambda one, _: one, numerics),
-                same_as=word,
-                only_place=joint.name.lower(),
-            )
+    at_joints = product((joint.name.lower() for joint in Joint), MOTION_CHANNELS)
+    channels = starmap(name_channel, (*at_joints, ("turret", ROTATION), ("turret", TRANSLATION)))
+    for channel, (word, numerics) in product(channels, NUMERICS.items()):  # on or off
+        yield Nuisance(
+            f"{word} {channel}",
+            "1",
+            NUMERICS_SIGMA,
+            effect=partial(lambda one, _: one, numerics),
+            same_as=word,
+            only_channel=channel,
+        )
     for joint in Joint:
         yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, joints.GearFriction, random_per_block=True)
         yield _joint_nuisance(

@@ -21,7 +21,6 @@ from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import audit_recordings
 from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
-    LONG_SETTLING,
     CaseSimulator,
     build_case_simulator,
     build_simulator,
@@ -128,7 +127,7 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, patch)
+    arm = build_simulator(build_feature_set(recordings), patch)
     sensitivities = campaign.model.sensitivities
     first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
     missing = _find_missing(first, campaign)
@@ -196,7 +195,7 @@ def _judge_held_out(
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
     NotForDiagnosis if nothing of the motion can be compared with the campaign.
     """
-    arm = build_simulator(build_feature_set(recordings), LONG_SETTLING, fit.arm.patch)
+    arm = build_simulator(build_feature_set(recordings), fit.arm.patch)
     case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)

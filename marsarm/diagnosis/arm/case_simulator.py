@@ -22,19 +22,14 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
 from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import CHANNELS, UNITS, MotionFeatures
+from marsarm.diagnosis.arm.features import UNITS, MotionFeatures, name_channel
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
 from sim.effects.effect import Effect
-from sim.loop import SimulationOptions
 from sim.plant import PlantDiverged
 from simgap.selection.chance import FALSE_ALARM
 
-SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
-"""Settling time before a recording, shorter than in the closed loop: sufficient for differences."""
-LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
-"""Settling time that suffices for comparison with a case."""
 MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed", "sine of the angle", "cosine of the angle", "direction")
 )
@@ -63,7 +58,6 @@ class ArmSimulator:
     """Layout of its m features, with their noise floor."""
     floor_notes: tuple[str, ...]
     """Notes on the origin of that."""
-    options: SimulationOptions
     patch: tuple[Effect, ...]
     """Effects that are always on."""
 
@@ -74,24 +68,22 @@ class ArmSimulator:
 
         PlantDiverged if MuJoCo counted a warning.
         """
-        return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
+        return simulate_features(self.feature_set, (*self.patch, *effects), wanted)
 
 
-def build_simulator(
-    feature_set: FeatureSet, options: SimulationOptions = SHORT_SETTLING, patch: tuple[Effect, ...] = ()
-) -> ArmSimulator:
+def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> ArmSimulator:
     """Build the simulator of these features; every place has its own channels."""
     features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
     layout = FeatureLayout(
         sigma=sigma,
         block=np.array([one.recording.block for one in features], str),
-        channel=np.array([f"{one.place} {CHANNELS[one.channel]}" for one in features], str),
+        channel=np.array([name_channel(one.place, one.channel) for one in features], str),
         unit=np.array([UNITS[one.channel] for one in features], str),
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
     )
-    return ArmSimulator(feature_set, layout, notes, options, patch)
+    return ArmSimulator(feature_set, layout, notes, patch)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,4 +242,6 @@ def _estimate_nuisances(model: DiagnosisModel, current: CaseSimulator, beside: t
     fit = fit_linear(equations, equations.whiten(residual), beside)
     found, far = np.zeros(len(sensitivities.nuisances)), MAX_SIGMAS * sensitivities.sigma
     found[shared] = fit.theta[: equations.q] * sensitivities.sigma[shared]
-    return np.where([bool(one.only_place) for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far))
+    return np.where(
+        [bool(one.only_channel) for one in sensitivities.nuisances], 0.0, np.clip(found, -far, far)
+    )

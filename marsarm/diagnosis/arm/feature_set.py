@@ -39,7 +39,6 @@ from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
 from sim.effects.gears import OutputFriction
-from sim.loop import SimulationOptions
 from sim.plant import SCREW_AXES
 from simgap import screw_log
 
@@ -140,7 +139,6 @@ def measure_features(feature_set: FeatureSet) -> Array:
 def simulate_features(
     feature_set: FeatureSet,
     effects: Sequence[Effect],
-    options: SimulationOptions,
     wanted: Callable[[MotionFeatures], bool] = lambda _: True,
 ) -> Array:
     """Predict the features.
@@ -151,7 +149,7 @@ def simulate_features(
     known: dict[str, dict[str, float]] = {}
     for one in feature_set.motions:
         if one.recording.block not in known:
-            found = evaluate_features(one, simulate_motion(one, effects, options)) if wanted(one) else ()
+            found = evaluate_features(one, simulate_motion(one, effects)) if wanted(one) else ()
             known[one.recording.block] = {f.key: v for f, v in zip(one.features, found, strict=False)}
     values = [
         np.array([known[one.recording.block].get(feature.key, np.nan) for feature in one.features])
@@ -162,9 +160,7 @@ def simulate_features(
     return np.concatenate([*values, simulate_touches(feature_set, effects)])
 
 
-def simulate_motion(
-    motion: MotionFeatures, effects: Sequence[Effect], options: SimulationOptions
-) -> SensorColumns:
+def simulate_motion(motion: MotionFeatures, effects: Sequence[Effect]) -> SensorColumns:
     """Simulate the sensors of an arm with these effects under the recorded drive, without noise, by tick.
 
     What follows the last compared bin is left out: the end of every motion, and all from a touch on.
@@ -172,7 +168,7 @@ def simulate_motion(
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
     simulate = rest_poses.simulate_open_loop_cached if readers else rest_poses.simulate_open_loop
-    readings, _ = simulate(motion.recording, acting, options, ticks=motion.compared_ticks)
+    readings, _ = simulate(motion.recording, acting, ticks=motion.compared_ticks)
     return rest_poses.stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
 
 

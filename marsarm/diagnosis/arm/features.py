@@ -30,6 +30,7 @@ CHANNELS: Final = (
 )
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m", "m")
 CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION, TOUCH = range(len(CHANNELS))
+MOTION_CHANNELS: Final = (CURRENT, FOLLOWING_ERROR, RESOLVER)
 
 SensorColumns = Mapping[str, NDArray[Any]]
 """Readings by field, each of shape (n, ...) with n ticks."""
@@ -90,6 +91,11 @@ class MotionFeatures:
         return max((one.span[1] for one in self.features if one.span), default=1)
 
 
+def name_channel(place: str, channel: int) -> str:
+    """Return the name of a channel with its place."""
+    return f"{place} {CHANNELS[channel]}"
+
+
 def still(recording: Recording) -> tuple[float, ...]:
     """Return the conditions of an arm at rest."""
     return (recording.temperature_C, *(0.0,) * (len(CONDITIONS) - 1))
@@ -125,7 +131,7 @@ def _segment_features(
     touch, rate_rad_s = find_touch(recording), recording.drive["setpoint_rate_rad_s"][:, j]
     last = recording.ticks if touch is None else touch - round(TOUCH_MARGIN_S * CYCLE_HZ)
     least_rad_s = CYCLE_HZ * abs(float(recording.rad_per_count[j]))
-    for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
+    for channel in MOTION_CHANNELS:
         for bin_number, (first, end) in enumerate(segment.bins()):
             is_slow = np.abs(rate_rad_s[first:end]).mean() < least_rad_s
             if end > last or (is_slow and channel != RESOLVER):

@@ -65,7 +65,7 @@ class Column:
             at = np.eye(len(source.parameters))[self.index]
             return [(source.switch_on(step * at), step) for step in steps if step]
         assert source.effect is not None
-        steps = [1.0] if source.only_place else [source.sigma, -source.sigma]
+        steps = [1.0] if source.only_channel else [source.sigma, -source.sigma]
         return [(source.effect(step), step) for step in steps]
 
 

@@ -47,6 +47,8 @@ ALL: Final = "all"
 TURNS_DEG: Final = (1.0, 5.0, 15.0)
 POSES_DEG: Final = (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)
 TRACKED_DEG: Final = tuple(start for start, _ in plans.TILTED_POSES)
+HOLD_S: Final = 30.0
+"""Rest that shows what creeps."""
 COUNT: Final = 2
 """Times that a joint goes there and back: the second time shows what the first has left behind."""
 
@@ -76,6 +78,8 @@ class PlannedMotion(Record):
     """Temperature of the arm."""
     tracked: bool
     """True if a tracker measures the turret at rest; then the motion is not compared."""
+    hold_s: Annotated[float, Field(ge=1.0, le=600.0)] = plans.SESSION_REST_S
+    """Rest before and after each way."""
 
     def describe(self) -> str:
         """Return the motion in words."""
@@ -84,7 +88,8 @@ class PlannedMotion(Record):
         seen = ", with a tracker" if self.tracked else ""
         return (
             f"{turning} by {self.turn_deg:g} deg and back {self.count} times at {self.speed_share:g} of the "
-            f"nominal speed, from ({pose}) deg, roll {self.roll_deg:g} deg, {self.temperature_C:g} degC{seen}"
+            f"nominal speed, from ({pose}) deg, roll {self.roll_deg:g} deg, {self.temperature_C:g} degC, "
+            f"at rest for {self.hold_s:g} s before and after each way{seen}"
         )
 
 
@@ -92,12 +97,15 @@ def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
     """Yield the motions of the family, of joints that turn alone; of all if no place is a joint."""
     roll_deg, names = float(np.degrees(plans.ROLL_RAD)), [one.name.lower() for one in Joint]
     moving = [one for one in names if one in places] or names
+    short, holds = (plans.SESSION_REST_S,), (plans.SESSION_REST_S, HOLD_S)
     family = [
-        *product(moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,)),
-        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (plans.SESSION_COLD_C,), (False,)),
-        *product((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,)),
+        *product(
+            moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,), short
+        ),
+        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (plans.SESSION_COLD_C,), (False,), short),
+        *product((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,), holds),
     ]
-    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked) in enumerate(family, 1):
+    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked, hold_s) in enumerate(family, 1):
         yield PlannedMotion(
             name=f"next-{number}",
             start_deg=[float(one) for one in pose],
@@ -108,6 +116,7 @@ def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
             roll_deg=roll,
             temperature_C=temperature_C,
             tracked=tracked,
+            hold_s=hold_s,
         )
 
 
@@ -124,7 +133,7 @@ def make_session(motion: PlannedMotion, params: Params) -> plans.DiagnosisSessio
     speeds = [plans.set_speed(params, one, motion.speed_share) for one in joints if motion.speed_share != 1.0]
     world, commands = World("mars", float(np.radians(motion.roll_deg))), (*speeds, *(ways * motion.count))
     return plans.DiagnosisSession(
-        motion.name, motion.name, world, motion.temperature_C, here, commands, motion.tracked
+        motion.name, motion.name, world, motion.temperature_C, here, commands, motion.tracked, motion.hold_s
     )
 
 

@@ -29,7 +29,7 @@ from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal
 from sim.effects.environment import Ambient, Numerics, StructureTemperature
 from sim.effects.gears import GearHysteresis
 from sim.effects.structure import LinkBending, LinkCreep
-from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
+from sim.loop import OpenLoopArm, scale_shift_rad
 from sim.plant import Plant
 from sim.setting import World
 from sim.tracker import turret_pose
@@ -235,7 +235,6 @@ def _plant_with(arm: ArmModel, world: World, effects: tuple[Effect, ...]) -> Pla
 def simulate_open_loop(
     recording: Recording,
     effects: Sequence[Effect],
-    options: SimulationOptions = NOISE_FREE,
     pose_ticks: frozenset[int] = frozenset(),
     ticks: int | None = None,
 ) -> tuple[list[Sensors], dict[int, Pose]]:
@@ -247,7 +246,7 @@ def simulate_open_loop(
     # temperatures follow the built-in effects, whose friction the cold changes
     built = (effect for effect in effects if effect.built_in)
     temperatures = (Ambient(recording.temperature_C), StructureTemperature(recording.structure_C))
-    arm = OpenLoopArm(recording.start, (*built, *temperatures, *effects_of_run(effects)), options)
+    arm = OpenLoopArm(recording.start, (*built, *temperatures, *effects_of_run(effects)))
     readings: list[Sensors] = []
     poses: dict[int, Pose] = {}
     for reading in arm.readings(recording.drives[:ticks]):

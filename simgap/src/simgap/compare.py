@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from simgap.residuals.residuals import (
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.result import Comparison, Limit
 from simgap.robot import Robot
-from simgap.selection.checkpoint import Meter, Progress
+from simgap.selection.checkpoint import Checkpoint, Meter, Progress, find_steps
 from simgap.selection.context import Selection, fit_together
 from simgap.selection.joint_fits import leave_out, start_fit
 from simgap.selection.selection import select_effects
@@ -53,6 +54,7 @@ def compare(
     audits: Sequence[Audit] = (),
     seed: int = 1,
     progress: Progress = lambda share, text: None,
+    cache: str | Path | None = None,
 ) -> Comparison:
     """Find what changed in a robot between two sets of logs.
 
@@ -63,6 +65,7 @@ def compare(
         audits: Audit of each set; the samples that they refuse take no part.
         seed: Seed of the folds: the same seed gives the same bits.
         progress: Called with the share that is done, from 0 to 1, and a text.
+        cache: Folder for the steps of an unfinished comparison, as in `diagnose`.
 
     Raises:
         RobotError: A set has no motion, is a copy of the other, or does not follow its commands; or the logs
@@ -86,10 +89,15 @@ def compare(
     shown, _ = choose_shown(robot, kind, known)
     base = [one for one in base_effects(robot, logs) if kind.shows(one)]
     model = tell_apart(kind.make(motions, False))
-    selection = select_differences(model, base, shown, seed, Meter(progress))
-    sure, sets, rejected = select_sure(selection, None)
-    fitted = refer_to_chosen(model, base, sure)
-    found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
+    competing = list_competing(base, shown)
+    steps = find_steps(cache, robot, motions, (), usable, (), seed)
+    with Checkpoint(steps, [*base, *competing]) as checkpoint:
+        meter = Meter(progress)
+        selection = select_effects(model, base, competing, seed=seed, meter=meter, checkpoint=checkpoint)
+        sure, sets, rejected = select_sure(selection, None)
+        fitted = refer_to_chosen(model, base, sure)
+        found = convert_errors(robot, assemble(robot, fitted, with_common_model(sure), sets, fitted))
+        limits = list_limits(sure)
     own = {(one.place, one.name) for one in list_differences(sure)}
     progress(1.0, "done")
     told = [*zip((BEFORE, AFTER), audits, strict=False)]
@@ -106,7 +114,7 @@ def compare(
             ),
             remarks=tuple(f"{prefix} {text}" for prefix, audit in told for text in tell_remarks(audit)),
         ),
-        list_limits(sure),
+        limits,
     )
 
 
@@ -174,17 +182,14 @@ def tell_apart(raw: ResidualModel) -> JoinedResiduals:
     return JoinedResiduals(parts, raw.motions)
 
 
-def select_differences(
-    model: ResidualModel, base: Sequence[Effect], shown: Sequence[Effect], seed: int, meter: Meter
-) -> Selection:
-    """Select effects that both sets have in common, and differences between the sets, beside one another.
+def list_competing(base: Sequence[Effect], shown: Sequence[Effect]) -> list[Effect]:
+    """List effects that both sets have in common, and differences between the sets, beside one another.
 
     What follows a condition is in common.
     """
     steady = [one for one in shown if not isinstance(one, Variation)]
     every = {one.key: one for one in (*steady, *base)}  # the catalogue has some of the base too
-    differences = [Difference(one.place, unbound(one)) for one in every.values()]
-    return select_effects(model, base, [*shown, *differences], seed=seed, meter=meter)
+    return [*shown, *(Difference(one.place, unbound(one)) for one in every.values())]
 
 
 def list_differences(selection: Selection) -> list[Difference]:

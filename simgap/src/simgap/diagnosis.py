@@ -24,7 +24,7 @@ from simgap.residuals.residuals import ResidualModel, refer_to
 from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Base, Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
-from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
+from simgap.selection.checkpoint import Checkpoint, Meter, Progress, find_steps
 from simgap.selection.context import Selection
 from simgap.selection.selection import select_effects
 
@@ -82,10 +82,8 @@ def diagnose(
     check_names(known)
     known = _replace_known(known, given, base_effects(robot, logs))
     parts = []
-    steps = None
-    if cache is not None and not base_only:
-        own = (*effects, *given, *changes_of(given))
-        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, held_out, usable, own, seed)}"
+    own = (*effects, *given, *changes_of(given))
+    steps = None if base_only else find_steps(cache, robot, motions, held_out, usable, own, seed)
     with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))

@@ -22,6 +22,7 @@ from simgap.common.report import print_parts
 from simgap.effects.actuation import GainError
 from simgap.loading import load
 from simgap.report.traces import choose_traces, make_traces
+from simgap.selection.checkpoint import GOES_ON
 from simgap.serial_arm.files import read_arm
 from simgap.serial_arm.model import TERMS
 
@@ -232,7 +233,7 @@ def test_an_interrupted_command_goes_on_and_prints_the_same_document(swinging, t
     whole = run_apart(swinging, tmp_path / "other")
     assert whole.returncode == 0, whole.stderr
     ended = run_apart(swinging, tmp_path, "-c", ENDING)
-    assert (ended.returncode, ended.stderr.count(diagnosis.GOES_ON)) == (128 + signal.SIGINT, 1)
+    assert (ended.returncode, ended.stderr.count(GOES_ON)) == (128 + signal.SIGINT, 1)
     assert len(steps(tmp_path)) == 1
     last = run_apart(swinging, tmp_path)
     assert json.loads(last.stdout) == json.loads(whole.stdout)

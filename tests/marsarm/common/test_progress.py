@@ -124,6 +124,16 @@ def test_the_first_hundredth_of_a_guess_tells_no_time_left():
         assert (state.left_s(2.0) is not None) == is_told
 
 
+def test_a_step_that_lasts_longer_than_all_that_a_guess_has_left_tells_no_time_left():
+    state = progress.ProgressState(0.0)
+    for share, now_s in ((0.0, 1.0), (0.9, 10.0)):
+        state.update(share, progress.GUESS, "refit", now_s)
+    assert state.left_s(10.5) == pytest.approx((0.25, 2 * 9.5 / 9.0))
+    assert state.left_s(11.5) is None
+    state.update(1.0, progress.GUESS, "done", 12.0)
+    assert state.left_s(20.0) == (0.0, 0.0)
+
+
 def test_beside_an_earlier_run_a_guessed_share_tells_what_a_counted_one_tells():
     told = []
     for total in (1.0, progress.GUESS):

@@ -1,6 +1,7 @@
 """Sensitivities, their normal equations and features, and the next motion that is chosen by them."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
+from fsw.config import CYCLE_HZ
 from marsarm.cli.app import app
 from marsarm.diagnosis import model as linear
 from marsarm.diagnosis.arm import finite_differences as steps
@@ -253,6 +255,7 @@ def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, result
         ("count = 2", "count = 0"),
         ('joint = "elbow"', 'joint = "knee"'),
         ("speed_share = 1", "speed_share = 3"),
+        ("hold_s = 1", "hold_s = 0"),
     ],
 )
 def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_its_key(tmp_path, old, new):
@@ -260,6 +263,9 @@ def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_it
     assert {one.joint for one in motions} == {"elbow", "all"}
     path.write_text(motion_text(motions[0]))
     assert read_motion(path) == motions[0]
+    path.write_text(re.sub("hold_s = .*", "", motion_text(motions[0])))  # as before motions had rests
+    assert read_motion(path) == motions[0]
+    path.write_text(motion_text(motions[0]))
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(RobotError, match=rf"next\.toml: {old.split()[0]}"):
@@ -281,11 +287,14 @@ def test_every_motion_begins_and_ends_within_the_limits_of_every_arm(arm):
         assert np.all((start >= low - 1e-9) & (start <= high + 1e-9))
 
 
-def test_the_arm_completes_a_proposed_motion():
-    arm, motion = arm_named("nominal"), next(iter(list_motions({"wrist"})))
+@pytest.mark.parametrize("hold_s", [1.0, 30.0])
+def test_the_arm_completes_a_proposed_motion_and_rests_before_it_is_measured(hold_s):
+    arm, motion = arm_named("nominal"), next(one for one in list_motions({"wrist"}) if one.hold_s == hold_s)
     session = make_session(motion, arm.params)
     cycles = [*run_session(start_session(session, arm, true_reference(arm), seed=1), session)]
-    assert sum(one.rested for one in cycles) == 1 + len(session.commands)
+    rested = [k for k, one in enumerate(cycles) if one.rested]
+    assert len(rested) == 1 + len(session.commands)
+    assert min(np.diff([-1, *rested])) >= hold_s * CYCLE_HZ
 
 
 def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path, made, campaign, results):

@@ -1,6 +1,6 @@
 """Effects within a cycle, of no size, of the surroundings of the arm, and of numerical settings."""
 
-from functools import cache
+from functools import cache, partial
 
 import mujoco
 import numpy as np
@@ -13,14 +13,20 @@ from helpers.marks import slow_but
 from sim.arms import BuiltArm, arm_named
 from sim.effects import gears
 from sim.effects.catalogue import catalogue, hypotheses
-from sim.effects.effect import EachCycle, Effect, nominal_hardware, params_with_effects
+from sim.effects.effect import (
+    EachCycle,
+    Effect,
+    apply_cycle_effects,
+    nominal_hardware,
+    params_with_effects,
+)
 from sim.effects.environment import Ambient, ContactStiffness, Numerics, Slip, SurfacePosition
 from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.frames import P_NR_M
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.plant import Plant
+from sim.plant import SETTLE_S, Plant
 from sim.setting import Surface, World
 from sim.world import build
 from tests.sim import lab
@@ -183,3 +189,21 @@ def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme):
     np.testing.assert_allclose(other.output_rad(), drawn.output_rad(), atol=2e-6)
     held = other.gear_torque_Nm()[Joint.ELEVATION]
     assert held == pytest.approx(drawn.gear_torque_Nm()[Joint.ELEVATION], rel=0.02)
+
+
+LOADS = (
+    FlexCable(Joint.ELBOW, 50.0, 0.0),
+    Counterbalance(Joint.ELBOW, -94.0, 0.0),
+    Counterbalance(Joint.WRIST, 0.0, -20.0),
+)
+
+
+@pytest.mark.parametrize("effect", LOADS, ids=str)
+def test_an_arm_with_another_load_at_a_joint_is_put_at_rest_too(effect):
+    rest_rad = []
+    for settle_s in (SETTLE_S, 4 * SETTLE_S):
+        plant, hardware = bench.build_arm(effect)
+        plant.place(lab.READY_RAD, settle_s, partial(apply_cycle_effects, plant, hardware))
+        assert np.abs(plant.data.qvel[plant.at.gear]).max() < 1e-5
+        rest_rad.append(plant.output_rad())
+    np.testing.assert_allclose(rest_rad[0], rest_rad[1], atol=1e-5)

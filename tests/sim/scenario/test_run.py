@@ -109,7 +109,6 @@ def test_a_fault_that_never_came_is_told():
 
 DEEP_M = 0.004
 """Depth to which the motors would move the tool into the rock."""
-SETTLE_S = 16.0
 
 
 @pytest.fixture(scope="module", params=[("drill", (0.0, 0.0, -1.0)), ("apxs", (-0.5, 0.1, -0.85))])
@@ -122,7 +121,7 @@ def contact(request):
     arm = configure(arm_named("nominal").params).arm
     answers = inverse_kinematics(arm, tool, target, -normal, np.zeros(3), lab.READY_RAD)
     plant = Plant(build(world).compile())
-    plant.place(answers.output_rad[:, np.flatnonzero(answers.verdict == 0)[0]], SETTLE_S)
+    plant.place(answers.output_rad[:, np.flatnonzero(answers.verdict == 0)[0]])
     return plant, tool, normal
 
 

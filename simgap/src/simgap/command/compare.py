@@ -5,6 +5,7 @@ from dataclasses import replace
 from simgap.checks.audit import audit
 from simgap.command.request import CompareRequest
 from simgap.common.errors import RobotError
+from simgap.common.files import cache_folder
 from simgap.common.options import check_options
 from simgap.common.progress import GUESS, Progress, no_progress
 from simgap.compare import AFTER, BEFORE, compare
@@ -35,6 +36,7 @@ def compare_logs(request: CompareRequest, progress: Progress = no_progress) -> C
         audits=audits,
         seed=request.seed,
         progress=lambda share, text: progress(share, GUESS, text),
+        cache=cache_folder("simgap", "steps"),
     )
     losses = (
         f"{prefix} {end_sentence(text)}"

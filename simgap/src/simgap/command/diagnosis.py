@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from simgap.arrays import Array
 from simgap.catalogue.own_effects import load_effects
@@ -18,7 +18,6 @@ from simgap.common.files import (
     digest_files,
     json_sha256,
 )
-from simgap.common.interruption import Interrupted
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import GUESS, Progress, no_progress
@@ -38,10 +37,6 @@ from simgap.robot import Robot
 if TYPE_CHECKING:  # what only poses or a patch need is loaded where it is used
     from simgap.command.poses import PoseDiagnosis
     from simgap.patch.patch import Patch
-
-
-GOES_ON: Final = "the same command goes on after its last complete step"
-"""Sentence about an interruption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,22 +99,18 @@ def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnos
     progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
     progress(0.0, 0.0, "preparing the fit")
-    try:
-        result = diagnose(
-            robot,
-            logs.fit,
-            held_out=logs.judged,
-            effects=effects,
-            start=start,
-            base_only=request.terms == "none",
-            audit=found,
-            seed=request.seed,
-            progress=lambda share, text: progress(share, GUESS, text),
-            cache=cache_folder("simgap", "steps"),
-        )
-    except Interrupted as error:
-        error.add_note(GOES_ON)
-        raise
+    result = diagnose(
+        robot,
+        logs.fit,
+        held_out=logs.judged,
+        effects=effects,
+        start=start,
+        base_only=request.terms == "none",
+        audit=found,
+        seed=request.seed,
+        progress=lambda share, text: progress(share, GUESS, text),
+        cache=cache_folder("simgap", "steps"),
+    )
     result = replace(result, remarks=(*map(end_sentence, logs.losses), *result.remarks))
     patch = None
     if request.patch is not None:

@@ -185,12 +185,12 @@ class ProgressState:
 
         The least is right if the present step ends now, the most if nothing of it is done. A guessed share
         divides and multiplies them by GUESS_SPREAD; the first STEP of it tells more of the start than of the
-        work.
+        work. A step that lasts longer than all that was left refutes the guess.
         """
         first, reached_s = self.first_share or 0.0, self.reached_s
+        if self.share >= 1.0:
+            return 0.0, 0.0
         if self.earlier is not None:
-            if self.share >= 1.0:
-                return 0.0, 0.0
             begun_s = self.first_s if first else self.started_s
             reached_s = max(reached_s, begun_s)
             left_s = self.earlier.left_s(first, self.share, reached_s - begun_s, now_s - reached_s)
@@ -200,6 +200,8 @@ class ProgressState:
         spread = GUESS_SPREAD if self.is_guess else 1.0
         rest = (1.0 - self.share) / (self.share - first)
         least_s = (reached_s - self.first_s) * rest - (now_s - reached_s)
+        if self.is_guess and least_s <= 0.0:
+            return None
         return max(least_s, 0.0) / spread, (now_s - self.first_s) * rest * spread
 
     def left_text(self, now_s: float) -> str:

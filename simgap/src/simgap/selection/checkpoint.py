@@ -1,6 +1,6 @@
-"""Steps of an unfinished diagnosis in a folder, from which the same diagnosis goes on, bit for bit.
+"""Steps of an unfinished diagnosis or comparison in a folder, from which the same one goes on, bit for bit.
 
-A diagnosis is deterministic, so the k-th step of a run is the k-th step of another run with the same inputs.
+Both are deterministic, so the k-th step of a run is the k-th step of another run with the same inputs.
 A step is a file. The name of the folder is the digest of all inputs and of the code, so that steps of other
 logs, options or versions are not found. Residuals are kept as they are: to simulate them anew in another
 batch could change their last bit.
@@ -99,8 +99,10 @@ class Meter:
 
 T = TypeVar("T")
 STEPS: Final = "diagnosis-steps-"
-"""Begin of the name of the folder of a diagnosis."""
+"""Begin of the name of the folder of a diagnosis or comparison."""
 PACKAGE: Final = Path(__file__).parents[1]
+GOES_ON: Final = "the same command goes on after its last complete step"
+"""Note of an interruption."""
 EXPIRED_s: Final = 7 * 86400.0
 """Time after which steps are deleted: a user who still wants the result has repeated the command."""
 
@@ -138,6 +140,8 @@ class Checkpoint:
     ) -> None:
         if self._folder is not None and (kind is None or issubclass(kind, Exception)):
             shutil.rmtree(self._folder, ignore_errors=True)
+        elif self._folder is not None and error is not None:
+            error.add_note(GOES_ON)
 
     def step(self, meter: Meter, name: str, work: Callable[[], T]) -> T:
         """Return the result of the next step, as it was kept or by carrying it out.
@@ -233,6 +237,20 @@ def digest_code() -> str:
     for path in sorted(PACKAGE.rglob("*.py")):
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
+
+
+def find_steps(
+    cache: str | Path | None,
+    robot: Robot,
+    motions: Sequence[Motion],
+    held_out: Sequence[Motion],
+    usable: Usable | None,
+    effects: Sequence[Effect],
+    seed: int,
+) -> Path | None:
+    """Return the folder of the steps of these inputs in a cache; None if nothing is kept."""
+    digest = cache and digest_inputs(robot, motions, held_out, usable, effects, seed)
+    return Path(cache) / f"{STEPS}{digest}" if cache and digest else None
 
 
 def digest_inputs(

@@ -15,7 +15,6 @@ from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances
 from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_missing_motion, refusals
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
-    SHORT_SETTLING,
     build_case_simulator,
     build_simulator,
     resimulate,
@@ -58,9 +57,7 @@ def columns_of(name: str) -> tuple[list[steps.Column], list[int]]:
 
 
 def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
-    rest = feature_set.measure_features(campaign) - feature_set.simulate_features(
-        campaign, (), SHORT_SETTLING
-    )
+    rest = feature_set.measure_features(campaign) - feature_set.simulate_features(campaign, ())
     whitened = rest / feature_set.estimate_floor(campaign)[0]
     channels = np.array([feature.channel for feature in campaign.list_features()])
     for channel in sorted(set(channels)):
@@ -106,7 +103,7 @@ def test_motions_that_are_not_resimulated_are_extrapolated(campaign):
 def test_a_longer_link_moves_the_turret_by_as_much(campaign):
     poses = feature_set.FeatureSet((), campaign.rests)
     longer = (LinkLength(Frame.ARM3, "x", 1e-3),)
-    after, before = (feature_set.simulate_features(poses, some, SHORT_SETTLING) for some in (longer, ()))
+    after, before = (feature_set.simulate_features(poses, some) for some in (longer, ()))
     moved = after - before
     channels = np.array([feature.channel for feature in poses.list_features()])
     shift = moved[channels == features.TRANSLATION].reshape(len(poses.rests), 3, -1)
@@ -115,8 +112,8 @@ def test_a_longer_link_moves_the_turret_by_as_much(campaign):
 
 
 def test_no_tick_after_the_last_bin_influences_a_feature(touch):
-    whole = stack_readings(simulate_open_loop(touch.recording, (), SHORT_SETTLING)[0])
-    part = feature_set.simulate_motion(touch, (), SHORT_SETTLING)
+    whole = stack_readings(simulate_open_loop(touch.recording, ())[0])
+    part = feature_set.simulate_motion(touch, ())
     assert len(part["cycle"]) == touch.compared_ticks < touch.recording.ticks / 2
     of_part, of_whole = (features.evaluate_features(touch, some) for some in (part, whole))
     np.testing.assert_allclose(of_part, of_whole, rtol=1e-12, atol=0.0)
@@ -134,8 +131,8 @@ def test_what_only_reads_is_read_as_avionics_do_without_another_step(touch):
     assert not feature_set.changes_readings_only(EncoderZero(Joint.ELBOW, 1e-3))
     assert not feature_set.changes_readings_only(GearStiffness(Joint.ELBOW, 1.1))
     ticks = touch.compared_ticks
-    anew = stack_readings(simulate_open_loop(touch.recording, readers, SHORT_SETTLING, ticks=ticks)[0])
-    again, plain = (feature_set.simulate_motion(touch, some, SHORT_SETTLING) for some in (readers, ()))
+    anew = stack_readings(simulate_open_loop(touch.recording, readers, ticks=ticks)[0])
+    again, plain = (feature_set.simulate_motion(touch, some) for some in (readers, ()))
     for name, values in anew.items():
         np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
         assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))

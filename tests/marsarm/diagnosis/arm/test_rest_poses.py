@@ -11,7 +11,6 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.statics import settle_output
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses
 from marsarm.diagnosis.arm.case import compute_tool_error
-from marsarm.diagnosis.arm.case_simulator import SHORT_SETTLING
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, rests_moved_by, simulate_features
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
@@ -20,7 +19,6 @@ from sim.arms import nominal_params
 from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart
 from sim.effects.structure import LinkCreep
-from sim.loop import SimulationOptions
 from sim.plant import SCREW_AXES
 
 
@@ -55,10 +53,9 @@ def test_a_creeping_link_rests_where_the_plant_does(features):
     at, effect = one.turning_points, LinkCreep(Frame.ARM3, "y", 2e-5)
     ticks = [at.tick[k] for k in at.rests]
     with_it, without = (
-        simulate_open_loop(at.recording, effects, SHORT_SETTLING, frozenset(ticks))[1]
-        for effects in ((effect,), ())
+        simulate_open_loop(at.recording, effects, frozenset(ticks))[1] for effects in ((effect,), ())
     )
-    after, before = (simulate_features(features, some, SHORT_SETTLING) for some in ((effect,), ()))
+    after, before = (simulate_features(features, some) for some in ((effect,), ()))
     shift = (after - before)[-3 * len(one.tracked) :].reshape(3, -1)
     for column, rest in zip(shift.T, one.tracked, strict=True):
         stepped = without[ticks[rest]].R.T @ (with_it[ticks[rest]].p - without[ticks[rest]].p)
@@ -113,9 +110,6 @@ def test_a_turn_moves_a_tool_by_its_way_from_the_axis():
     assert (found.nominal, found.base, found.noise_floor) == pytest.approx((away, with_shift, away))
 
 
-BRIEF = SimulationOptions(settle_s=1.0)
-
-
 def candidates_at_ends() -> Iterator[Any]:
     """Yield each kind of candidate at its first place, with its least and with its greatest sizes."""
     for one in {candidate.name: candidate for candidate in list_hypotheses()}.values():
@@ -127,13 +121,13 @@ def candidates_at_ends() -> Iterator[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", list(candidates_at_ends()))
 def test_the_simulator_carries_it(features, effect):
-    assert np.all(np.isfinite(simulate_features(features, (effect,), BRIEF)))
+    assert np.all(np.isfinite(simulate_features(features, (effect,))))
 
 
 def test_two_sagging_buses_leave_servos_without_power_not_with_negative_gains(features):
-    assert np.all(np.isfinite(simulate_features(features, (BusSag(5.0), BusSag(5.0)), BRIEF)))
+    assert np.all(np.isfinite(simulate_features(features, (BusSag(5.0), BusSag(5.0)))))
 
 
 def test_where_a_counter_started_before_homing_changes_nothing(features):
-    found = simulate_features(features, (CounterStart(Joint.ELBOW, 1.0),), BRIEF)
-    np.testing.assert_array_equal(found, simulate_features(features, (), BRIEF))
+    found = simulate_features(features, (CounterStart(Joint.ELBOW, 1.0),))
+    np.testing.assert_array_equal(found, simulate_features(features, ()))
