@@ -12,7 +12,7 @@ from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
-from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, digest_inputs, pack, unpack
+from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, find_steps, pack, unpack
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import find_confidence_sets
 
@@ -180,30 +180,30 @@ def test_the_digest_changes_with_every_input():
     robot, logs = planar_arm(), slow_logs(planar_arm(), count=2)
     moved = with_joint(logs, "elbow", lambda log: replace(log, command=log.position))
     used = {("motion 0", "elbow"): np.array([True, False])}
-    same = digest_inputs(planar_arm(), slow_logs(planar_arm(), count=2).motions, (), None, (), 1)
+    same = find_steps("cache", planar_arm(), slow_logs(planar_arm(), count=2).motions, (), None, (), 1)
     others = (
-        digest_inputs(planar_arm(table=True), logs.motions, (), None, (), 1),
-        digest_inputs(replace(robot, tool_site=""), logs.motions, (), None, (), 1),
-        digest_inputs(robot, moved.motions, (), None, (), 1),
-        digest_inputs(robot, logs.motions[:1], (), None, (), 1),
-        digest_inputs(robot, logs.motions[:1], logs.motions[1:], None, (), 1),
-        digest_inputs(robot, [replace(one, repeat_of="a") for one in logs.motions], (), None, (), 1),
-        digest_inputs(robot, logs.motions, (), used, (), 1),
-        digest_inputs(robot, logs.motions, (), {key: ~flags for key, flags in used.items()}, (), 1),
-        digest_inputs(robot, logs.motions, (), None, (BODY,), 1),
-        digest_inputs(robot, logs.motions, (), None, (), 2),
+        find_steps("cache", planar_arm(table=True), logs.motions, (), None, (), 1),
+        find_steps("cache", replace(robot, tool_site=""), logs.motions, (), None, (), 1),
+        find_steps("cache", robot, moved.motions, (), None, (), 1),
+        find_steps("cache", robot, logs.motions[:1], (), None, (), 1),
+        find_steps("cache", robot, logs.motions[:1], logs.motions[1:], None, (), 1),
+        find_steps("cache", robot, [replace(one, repeat_of="a") for one in logs.motions], (), None, (), 1),
+        find_steps("cache", robot, logs.motions, (), used, (), 1),
+        find_steps("cache", robot, logs.motions, (), {key: ~flags for key, flags in used.items()}, (), 1),
+        find_steps("cache", robot, logs.motions, (), None, (BODY,), 1),
+        find_steps("cache", robot, logs.motions, (), None, (), 2),
     )
-    assert digest_inputs(robot, logs.motions, (), None, (), 1) == same
+    assert find_steps("cache", robot, logs.motions, (), None, (), 1) == same
     assert len({same, *others}) == 1 + len(others)
 
 
 def test_the_digest_changes_with_the_code_and_an_effect_without_a_file_has_none(monkeypatch, tmp_path):
     kind = type("Typed", (Toy,), {"__module__": "typed"})
-    assert digest_inputs(planar_arm(), (), (), None, (kind("base", "x", np.square),), 1) is None
-    before = digest_inputs(planar_arm(), (), (), None, (), 1)
+    assert find_steps("cache", planar_arm(), (), (), None, (kind("base", "x", np.square),), 1) is None
+    before = find_steps("cache", planar_arm(), (), (), None, (), 1)
     (tmp_path / "fit.py").write_text("")
     monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
-    assert digest_inputs(planar_arm(), (), (), None, (), 1) != before
+    assert find_steps("cache", planar_arm(), (), (), None, (), 1) != before
 
 
 TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})

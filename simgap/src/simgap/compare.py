@@ -90,7 +90,7 @@ def compare(
     base = [one for one in base_effects(robot, logs) if kind.shows(one)]
     model = tell_apart(kind.make(motions, False))
     competing = list_competing(base, shown)
-    steps = find_steps(cache, robot, motions, (), usable, (), seed)
+    steps = None if cache is None else find_steps(cache, robot, motions, (), usable, (), seed)
     with Checkpoint(steps, [*base, *competing]) as checkpoint:
         meter = Meter(progress)
         selection = select_effects(model, base, competing, seed=seed, meter=meter, checkpoint=checkpoint)

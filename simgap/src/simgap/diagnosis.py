@@ -82,8 +82,10 @@ def diagnose(
     check_names(known)
     known = _replace_known(known, given, base_effects(robot, logs))
     parts = []
-    own = (*effects, *given, *changes_of(given))
-    steps = None if base_only else find_steps(cache, robot, motions, held_out, usable, own, seed)
+    steps = None
+    if cache is not None and not base_only:
+        own = (*effects, *given, *changes_of(given))
+        steps = find_steps(cache, robot, motions, held_out, usable, own, seed)
     with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))

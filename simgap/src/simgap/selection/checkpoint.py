@@ -240,7 +240,7 @@ def digest_code() -> str:
 
 
 def find_steps(
-    cache: str | Path | None,
+    cache: str | Path,
     robot: Robot,
     motions: Sequence[Motion],
     held_out: Sequence[Motion],
@@ -248,20 +248,7 @@ def find_steps(
     effects: Sequence[Effect],
     seed: int,
 ) -> Path | None:
-    """Return the folder of the steps of these inputs in a cache; None if nothing is kept."""
-    digest = cache and digest_inputs(robot, motions, held_out, usable, effects, seed)
-    return Path(cache) / f"{STEPS}{digest}" if cache and digest else None
-
-
-def digest_inputs(
-    robot: Robot,
-    motions: Sequence[Motion],
-    held_out: Sequence[Motion],
-    usable: Usable | None,
-    effects: Sequence[Effect],
-    seed: int,
-) -> str | None:
-    """Return the hexadecimal SHA-256 of what steps depend on; None if the code of an effect is unknown."""
+    """Return the folder of the steps of these inputs in a cache; None if the code of an effect is unknown."""
     try:
         digest = hashlib.sha256()
         digest.update(f"{len(motions)}".encode())
@@ -269,7 +256,7 @@ def digest_inputs(
             digest.update(hashlib.sha256(part).digest())
     except (OSError, TypeError):
         return None
-    return digest.hexdigest()
+    return Path(cache) / f"{STEPS}{digest.hexdigest()}"
 
 
 def _inputs(
