@@ -276,7 +276,7 @@ def test_an_arm_that_is_put_at_rest_is_where_statics_say_and_twice_the_time_chan
     late.place(motor_rad, 2 * SETTLE_S)
     np.testing.assert_allclose(late.output_rad(), soon.output_rad(), atol=4e-6)
     np.testing.assert_allclose(
-        lab.gear_rad(soon), np.clip(0.0, band.lowest_rad, band.highest_rad), atol=25e-6
+        lab.gear_rad(soon), np.clip(0.0, band.lowest_rad, band.highest_rad), atol=12e-6
     )
 
 
