@@ -19,9 +19,14 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, knows_noise, measure_distance
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
-from simgap.selection.elimination import drop_needless, left_out_gain
+from simgap.selection.elimination import (
+    drop_needless,
+    leave_known_out,
+    left_out_gain,
+    list_together,
+)
 from simgap.selection.fitting import evaluate_points
-from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
+from simgap.selection.joint_fits import MIN_MOTIONS, joints_of
 from simgap.selection.verdict import (
     ConfidenceSet,
     find_confidence_sets,
@@ -104,26 +109,30 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
+    known: dict[str, ConfidenceSet] = {}
     while True:
         if held_out is not None and (harm := find_harmful(selection, held_out)):
             effect, reason = harm
         else:
-            sets = find_confidence_sets(selection)
+            sets = find_confidence_sets(selection, known)
             idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
             if idle is None:
                 if held_out is not None:
                     sets = [readmit_rivals(selection.context, one, held_out) for one in sets]
                 return selection, sets, rejected
-            effect, reason = idle, "its 90 % interval holds 0"
+            effect, reason, known = idle, "its 90 % interval holds 0", {one.effect.key: one for one in sets}
         rejected.append(Rejected(effect.place, effect.name, reason))
+        near = list_together(selection.context, effect, selection.chosen.effects)
         selection = drop_finding(selection, effect)
+        known = {key: one for key, one in known.items() if one.effect not in near}
 
 
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
     """Refit without a finding, and without those that were needed beside it alone."""
-    context = selection.context
-    rest = leave_out(context, selection.chosen, [effect])
-    chosen, left_out, kept = drop_needless(context, rest, selection.kept)
+    context, known = selection.context, selection.left_out
+    without = {one.key: model for layer, model in known for one in layer}
+    rest = leave_known_out(context, selection.chosen, without, [effect])
+    chosen, left_out, kept = drop_needless(context, rest, selection.kept, known, [effect])
     return replace(selection, chosen=chosen, left_out=left_out, kept=kept)
 
 

@@ -251,10 +251,25 @@ def fit_joints(
     joints = [*range(len(context.model.joints))]
     if any(context.joint_of(one) == ALL_JOINTS for one in effects):
         joints = [ALL_JOINTS]
-    fits = fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    fits = fit_each(context, effects, joints, sizes, known)
     if len(fits) == 1:
-        return tuple(fits)
-    sizes = merge_sizes(context, sizes, fits)
+        return fits
+    return simulate_fits(context, merge_sizes(context, sizes, fits), fits)
+
+
+def fit_each(
+    context: Context,
+    effects: Sequence[Effect],
+    joints: Sequence[int],
+    sizes: Array,
+    known: Sequence[JointFit] = (),
+) -> tuple[JointFit, ...]:
+    """Fit base and effects of some joints, each with the others as they are."""
+    return tuple(fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit"))
+
+
+def simulate_fits(context: Context, sizes: Array, fits: Sequence[JointFit]) -> tuple[JointFit, ...]:
+    """Return fits with these sizes, (n_sizes,), of all joints, and with the residuals that they leave."""
     (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
     return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
@@ -286,13 +301,43 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Arr
 
 
 def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
-    """Refit the model without some of its effects."""
+    """Refit the model without some of its effects, at the joints that these move."""
+    columns, sizes = context.union.columns(effects), present.sizes.copy()
+    sizes[columns] = 0.0
+    rest = list_rest(present, effects)
+    if np.isin(columns, context.sharing.reaching).any() or len(present.fits) < len(context.model.joints):
+        fits = resume_step(fit_joints, context, rest, sizes, present.fits)
+        return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
+    joints = sorted({context.joint_of(one) for one in effects})
+    fits = resume_step(fit_each, context, rest, joints, sizes, present.fits)
+    left_out = resume_step(cross_validate, context, fits)
+    return put_together(context, present, rest, [(fit, left_out[fit.rows]) for fit in fits])
+
+
+def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """List the effects of a model but for some."""
     gone = {effect.key for effect in effects}
-    rest = tuple(one for one in present.effects if one.key not in gone)
-    sizes = present.sizes.copy()
-    sizes[context.union.columns(effects)] = 0.0
-    fits = resume_step(fit_joints, context, rest, sizes, present.fits)
-    return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
+    return tuple(one for one in present.effects if one.key not in gone)
+
+
+def put_together(
+    context: Context,
+    present: FittedModel,
+    effects: tuple[Effect, ...],
+    fits: Sequence[tuple[JointFit, Array]],
+) -> FittedModel:
+    """Make a model with other effects of the present one, with the fit of each joint that these change.
+
+    Args:
+        fits: Fits, each with its left-out residuals over the scale of its joint, (n_rows,).
+    """
+    sizes, left_out = present.sizes.copy(), present.left_out.copy()
+    for fit, own in fits:
+        mine = context.sharing.list_fitted(fit.joint)
+        sizes[mine], left_out[fit.rows] = fit.sizes[mine], own
+    new = {fit.joint: fit for fit, _ in fits}
+    every = [new.get(fit.joint, fit) for fit in present.fits]
+    return FittedModel(effects, sizes, simulate_fits(context, sizes, every), left_out)
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

@@ -1,6 +1,6 @@
 """Say how sure each finding is: intervals of its sizes, and what cannot be excluded in its place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
@@ -75,11 +75,18 @@ class ConfidenceSet:
     """Effects that were fitted in its place and are excluded, the one that explains most first."""
 
 
-def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
-    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause."""
-    found: dict[str, ConfidenceSet] = {}
+def find_confidence_sets(
+    selection: Selection, known: Mapping[str, ConfidenceSet] | None = None
+) -> list[ConfidenceSet]:
+    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause.
+
+    Args:
+        known: Sets of some findings, by key, which stay as they are.
+    """
+    found = dict(known or {})
     for layer, without in selection.left_out:
-        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
+        new = [effect for effect in layer if effect.key not in found]
+        sets = resume_step(find_layer_sets, selection.context, selection, without, new) if new else []
         found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
