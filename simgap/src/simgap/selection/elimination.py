@@ -82,8 +82,7 @@ def leave_known_out(
     if len(present.fits) < len(context.model.joints):
         return leave_out(context, present, layer)
     fits = [model.fits[context.joint_of(one)] for one, model in zip(layer, models, strict=True)]
-    errors = [model.left_out[fit.rows] for fit, model in zip(fits, models, strict=True)]
-    return put_together(context, present, rest, [*zip(fits, errors, strict=True)])
+    return put_together(context, present, rest, fits)
 
 
 def find_needed_together(

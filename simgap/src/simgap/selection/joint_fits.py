@@ -309,9 +309,9 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
         fits = resume_step(fit_joints, context, rest, sizes, present.fits)
         return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
     joints = sorted({context.joint_of(one) for one in effects})
-    fits = resume_step(fit_each, context, rest, joints, sizes, present.fits)
-    left_out = resume_step(cross_validate, context, fits)
-    return put_together(context, present, rest, [(fit, left_out[fit.rows]) for fit in fits])
+    return put_together(
+        context, present, rest, resume_step(fit_each, context, rest, joints, sizes, present.fits)
+    )
 
 
 def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -321,23 +321,19 @@ def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, 
 
 
 def put_together(
-    context: Context,
-    present: FittedModel,
-    effects: tuple[Effect, ...],
-    fits: Sequence[tuple[JointFit, Array]],
+    context: Context, present: FittedModel, effects: tuple[Effect, ...], fits: Sequence[JointFit]
 ) -> FittedModel:
-    """Make a model with other effects of the present one, with the fit of each joint that these change.
+    """Make a model with other effects, of whose joints some fits are given and the others are as at present.
 
-    Args:
-        fits: Fits, each with its left-out residuals over the scale of its joint, (n_rows,).
+    All joints are simulated with the new sizes of all, and so are left-out motions: two such models differ
+    by their effects alone.
     """
-    sizes, left_out = present.sizes.copy(), present.left_out.copy()
-    for fit, own in fits:
-        mine = context.sharing.list_fitted(fit.joint)
-        sizes[mine], left_out[fit.rows] = fit.sizes[mine], own
-    new = {fit.joint: fit for fit, _ in fits}
-    every = [new.get(fit.joint, fit) for fit in present.fits]
-    return FittedModel(effects, sizes, simulate_fits(context, sizes, every), left_out)
+    sizes, new = present.sizes.copy(), {fit.joint: fit for fit in fits}
+    for joint, fit in new.items():
+        mine = context.sharing.list_fitted(joint)
+        sizes[mine] = fit.sizes[mine]
+    every = simulate_fits(context, sizes, [new.get(fit.joint, fit) for fit in present.fits])
+    return FittedModel(effects, sizes, every, resume_step(cross_validate, context, every))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
