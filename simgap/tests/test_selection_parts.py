@@ -20,7 +20,7 @@ from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
 from simgap.selection.fit import Union, gather_residuals
-from simgap.selection.joint_fits import fit_base, fit_joints
+from simgap.selection.joint_fits import fit_base, fit_joints, leave_out
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import ALL_JOINTS, find_sharing
 
@@ -207,6 +207,39 @@ def test_an_effect_is_not_judged_again_while_those_of_another_joint_go(monkeypat
     assert len(found.chosen.effects) == 3
     assert [one.key for one in left.effects] == ["far: square"] == [layer[0].key for layer, _ in left_out]
     assert judged.count("far: square") == 1
+
+
+def test_after_a_finding_goes_all_others_are_judged_as_if_all_joints_were_fitted_again():
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    context, (gone, *_) = found.context, found.chosen.effects
+    models, left, _ = elimination.drop_needless(context, found.chosen, found.kept, found.left_out, [gone])
+    afresh, again, _ = elimination.drop_needless(context, leave_out(context, found.chosen, [gone]))
+    assert len(models.effects) == 2
+    pairs = [(models, afresh)]
+    pairs += [(one, other) for (layer, one), (same, other) in zip(left, again, strict=True) if layer == same]
+    assert len(pairs) == 1 + len(left)
+    for one, other in pairs:
+        assert one.effects == other.effects
+        np.testing.assert_allclose(one.sizes, other.sizes, atol=1e-4)
+        np.testing.assert_allclose(one.left_out, other.left_out, atol=1e-2)
+
+
+def test_a_withdrawal_keeps_the_sets_of_findings_that_it_does_not_touch(monkeypatch):
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    fitted, find_layer_sets = [], verdict.find_layer_sets
+
+    def count(context, selection, without, layer):
+        fitted.extend(one.key for one in layer)
+        return find_layer_sets(context, selection, without, layer)
+
+    monkeypatch.setattr(verdict, "find_layer_sets", count)
+    monkeypatch.setattr(assemble, "may_be_none", lambda _, effect, sets: effect.key == "near: step")
+    sure, sets, _ = assemble.select_sure(found, None)
+    assert {one.effect.key for one in sets} == {"near: sine", "far: square"}
+    assert len(sure.chosen.effects) == 2
+    assert [fitted.count(key) for key in truth] == [2, 1, 1]
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):

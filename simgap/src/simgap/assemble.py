@@ -19,12 +19,7 @@ from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, R
 from simgap.robot import Robot
 from simgap.selection.acceptance import MAX_WORSE, knows_noise, measure_distance
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
-from simgap.selection.elimination import (
-    drop_needless,
-    leave_known_out,
-    left_out_gain,
-    list_together,
-)
+from simgap.selection.elimination import drop_needless, left_out_gain, list_together
 from simgap.selection.fitting import evaluate_points
 from simgap.selection.joint_fits import MIN_MOTIONS, joints_of
 from simgap.selection.verdict import (
@@ -129,10 +124,8 @@ def select_sure(
 
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
     """Refit without a finding, and without those that were needed beside it alone."""
-    context, known = selection.context, selection.left_out
-    without = {one.key: model for layer, model in known for one in layer}
-    rest = leave_known_out(context, selection.chosen, without, [effect])
-    chosen, left_out, kept = drop_needless(context, rest, selection.kept, known, [effect])
+    parts = selection.context, selection.chosen, selection.kept, selection.left_out
+    chosen, left_out, kept = drop_needless(*parts, [effect])
     return replace(selection, chosen=chosen, left_out=left_out, kept=kept)
 
 

@@ -45,11 +45,13 @@ def drop_needless(
     Return also each effect left out, and the keys of what is kept.
 
     Args:
-        known: Each effect left out of an earlier model; none if all are to be judged.
-        gone: Effects of that model that the present one lacks.
+        known: Each effect of the present model left out of it, where all were judged before.
+        gone: Effects that are left out first, whatever motions say.
     """
-    whole, changed = present, gone if known else present.effects
     without = {effect.key: model for layer, model in known for effect in layer}
+    if gone:
+        present = leave_known_out(context, present, without, gone)
+    whole, changed = present, gone or present.effects
     while changed:
         near = [one for effect in changed for one in list_together(context, effect, whole.effects)]
         judged = [one for one in present.effects if one in near]
