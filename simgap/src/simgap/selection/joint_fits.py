@@ -304,14 +304,14 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
     """Refit the model without some of its effects, at the joints that these move."""
     columns, sizes = context.union.columns(effects), present.sizes.copy()
     sizes[columns] = 0.0
-    rest = list_rest(present, effects)
-    if np.isin(columns, context.sharing.reaching).any() or len(present.fits) < len(context.model.joints):
+    rest, n_joints = list_rest(present, effects), len(context.model.joints)
+    joints = sorted({context.joint_of(one) for one in effects})
+    is_far = np.isin(columns, context.sharing.reaching).any() or len(present.fits) < n_joints
+    if is_far or len(joints) == n_joints:
         fits = resume_step(fit_joints, context, rest, sizes, present.fits)
         return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
-    joints = sorted({context.joint_of(one) for one in effects})
-    return put_together(
-        context, present, rest, resume_step(fit_each, context, rest, joints, sizes, present.fits)
-    )
+    fits = resume_step(fit_each, context, rest, joints, sizes, present.fits)
+    return put_together(context, present, rest, fits)
 
 
 def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, ...]:
