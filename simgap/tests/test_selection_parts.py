@@ -213,7 +213,7 @@ def test_after_a_finding_goes_all_others_are_judged_as_if_all_joints_were_fitted
     truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
     found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
     context, (gone, *_) = found.context, found.chosen.effects
-    models, left, _ = elimination.drop_needless(context, found.chosen, found.kept, found.left_out, [gone])
+    models, left, _ = elimination.drop_needless(context, found.chosen, found.kept, found.left_out, gone)
     afresh, again, _ = elimination.drop_needless(context, leave_out(context, found.chosen, [gone]))
     assert len(models.effects) == 2
     pairs = [(models, afresh)]
@@ -230,9 +230,9 @@ def test_a_withdrawal_keeps_the_sets_of_findings_that_it_does_not_touch(monkeypa
     found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
     fitted, find_layer_sets = [], verdict.find_layer_sets
 
-    def count(context, selection, without, layer):
-        fitted.extend(one.key for one in layer)
-        return find_layer_sets(context, selection, without, layer)
+    def count(context, selection, without, layer, wanted):
+        fitted.extend(one.key for one in wanted)
+        return find_layer_sets(context, selection, without, layer, wanted)
 
     monkeypatch.setattr(verdict, "find_layer_sets", count)
     monkeypatch.setattr(assemble, "may_be_none", lambda _, effect, sets: effect.key == "near: step")

@@ -20,6 +20,7 @@ from simgap.selection.joint_fits import (
     leave_out,
     list_layers,
     list_rest,
+    move_others,
     put_together,
 )
 from simgap.selection.screening import refit_p
@@ -31,7 +32,7 @@ def drop_needless(
     present: FittedModel,
     kept: frozenset[str] = frozenset(),
     known: LeftOut = (),
-    gone: Sequence[Effect] = (),
+    gone: Effect | None = None,
 ) -> tuple[FittedModel, LeftOut, frozenset[str]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
@@ -45,13 +46,14 @@ def drop_needless(
     Return also each effect left out, and the keys of what is kept.
 
     Args:
-        known: Each effect of the present model left out of it, where all were judged before.
-        gone: Effects that are left out first, whatever motions say.
+        known: Each effect of the present model left out of it, if all were judged before.
+        gone: Effect that is left out first, whatever motions say; then only what it moves is judged again.
     """
     without = {effect.key: model for layer, model in known for effect in layer}
-    if gone:
-        present = leave_known_out(context, present, without, gone)
-    whole, changed = present, gone or present.effects
+    changed = present.effects
+    if gone is not None:
+        present, changed = leave_known_out(context, present, without, [gone]), (gone,)
+    whole = present
     while changed:
         near = [one for effect in changed for one in list_together(context, effect, whole.effects)]
         judged = [one for one in present.effects if one in near]
@@ -74,16 +76,20 @@ def drop_needless(
 def leave_known_out(
     context: Context, present: FittedModel, without: Mapping[str, FittedModel], layer: Sequence[Effect]
 ) -> FittedModel:
-    """Leave effects out together, as they were left out before: the model without each, by its key.
+    """Leave separate effects out together, with what is known of the model without each.
 
-    Other joints may have changed since: then each joint is as it was fitted without its effect.
+    Where other joints have changed since, the joint of each effect has the fit that it had without it.
+
+    Args:
+        without: Models without an effect, by its key; it may lack other, separate ones too.
     """
     models, rest = [without[one.key] for one in layer], list_rest(present, layer)
     if models[0].effects == rest:
         return models[0]
-    if len(present.fits) < len(context.model.joints):
+    joints = [context.joint_of(one) for one in layer]
+    if move_others(context, present, joints):
         return leave_out(context, present, layer)
-    fits = [model.fits[context.joint_of(one)] for one, model in zip(layer, models, strict=True)]
+    fits = [model.fits[joint] for model, joint in zip(models, joints, strict=True)]
     return put_together(context, present, rest, fits)
 
 

@@ -301,17 +301,23 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Arr
 
 
 def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
-    """Refit the model without some of its effects, at the joints that these move."""
-    columns, sizes = context.union.columns(effects), present.sizes.copy()
-    sizes[columns] = 0.0
-    rest, n_joints = list_rest(present, effects), len(context.model.joints)
+    """Refit the model without some of its effects, at their joints; at all if a size there moves another."""
+    sizes, rest = present.sizes.copy(), list_rest(present, effects)
+    sizes[context.union.columns(effects)] = 0.0
     joints = sorted({context.joint_of(one) for one in effects})
-    is_far = np.isin(columns, context.sharing.reaching).any() or len(present.fits) < n_joints
-    if is_far or len(joints) == n_joints:
+    if len(joints) == len(context.model.joints) or move_others(context, present, joints):
         fits = resume_step(fit_joints, context, rest, sizes, present.fits)
         return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
     fits = resume_step(fit_each, context, rest, joints, sizes, present.fits)
     return put_together(context, present, rest, fits)
+
+
+def move_others(context: Context, present: FittedModel, joints: Sequence[int]) -> bool:
+    """Return whether a size of the present model that is fitted at some joints moves another joint."""
+    columns = context.union.columns([*context.base, *present.effects])
+    columns = columns[np.isin(context.sharing.joint_of_column[columns], joints)]
+    is_one_fit = len(present.fits) < len(context.model.joints)
+    return is_one_fit or bool(np.isin(columns, context.sharing.reaching).any())
 
 
 def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -323,10 +329,10 @@ def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, 
 def put_together(
     context: Context, present: FittedModel, effects: tuple[Effect, ...], fits: Sequence[JointFit]
 ) -> FittedModel:
-    """Make a model with other effects, of whose joints some fits are given and the others are as at present.
+    """Make a model with other effects from new fits of some joints; other joints keep their present fits.
 
-    All joints are simulated with the new sizes of all, and so are left-out motions: two such models differ
-    by their effects alone.
+    All joints are simulated with the sizes of all, and so are left-out motions. So a comparison with the
+    present model shows what the new fits change.
     """
     sizes, new = present.sizes.copy(), {fit.joint: fit for fit in fits}
     for joint, fit in new.items():
