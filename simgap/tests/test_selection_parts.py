@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -225,9 +226,14 @@ def test_after_a_finding_goes_all_others_are_judged_as_if_all_joints_were_fitted
         np.testing.assert_allclose(one.left_out, other.left_out, atol=1e-2)
 
 
-def test_a_withdrawal_keeps_the_sets_of_findings_that_it_does_not_touch(monkeypatch):
+@pytest.mark.parametrize(
+    ("rivals", "counts"), [((), [2, 1, 1]), ((Toy("base", "square", np.square),), [2, 1, 2])]
+)
+def test_a_withdrawal_keeps_sets_that_it_does_not_touch_and_that_have_no_rival_at_all_joints(
+    monkeypatch, rivals, counts
+):
     truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
-    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    found = select_effects(draw_toy(1, truth), BASE, (*CATALOGUE, *rivals), seed=1)
     fitted, find_layer_sets = [], verdict.find_layer_sets
 
     def count(context, selection, without, layer, wanted):
@@ -239,7 +245,44 @@ def test_a_withdrawal_keeps_the_sets_of_findings_that_it_does_not_touch(monkeypa
     sure, sets, _ = assemble.select_sure(found, None)
     assert {one.effect.key for one in sets} == {"near: sine", "far: square"}
     assert len(sure.chosen.effects) == 2
-    assert [fitted.count(key) for key in truth] == [2, 1, 1]
+    assert [fitted.count(key) for key in truth] == counts
+
+
+class Reaching(ToyResiduals):
+    """Some sizes at the first of three joints move the second too, whose gain moves the first."""
+
+    movers: ClassVar[tuple[str, ...]] = ()
+
+    def residuals(self, effects, sizes):
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        for k, effect in enumerate(effects):
+            if effect.key in self.movers:
+                rows[:, 1] -= 0.4 * sizes[:, k, None, None] * effect.shape(self.commands[0])
+            if effect.place == "b":
+                rows[:, 0] -= 0.4 * sizes[:, k, None, None] * effect.shape(self.commands[1])
+        return rows.reshape(len(rows), -1)
+
+
+@pytest.mark.parametrize("movers", [("a: gain",), ("a: sine",)])
+def test_a_joint_that_a_finding_or_its_joint_moves_is_fitted_again_when_the_finding_goes(movers, monkeypatch):
+    monkeypatch.setattr(Reaching, "movers", movers)
+    rng, names = np.random.default_rng(1), ("a", "b", "c")
+    commands = rng.uniform(0.0, 1.0, (3, 10, 200))
+    commands[1] = 0.6 * commands[0] + 0.4 * commands[1]
+    commands[:, -1] = commands[:, -2]
+    base = tuple(Toy(name, "gain", lambda x: x, 3.0) for name in names)
+    effects = Toy("a", "sine", lambda x: np.sin(9.0 * x)), Toy("c", "square", np.square)
+    union = (*base, *effects)
+    truth = np.array([[0.3, 0.3, 0.3, 0.2, 0.1]])
+    noise = 0.02 * rng.standard_normal(commands.shape)
+    moved = -Reaching(commands, noise, names).residuals(union, truth).reshape(commands.shape)
+    found = select_effects(Reaching(commands, moved, names), base, effects, seed=1)
+    context, chosen = found.context, found.chosen
+    assert [one.key for one in chosen.effects] == ["a: sine", "c: square"]
+    sizes = chosen.sizes * (np.arange(5) != 3)
+    (_, afresh, _) = fit_joints(context, effects[1:], sizes, chosen.fits)
+    left = assemble.drop_finding(found, effects[0]).chosen
+    assert left.sizes[1] == afresh.sizes[1] != chosen.sizes[1]
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):
