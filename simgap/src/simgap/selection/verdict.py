@@ -117,7 +117,9 @@ def find_layer_sets(
     known = {effect.key for effect in (*layer, *without.effects)}
     every = [one for effect in wanted for one in selection.competitors[effect.key]]
     scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
-    fitting = start_fitting(context, (start_competitor(context, without, score) for score in scores), "refit")
+    fitting = start_fitting(
+        context, (start_competitor(context, without, layer, score) for score in scores), "refit"
+    )
     residuals = gather_residuals(without.fits, context.model.joint_of.size)
     findings = [fits_at(context, selection.chosen, context.joint_of(effect))[0] for effect in layer]
     needed = min(explain_loss(context, fit, residuals) for fit in findings)
@@ -194,19 +196,19 @@ def prediction_chances(
     return chances
 
 
-def start_competitor(context: Context, without: FittedModel, score: Score) -> Hypothesis:
+def start_competitor(
+    context: Context, without: FittedModel, layer: Sequence[Effect], score: Score
+) -> Hypothesis:
     """Return the hypothesis of an effect in place of findings, with the sizes at which it was refitted.
 
-    Beside it, the other sizes of its joint are those without the findings, or those of that refit. Effects of
-    that refit which the model lacks are 0.
+    Beside it, the other sizes of its joint are those without the findings, or those of that refit.
     """
     union = context.union
     is_mine = context.sharing.list_fitted(context.joint_of(score.effect))
-    own, columns = union.columns([score.effect]), union.columns([*context.base, *without.effects])
-    refitted = np.where(is_mine & (score.start != 0.0), score.start, without.sizes)
-    starts = np.zeros((2, without.sizes.size))
-    starts[:, columns] = without.sizes[columns], refitted[columns]
-    starts[:, own] = score.start[own]
+    own, gone = union.columns([score.effect]), union.columns(layer)
+    starts = [without.sizes.copy(), np.where(is_mine & (score.start != 0.0), score.start, without.sizes)]
+    for start in starts:
+        start[gone], start[own] = 0.0, score.start[own]
     first = start_refit(context, without, replace(score, start=starts[0]))
     return replace(first, other_starts=(starts[1],))
 
