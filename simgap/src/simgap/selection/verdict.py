@@ -30,6 +30,7 @@ from simgap.selection.context import (
     simulate_models,
     start_fitting,
 )
+from simgap.selection.elimination import list_together
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
 from simgap.selection.selection import (
@@ -75,24 +76,46 @@ class ConfidenceSet:
     """Effects that were fitted in its place and are excluded, the one that explains most first."""
 
 
-def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
-    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause."""
-    found: dict[str, ConfidenceSet] = {}
+def find_confidence_sets(selection: Selection, known: Sequence[ConfidenceSet] = ()) -> list[ConfidenceSet]:
+    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause.
+
+    Args:
+        known: Sets of some findings, which stay as they are.
+    """
+    found = {one.effect.key: one for one in known}
     for layer, without in selection.left_out:
-        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
-        found |= {one.effect.key: one for one in sets}
+        wanted = [effect for effect in layer if effect.key not in found]
+        if wanted:
+            sets = resume_step(find_layer_sets, selection.context, selection, without, layer, wanted)
+            found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
 
-def find_layer_sets(
-    context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
-) -> list[ConfidenceSet]:
-    """Refit the competitors of findings that are left out together; the findings are fitted already.
+def keep_sets(selection: Selection, sets: Sequence[ConfidenceSet], effect: Effect) -> list[ConfidenceSet]:
+    """Keep the sets of findings that one which goes does not touch, and that have no rival at all joints."""
+    context = selection.context
+    near = list_together(context, effect, selection.chosen.effects)
+    return [
+        one
+        for one in sets
+        if one.effect not in near
+        and all(context.joint_of(other.effect) != ALL_JOINTS for other in (*one.alternatives, *one.excluded))
+    ]
 
-    Those that soon explain less than RIVAL_SHARE of a finding are excluded.
+
+def find_layer_sets(
+    context: Context,
+    selection: Selection,
+    without: FittedModel,
+    layer: Sequence[Effect],
+    wanted: Sequence[Effect],
+) -> list[ConfidenceSet]:
+    """Refit the competitors of wanted findings of a layer that is left out; findings are fitted already.
+
+    Those that soon explain less than RIVAL_SHARE of a finding of the layer are excluded.
     """
     known = {effect.key for effect in (*layer, *without.effects)}
-    every = [one for effect in layer for one in selection.competitors[effect.key]]
+    every = [one for effect in wanted for one in selection.competitors[effect.key]]
     scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
     fitting = start_fitting(
         context, (start_competitor(context, without, layer, score) for score in scores), "refit"
@@ -112,6 +135,7 @@ def find_layer_sets(
     return [
         find_set(context, selection, without, effect, fit, rivals)
         for effect, fit in zip(layer, findings, strict=True)
+        if effect in wanted
     ]
 
 
