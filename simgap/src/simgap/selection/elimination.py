@@ -12,10 +12,11 @@ from simgap.effects.effect import Effect
 from simgap.residuals.residuals import pseudo_huber
 from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
-from simgap.selection.context import Context, FittedModel, LeftOut, Selection
+from simgap.selection.context import Context, FittedModel, LeftOut, Selection, resume_step
 from simgap.selection.fit import JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import (
     are_separate,
+    fit_each,
     fits_at,
     leave_out,
     list_layers,
@@ -50,7 +51,7 @@ def drop_needless(
         gone: Effect that is left out first, whatever motions say; then only what it moves is judged again.
     """
     without = {effect.key: model for layer, model in known for effect in layer}
-    changed = present.effects
+    before, changed = present, present.effects
     if gone is not None:
         present, changed = leave_known_out(context, present, without, [gone]), (gone,)
     whole = present
@@ -69,7 +70,7 @@ def drop_needless(
             changed, kept = (effect,), kept | {effect.key}
         else:
             changed = ()
-    layers = list_layers(context, present.effects)
+    present, layers = refit_others(context, present, before), list_layers(context, present.effects)
     return present, tuple((one, leave_known_out(context, present, without, one)) for one in layers), kept
 
 
@@ -84,13 +85,32 @@ def leave_known_out(
         without: Models without an effect, by its key; it may lack other, separate ones too.
     """
     models, rest = [without[one.key] for one in layer], list_rest(present, layer)
-    if models[0].effects == rest:
-        return models[0]
     joints = [context.joint_of(one) for one in layer]
-    if move_others(context, present, joints):
+    moves = move_others(context, present, joints)
+    is_far = ~np.isin(context.sharing.joint_of_column, joints)
+    if models[0].effects == rest and (
+        moves or np.array_equal(models[0].sizes[is_far], present.sizes[is_far])
+    ):
+        return models[0]
+    if moves:
         return leave_out(context, present, layer)
     fits = [model.fits[joint] for model, joint in zip(models, joints, strict=True)]
     return put_together(context, present, rest, fits)
+
+
+def refit_others(context: Context, present: FittedModel, before: FittedModel) -> FittedModel:
+    """Refit the joints whose sizes are those of a model with more effects: they were fitted beside these."""
+    if present.effects == before.effects or len(present.fits) != len(before.fits):
+        return present
+    joints = [
+        fit.joint
+        for fit, old in zip(present.fits, before.fits, strict=True)
+        if np.array_equal(fit.sizes[fit.columns], old.sizes[old.columns])
+    ]
+    if not joints:
+        return present
+    fits = resume_step(fit_each, context, present.effects, joints, present.sizes, present.fits)
+    return put_together(context, present, present.effects, fits)
 
 
 def find_needed_together(
