@@ -113,7 +113,7 @@ class JointTable(Record):
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
     possible_rad: Ends | None = None
-    """Positions between which a next motion may go; absent: where the logs went. Of a slide [m]."""
+    """Positions between which a next motion may go; absent: those of the logs."""
     topic: str = ""
     """Topic of messages such as JointState, which have this joint by the name of this table: its position,
     velocity and effort (as torque) are read in SI units, where no column of the signal is named."""
