@@ -202,7 +202,7 @@ def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_ea
     proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02, 0.01)])
     assert proposal.choice.tells_apart
     assert proposal.choice.motions[0] == int(log.name)
-    assert next_lines(proposal)[0].startswith("Record 4 times: swing from ")
+    assert next_lines(proposal)[0].startswith("Record 10 times: swing from ")
     assert json.dumps(next_document(proposal), allow_nan=False)
     save_next_page(proposal, tmp_path / "next.html", None)
     text = (tmp_path / "next.html").read_text()
