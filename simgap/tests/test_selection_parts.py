@@ -15,6 +15,7 @@ from simgap import assemble
 from simgap.effects.effect import Effect, Size
 from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
+from simgap.residuals.residuals import half_loss_derivatives
 from simgap.selection import elimination, verdict
 from simgap.selection.acceptance import compare_motions, compare_with_noise, measure_distance
 from simgap.selection.checkpoint import Meter
@@ -283,6 +284,33 @@ def test_a_joint_that_a_finding_or_its_joint_moves_is_fitted_again_when_the_find
     (_, afresh, _) = fit_joints(context, effects[1:], sizes, chosen.fits)
     left = assemble.drop_finding(found, effects[0]).chosen
     assert left.sizes[1] == afresh.sizes[1] != chosen.sizes[1]
+
+
+def test_a_motion_is_predicted_as_by_fits_in_which_it_counts_less_and_less():
+    found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    fit, scale = found.chosen.fits[0], found.context.scales[0]
+    z, a, motion = fit.residuals / scale, fit.jacobian / scale, found.context.model.motion_of[fit.rows]
+    predicted = verdict.predict_each(found.context, [fit])[fit.rows]
+
+    def fit_with(weight):
+        step = np.zeros(a.shape[1])
+        for _ in range(20):
+            slope, curvature = half_loss_derivatives(z + a @ step)
+            step -= np.linalg.solve(a.T @ (a * (weight * curvature)[:, None]), a.T @ (weight * slope))
+        return step
+
+    for k in np.unique(motion):
+        own = motion == k
+        step = (fit_with(1.0 - 1e-4 * own) - fit_with(np.ones(own.size))) / 1e-4
+        np.testing.assert_allclose(predicted[own], (z + a @ step)[own], atol=2e-3)
+
+
+def test_a_motion_that_alone_shows_a_size_is_predicted_nearly_as_it_was_fitted():
+    context = select_effects(draw_toy(1, {}), BASE, CATALOGUE, seed=1).context
+    fit = fit_joints(context, (), np.zeros(len(context.union.sizes)))[0]
+    slopes = fit.jacobian * (context.model.motion_of[fit.rows] == 0)[:, None]
+    alone = verdict.predict_each(context, [replace(fit, jacobian=slopes)])[fit.rows]
+    assert np.linalg.norm(alone) < 1.1 * np.linalg.norm(fit.residuals / context.scales[0])
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):
