@@ -17,7 +17,12 @@ from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
 from simgap.residuals.residuals import half_loss_derivatives
 from simgap.selection import elimination, verdict
-from simgap.selection.acceptance import compare_motions, compare_with_noise, measure_distance
+from simgap.selection.acceptance import (
+    compare_motions,
+    compare_with_noise,
+    measure_distance,
+    predict_each,
+)
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
@@ -290,7 +295,7 @@ def test_a_motion_is_predicted_as_by_fits_in_which_it_counts_less_and_less():
     found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
     fit, scale = found.chosen.fits[0], found.context.scales[0]
     z, a, motion = fit.residuals / scale, fit.jacobian / scale, found.context.model.motion_of[fit.rows]
-    predicted = verdict.predict_each(found.context, [fit])[fit.rows]
+    predicted = predict_each(found.context, [fit])[fit.rows]
 
     def fit_with(weight):
         step = np.zeros(a.shape[1])
@@ -309,7 +314,7 @@ def test_a_motion_that_alone_shows_a_size_is_predicted_nearly_as_it_was_fitted()
     context = select_effects(draw_toy(1, {}), BASE, CATALOGUE, seed=1).context
     fit = fit_joints(context, (), np.zeros(len(context.union.sizes)))[0]
     slopes = fit.jacobian * (context.model.motion_of[fit.rows] == 0)[:, None]
-    alone = verdict.predict_each(context, [replace(fit, jacobian=slopes)])[fit.rows]
+    alone = predict_each(context, [replace(fit, jacobian=slopes)])[fit.rows]
     assert np.linalg.norm(alone) < 1.1 * np.linalg.norm(fit.residuals / context.scales[0])
 
 

@@ -17,7 +17,10 @@ from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, roo
 from simgap.selection.acceptance import (
     improvement_share,
     improvement_z,
+    invert,
+    linearise,
     measure_distance,
+    predict_each,
 )
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -195,27 +198,6 @@ def prediction_chances(
     return chances
 
 
-def predict_each(context: Context, fits: Sequence[JointFit]) -> Array:
-    """Predict the residuals of each motion without it, over their scales, (n_rows,), to first order.
-
-    This is the infinitesimal jackknife (Jaeckel 1972): its
-    step has the curvature of all motions. Without the only motion that shows a base parameter, such as one
-    without power, a whole step to the optimum of the others is an error of any size, alike for all rivals.
-    """
-    found = np.zeros(len(context.model.joint_of))
-    for fit in fits:
-        z, a, normal = _linearise(context, fit)
-        slope, _ = half_loss_derivatives(z)
-        sizes, at = context.union.sizes_at(fit.columns), fit.sizes[fit.columns]
-        free = np.flatnonzero([one.low < x < one.high for one, x in zip(sizes, at, strict=True)])
-        a, inverse = a[:, free], _invert(normal[np.ix_(free, free)])
-        motion = context.model.motion_of[fit.rows]
-        for own in (motion == k for k in np.unique(motion)):
-            z[own] += a[own] @ (inverse @ (a[own].T @ slope[own]))
-        found[fit.rows] = z
-    return found
-
-
 def start_competitor(
     context: Context, without: FittedModel, layer: Sequence[Effect], score: Score
 ) -> Hypothesis:
@@ -332,9 +314,9 @@ def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
     sizes = context.union.sizes_at(fit.columns)
     unit = np.array([size.typical for size in sizes])
     prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
-    z, a, normal = _linearise(context, fit)
+    z, a, normal = linearise(context, fit)
     slope, _ = half_loss_derivatives(z)
-    inverse = _invert(normal)
+    inverse = invert(normal)
     n = len(np.unique(context.model.motion_of[fit.rows]))
     quantile = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1))
     if context.model.noise_std:
@@ -345,20 +327,6 @@ def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
     half = quantile * unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     step = -unit * (inverse @ (a.T @ slope + prior * fit.sizes[fit.columns] / unit))
     return step, half
-
-
-def _linearise(context: Context, fit: JointFit) -> tuple[Array, Array, Array]:
-    """Return residuals over their scales, (n,), derivatives by typical sizes, and curvature with priors."""
-    weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
-    z, sizes = fit.residuals * weight, context.union.sizes_at(fit.columns)
-    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
-    a, (_, curvature) = fit.jacobian * weight[:, None] * unit, half_loss_derivatives(z)
-    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
-    return z, a, a.T @ (a * curvature[:, None]) + np.diag(prior)
-
-
-def _invert(normal: Array) -> Array:
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-12, hermitian=True))
 
 
 def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array) -> Array:
