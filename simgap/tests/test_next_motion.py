@@ -129,7 +129,8 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
 
 
 def test_a_motion_may_go_and_weigh_what_the_robot_file_calls_possible(tmp_path):
-    weight = 'column = "gain"\npossible = [4.0, 5.0]'
+    number = '{ element = "body", name = "lower", attribute = "inertial/mass" }'
+    weight = f'column = "gain"\nsets = [{number}]\npossible = [4.0, 5.0]'
     reach = 'mode = "position"\npossible_rad = [-1.5, 1.0]'
     text = ROBOT_FILE.replace('column = "gain"\n\n', f"{weight}\n\n").replace('mode = "position"', reach)
     robot = Robot.from_toml(write_robot(tmp_path, text=text))
@@ -202,7 +203,7 @@ def test_a_delay_and_a_dead_zone_are_told_apart_and_the_page_shows_a_band_for_ea
     proposal, log = propose_motion(ROBOT, LOGS, [rival(DELAY, 0.02, 1.0), rival(ZONE, 0.02, 0.01)])
     assert proposal.choice.tells_apart
     assert proposal.choice.motions[0] == int(log.name)
-    assert next_lines(proposal)[0].startswith("Record 10 times: swing from ")
+    assert next_lines(proposal)[0].startswith("Record 4 times: swing from ")
     assert json.dumps(next_document(proposal), allow_nan=False)
     save_next_page(proposal, tmp_path / "next.html", None)
     text = (tmp_path / "next.html").read_text()

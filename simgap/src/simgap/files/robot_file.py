@@ -113,7 +113,7 @@ class JointTable(Record):
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
     possible_rad: Ends | None = None
-    """Positions between which a next motion may go; absent: those of the logs."""
+    """Positions in the model between which a next motion may be commanded; absent: those of the logs."""
     topic: str = ""
     """Topic of messages such as JointState, which have this joint by the name of this table: its position,
     velocity and effort (as torque) are read in SI units, where no column of the signal is named."""
@@ -276,6 +276,8 @@ class ConditionTable(Record):
     def _check(self) -> "ConditionTable":
         if bool(self.column) == bool(self.values):
             raise ValueError("column and values: give one of the two")
+        if self.possible and not self.sets and not self.effects:
+            raise ValueError("possible: nothing follows this condition; give sets or effects, or remove it")
         names = [one.lower() for one in self.effects]
         if twice := [one for k, one in enumerate(names) if one in names[:k]]:
             raise ValueError(f"effects: {twice[0]!r} stands there twice; name it once")

@@ -37,8 +37,7 @@ def next_lines(made: Proposal) -> list[str]:
         rivals = join_words(list(made.rivals), "and")
         return [
             f"None of {len(made.motions)} motions tells {rivals} apart: what is logged would differ by less "
-            "than the noise. Log another signal, such as a torque or a second encoder, or let the robot file "
-            "allow more: possible_rad of a joint, possible of a condition such as an added mass."
+            "than the noise. Log another signal, such as a torque or a second encoder."
         ]
     powers = made.choice.powers[0]
     told = [k for k in range(len(powers)) if powers[k] >= LEAST_POWER]

@@ -187,7 +187,7 @@ def prediction_chances(
     Args:
         rows: Residuals of the joints of the finding, (n,) indices.
     """
-    if context.model.noise_std:
+    if context.model.noise_std or not fits:
         return [0.0] * len(fits)
     mine, before = (predict_each(context, one.fits) for one in (selection.chosen, without))
     chances = []
