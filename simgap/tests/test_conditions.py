@@ -161,6 +161,13 @@ def test_what_follows_a_condition_in_two_sets_is_no_change(tmp_path):
         ((SETS_MASS, '"position", attribute = "kp"'), "joints.hinge.kp_Nm_rad sets this number too"),
         (('column = "length"', 'column = "length"\neffects = ["a", "A"]'), "effects: 'a' stands there twice"),
         (('column = "length"', ""), "column and values: give one of the two"),
+        (
+            ("factor = 0.001 }]", "factor = 0.001 }]\npossible = [-1.0]"),
+            "with mass_kg = -1, mass is -0.001",
+        ),
+        (("[joints", "[conditions.day]\ncolumn = 't'\npossible = [2.0]\n[joints"), "give sets or effects"),
+        (('"position"', '"position"\npossible_rad = [-4.0, 1.0]'), "leaves the range -3 to 3 of the model"),
+        (('"position"', '"position"\npossible_rad = [1.0, 1.0]'), "write the lower position first"),
     ],
 )
 def test_a_condition_that_cannot_be_is_refused(tmp_path, change, said):

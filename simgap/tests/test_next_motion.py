@@ -128,6 +128,21 @@ def test_every_motion_stays_within_the_logs_and_begins_and_ends_at_rest():
             assert np.max(np.abs(np.diff(command))) <= 1.01 * plan.speed_rad_s * 0.01
 
 
+def test_a_motion_may_go_and_weigh_what_the_robot_file_calls_possible(tmp_path):
+    number = '{ element = "body", name = "lower", attribute = "inertial/mass" }'
+    weight = f'column = "gain"\nsets = [{number}]\npossible = [4.0, 5.0]'
+    reach = 'mode = "position"\npossible_rad = [-1.5, 1.0]'
+    text = ROBOT_FILE.replace('column = "gain"\n\n', f"{weight}\n\n").replace('mode = "position"', reach)
+    robot = Robot.from_toml(write_robot(tmp_path, text=text))
+    way = Signal(TIME_s, waves(TIME_s, 1))
+    joints = {"shoulder": JointLog(position=way, command=way), "elbow": JointLog(position=way)}
+    logs = [Motion(str(k), joints, {"shoulder": 1.0}, conditions={"gain": k}) for k in (2.0, 3.0)]
+    plans = list_plans(robot, logs, ["shoulder"], False)
+    assert {one.conditions["gain"] for one in plans} == {2.0, 3.0, 4.0, 5.0}
+    ends = [one.ends_rad for one in plans]
+    assert (min(low for low, _ in ends), max(high for _, high in ends)) == (-1.5, 1.0)
+
+
 def test_power_goes_off_in_a_motion_only_if_it_does_in_the_logs():
     off = [with_signals(one, enabled=(TIME_s < 1.0) * 1.0) for one in LOGS.fit]
     assert all(plan.off_s == np.inf for plan in list_plans(ROBOT, LOGS.fit, ["swing"], True))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -14,13 +15,19 @@ from simgap import assemble
 from simgap.effects.effect import Effect, Size
 from simgap.effects.forces import CoulombFriction, StribeckFriction
 from simgap.residuals.noise import repeat_pairs
+from simgap.residuals.residuals import half_loss_derivatives
 from simgap.selection import elimination, verdict
-from simgap.selection.acceptance import compare_motions, compare_with_noise, measure_distance
+from simgap.selection.acceptance import (
+    compare_motions,
+    compare_with_noise,
+    measure_distance,
+    predict_each,
+)
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.elimination import find_log_chance
 from simgap.selection.fit import Union, gather_residuals
-from simgap.selection.joint_fits import fit_base, fit_joints
+from simgap.selection.joint_fits import fit_base, fit_joints, leave_out
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import ALL_JOINTS, find_sharing
 
@@ -207,6 +214,108 @@ def test_an_effect_is_not_judged_again_while_those_of_another_joint_go(monkeypat
     assert len(found.chosen.effects) == 3
     assert [one.key for one in left.effects] == ["far: square"] == [layer[0].key for layer, _ in left_out]
     assert judged.count("far: square") == 1
+
+
+def test_after_a_finding_goes_all_others_are_judged_as_if_all_joints_were_fitted_again():
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, CATALOGUE, seed=1)
+    context, (gone, *_) = found.context, found.chosen.effects
+    models, left, _ = elimination.drop_needless(context, found.chosen, found.kept, found.left_out, gone)
+    afresh, again, _ = elimination.drop_needless(context, leave_out(context, found.chosen, [gone]))
+    assert len(models.effects) == 2
+    pairs = [(models, afresh)]
+    pairs += [(one, other) for (layer, one), (same, other) in zip(left, again, strict=True) if layer == same]
+    assert len(pairs) == 1 + len(left)
+    for one, other in pairs:
+        assert one.effects == other.effects
+        np.testing.assert_allclose(one.sizes, other.sizes, atol=1e-4)
+        np.testing.assert_allclose(one.left_out, other.left_out, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("rivals", "counts"), [((), [2, 1, 1]), ((Toy("base", "square", np.square),), [2, 1, 2])]
+)
+def test_a_withdrawal_keeps_sets_that_it_does_not_touch_and_that_have_no_rival_at_all_joints(
+    monkeypatch, rivals, counts
+):
+    truth = {"near: sine": 0.1, "near: step": 0.1, "far: square": 0.1}
+    found = select_effects(draw_toy(1, truth), BASE, (*CATALOGUE, *rivals), seed=1)
+    fitted, find_layer_sets = [], verdict.find_layer_sets
+
+    def count(context, selection, without, layer, wanted):
+        fitted.extend(one.key for one in wanted)
+        return find_layer_sets(context, selection, without, layer, wanted)
+
+    monkeypatch.setattr(verdict, "find_layer_sets", count)
+    monkeypatch.setattr(assemble, "may_be_none", lambda _, effect, sets: effect.key == "near: step")
+    sure, sets, _ = assemble.select_sure(found, None)
+    assert {one.effect.key for one in sets} == {"near: sine", "far: square"}
+    assert len(sure.chosen.effects) == 2
+    assert [fitted.count(key) for key in truth] == counts
+
+
+class Reaching(ToyResiduals):
+    """Some sizes at the first of three joints move the second too, whose gain moves the first."""
+
+    movers: ClassVar[tuple[str, ...]] = ()
+
+    def residuals(self, effects, sizes):
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        for k, effect in enumerate(effects):
+            if effect.key in self.movers:
+                rows[:, 1] -= 0.4 * sizes[:, k, None, None] * effect.shape(self.commands[0])
+            if effect.place == "b":
+                rows[:, 0] -= 0.4 * sizes[:, k, None, None] * effect.shape(self.commands[1])
+        return rows.reshape(len(rows), -1)
+
+
+@pytest.mark.parametrize("movers", [("a: gain",), ("a: sine",)])
+def test_a_joint_that_a_finding_or_its_joint_moves_is_fitted_again_when_the_finding_goes(movers, monkeypatch):
+    monkeypatch.setattr(Reaching, "movers", movers)
+    rng, names = np.random.default_rng(1), ("a", "b", "c")
+    commands = rng.uniform(0.0, 1.0, (3, 10, 200))
+    commands[1] = 0.6 * commands[0] + 0.4 * commands[1]
+    commands[:, -1] = commands[:, -2]
+    base = tuple(Toy(name, "gain", lambda x: x, 3.0) for name in names)
+    effects = Toy("a", "sine", lambda x: np.sin(9.0 * x)), Toy("c", "square", np.square)
+    union = (*base, *effects)
+    truth = np.array([[0.3, 0.3, 0.3, 0.2, 0.1]])
+    noise = 0.02 * rng.standard_normal(commands.shape)
+    moved = -Reaching(commands, noise, names).residuals(union, truth).reshape(commands.shape)
+    found = select_effects(Reaching(commands, moved, names), base, effects, seed=1)
+    context, chosen = found.context, found.chosen
+    assert [one.key for one in chosen.effects] == ["a: sine", "c: square"]
+    sizes = chosen.sizes * (np.arange(5) != 3)
+    (_, afresh, _) = fit_joints(context, effects[1:], sizes, chosen.fits)
+    left = assemble.drop_finding(found, effects[0]).chosen
+    assert left.sizes[1] == afresh.sizes[1] != chosen.sizes[1]
+
+
+def test_a_motion_is_predicted_as_by_fits_in_which_it_counts_less_and_less():
+    found = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    fit, scale = found.chosen.fits[0], found.context.scales[0]
+    z, a, motion = fit.residuals / scale, fit.jacobian / scale, found.context.model.motion_of[fit.rows]
+    predicted = predict_each(found.context, [fit])[fit.rows]
+
+    def fit_with(weight):
+        step = np.zeros(a.shape[1])
+        for _ in range(20):
+            slope, curvature = half_loss_derivatives(z + a @ step)
+            step -= np.linalg.solve(a.T @ (a * (weight * curvature)[:, None]), a.T @ (weight * slope))
+        return step
+
+    for k in np.unique(motion):
+        own = motion == k
+        step = (fit_with(1.0 - 1e-4 * own) - fit_with(np.ones(own.size))) / 1e-4
+        np.testing.assert_allclose(predicted[own], (z + a @ step)[own], atol=2e-3)
+
+
+def test_a_motion_that_alone_shows_a_size_is_predicted_nearly_as_it_was_fitted():
+    context = select_effects(draw_toy(1, {}), BASE, CATALOGUE, seed=1).context
+    fit = fit_joints(context, (), np.zeros(len(context.union.sizes)))[0]
+    slopes = fit.jacobian * (context.model.motion_of[fit.rows] == 0)[:, None]
+    alone = predict_each(context, [replace(fit, jacobian=slopes)])[fit.rows]
+    assert np.linalg.norm(alone) < 1.1 * np.linalg.norm(fit.residuals / context.scales[0])
 
 
 def test_what_left_out_motions_do_not_tell_apart_stays_in_the_set(monkeypatch):

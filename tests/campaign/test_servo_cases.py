@@ -12,7 +12,7 @@ from simgap.robot import Robot
 from validation.cases.robot import plan_robot_cases, write_logs
 from validation.cases.robot_draw import DrawnEffect, Truth, record_logs
 from validation.cases.robot_score import SealedCase
-from validation.cases.robot_setup import PERIOD_S, SERVOS, load_robot, sample_times, write_robot
+from validation.cases.robot_setup import ADDED, PERIOD_S, SERVOS, load_robot, sample_times, write_robot
 from validation.cases.robot_truth import Nuisances
 from validation.cases.servo import KIND_SHARES, is_settled, say_what_is_open, score_cases
 from validation.cases.servo_truth import ServoPlant
@@ -21,18 +21,22 @@ MODEL = "servo_200g_100mm"
 FRICTION = DrawnEffect("Stribeck friction", "servo", "friction", 0.02, 0.5, 4.0, ("friction",))
 
 
-def simulate(motor, start_rad, **factors):
+def simulate(motor, start_rad, added_kg=0.0, **factors):
     """Return a servo, all factors 0 but those given, and its motion with one command and one gain."""
     names = ("damping", "friction", "armature", "gain")
     ones = Nuisances(**{name: np.array([factors.get(name, 0.0)]) for name in names})
-    plant = ServoPlant(load_robot(MODEL), ones, (), 0.00025)
+    plant = ServoPlant(load_robot(MODEL), ones, (), 0.00025, added_kg)
     command = np.full((1, 301), start_rad)
     gains = np.where(np.arange(301) < 1, 400.0, motor)
     return plant, plant.simulate(command, PERIOD_S, 1, (25.0, 25.0), gains)[0]
 
 
-def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weight():
-    plant, q = simulate(0.0, 0.02, gain=100.0)
+@pytest.mark.parametrize("added_kg", [0.0, 0.1])
+def test_a_servo_without_power_and_losses_swings_with_the_period_of_its_weights(added_kg, tmp_path):
+    plant, q = simulate(0.0, 0.02, added_kg, gain=100.0)
+    model = Robot.from_toml(write_robot(tmp_path, MODEL)).under({ADDED: added_kg}).model
+    assert plant.link_kgm2 == pytest.approx(model.dof_M0[0])
+    assert plant.weight_Nm == pytest.approx(model.body_subtreemass[0] * 9.81 * 0.1)
     half_s = math.pi * math.sqrt(plant.link_kgm2 / plant.weight_Nm)
     lowest = np.argmin(q[: round(1.5 * half_s / PERIOD_S)])
     assert PERIOD_S * lowest == pytest.approx(half_s, abs=2.0 * PERIOD_S)

@@ -180,6 +180,8 @@ def write_logs(path: Path, logs: Logs) -> None:
         if enabled is not None:
             add("gain", np.full(first.size, next(iter(motion.gain.values()))))
             add("enabled", enabled.value)
+        for name, value in motion.conditions.items():
+            add(name, np.full(first.size, value))
         for joint, log in motion.joints.items():
             assert log.command is not None
             assert log.temperature is not None

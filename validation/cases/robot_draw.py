@@ -318,7 +318,8 @@ def record_logs(truth: Truth, run: int = 0) -> Logs:
             for j, joint in enumerate(campaign.robot.joints)
         }
         repeat = robot_setup.REPEATED[0] if name in robot_setup.REPEATED else ""
-        motions.append(Motion(name, joints, dict.fromkeys(joints, gain), repeat))
+        added = {} if gains is None else {robot_setup.ADDED: 0.0}
+        motions.append(Motion(name, joints, dict.fromkeys(joints, gain), repeat, conditions=added))
     return Logs(tuple(motions), robot_setup.HELD_OUT)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -37,6 +37,10 @@ from validation.cases.servo_truth import motion_gains
 
 FOLDER: Final = Path(__file__).parent / "models"
 ROBOT_FILE: Final = "robot.toml"
+ADDED: Final = "added_kg"
+"""Column of a servo with the mass of the weights that were added for a motion."""
+POSSIBLE_RAD: Final = (-1.0, 2.0)
+"""Positions between which a servo may go, twice as far apart as those of its motions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,15 @@ def write_robot(folder: Path, name: str) -> Path:
     xml = (FOLDER / f"{'servo' if arm.is_servo else name}.xml").read_text(encoding="utf-8")
     xml = xml.replace("MASS", f"{arm.mass_kg:g}").replace("LENGTH", f"{arm.length_m:g}")
     spec = mujoco.MjSpec.from_string(xml)
-    servo = {"gain_column": "gain", "enabled": {"column": "enabled", "unit": "flag"}} if arm.is_servo else {}
+    servo: dict[str, Any] = {}
+    if arm.is_servo:
+        power = {"column": "enabled", "unit": "flag"}
+        servo = {"gain_column": "gain", "enabled": power, "possible_rad": list(POSSIBLE_RAD)}
+    weights = {
+        "column": ADDED,
+        "sets": [{"element": "body", "name": "added", "attribute": "inertial/mass"}],
+        "possible": [0.1, 0.2],
+    }
     columns = ("command", "rad"), ("position", "rad"), ("temperature", "degC")
     robot = {
         "name": name,
@@ -97,6 +109,7 @@ def write_robot(folder: Path, name: str) -> Path:
         "tool_site": "tool",
         "time": {"column": "t_s", "unit": "s"},
         "motion": {"columns": ["motion"], "repeat_column": "repeat"},
+        "conditions": {ADDED: weights} if arm.is_servo else {},
         "joints": {
             drive.name: {
                 "mode": "position",

@@ -31,7 +31,7 @@ from validation.cases import robot_draw, sealed
 from validation.cases.robot import DIAGNOSIS_SEED, RobotCases, find_robot_file, to_document
 from validation.cases.robot_draw import Kind, Truth
 from validation.cases.robot_score import SealedCase, first_choice, members, pair_up, plain_place
-from validation.cases.robot_setup import PERIOD_S, SERVOS
+from validation.cases.robot_setup import ADDED, PERIOD_S, SERVOS
 from validation.cases.robot_truth import TRUE_STEP_S
 from validation.cases.sealed import CaseScore, score_bars
 from validation.cases.servo_truth import ServoPlant
@@ -221,8 +221,8 @@ def make_next(truth: Truth, planned: Motion, run: int) -> Motion:
     """Let the true servo make a motion once more, and return its log."""
     campaign = robot_draw.make_campaign(truth.seed, truth.model)
     effects = [robot_draw.make_effect(one, campaign.plan.scene) for one in truth.effects]
-    plant = robot_draw.make_plant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S)
-    assert isinstance(plant, ServoPlant)
+    added_kg = planned.conditions[ADDED]
+    plant = ServoPlant(campaign.robot, campaign.nuisances, effects, TRUE_STEP_S, added_kg)
     ((name, log),) = planned.joints.items()
     assert log.command is not None
     assert log.enabled is not None

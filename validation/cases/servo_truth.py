@@ -46,13 +46,19 @@ class ServoPlant:
     """A true servo with its weight, and effects."""
 
     def __init__(
-        self, robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect], step_s: float
+        self,
+        robot: Robot,
+        nuisances: Nuisances,
+        effects: Sequence[TrueEffect],
+        step_s: float,
+        added_kg: float = 0.0,
     ) -> None:
+        """Set the numbers of the servo, with a mass that is added at the weight."""
         self.robot, self.effects, self.step_s = robot, tuple(effects), step_s
         body, (joint,) = robot.model.body("arm"), robot.joints
         mass, self.length_m = float(body.mass[0]), -float(body.ipos[2])
-        self.link_kgm2 = mass * self.length_m**2 + float(body.inertia[1])
-        self.weight_Nm = mass * GRAVITY_m_s2 * self.length_m
+        self.link_kgm2 = (mass + added_kg) * self.length_m**2 + float(body.inertia[1])
+        self.weight_Nm = (mass + added_kg) * GRAVITY_m_s2 * self.length_m
         self.armature_kgm2 = ARMATURE_kgm2 * float(nuisances.armature[0])
         self.back_emf = BACK_EMF_Nms_rad * float(nuisances.damping[0])
         self.viscous = VISCOUS_Nms_rad * float(nuisances.damping[0])

@@ -51,7 +51,7 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     """
     check_options(request)
     logs, held_out = expand_logs(request.logs, "log"), expand_logs(request.held_out, "held-out log")
-    arm = select_arm(request.arm, None).model
+    arm = _select_drawing(request.arm)
     written = {name: getattr(request, name, None) for name in ("patch", "new_params", "out")}
     check_distinct_files({"flight parameters of these logs": logs[0].parent / PARAMS_FILE, **written})
     base = _read_params(request, logs[0].parent, arm)
@@ -82,6 +82,17 @@ def diagnose(request: LogsRequest, progress: Progress = no_progress) -> CaseDiag
     known = (*effects_of_params(params, arm.params), *patch)
     found = diagnose_case(fitted, judged, campaign, request.seed, known)
     return replace(found, params=params, digests=digests | {"parameters": digest(params)})
+
+
+def _select_drawing(name: str) -> ArmModel:
+    """Return the drawing of this name; BadRequest if the name is that of one arm with its errors."""
+    built = select_arm(name, None)
+    if built.effects:
+        raise BadRequest(
+            f"arm {shorten(name)}: logs are compared with a drawing, not with one arm; give the name of the "
+            "drawing, and what is known of the arm as --params or --effect"
+        )
+    return built.model
 
 
 def _read_params(request: LogsRequest, folder: Path, arm: ArmModel) -> Params | None:

@@ -22,7 +22,9 @@ class LogsRequest:
             "LOG",
         ),
     ] = ()
-    arm: ArmOption = "nominal"
+    arm: Annotated[str, Option("Drawing of the arm: a name, or a folder with an arm.toml.", "MODEL")] = (
+        "nominal"
+    )
     params: ParamsOption = None
     mismatch: MismatchOption = False
     catalogue: Annotated[

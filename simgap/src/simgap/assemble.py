@@ -21,11 +21,12 @@ from simgap.selection.acceptance import MAX_WORSE, knows_noise, measure_distance
 from simgap.selection.context import Context, FittedModel, Selection, simulate_models
 from simgap.selection.elimination import drop_needless, left_out_gain
 from simgap.selection.fitting import evaluate_points
-from simgap.selection.joint_fits import MIN_MOTIONS, joints_of, leave_out
+from simgap.selection.joint_fits import MIN_MOTIONS, joints_of
 from simgap.selection.verdict import (
     ConfidenceSet,
     find_confidence_sets,
     find_pushed,
+    keep_sets,
     list_members,
     readmit_rivals,
     size_intervals,
@@ -104,11 +105,12 @@ def select_sure(
         The selection without them, the confidence sets of the others, and what was withdrawn.
     """
     rejected: list[Rejected] = []
+    known: list[ConfidenceSet] = []
     while True:
         if held_out is not None and (harm := find_harmful(selection, held_out)):
             effect, reason = harm
         else:
-            sets = find_confidence_sets(selection)
+            sets = known = find_confidence_sets(selection, known)
             idle = next((one.effect for one in sets if may_be_none(selection, one.effect, sets)), None)
             if idle is None:
                 if held_out is not None:
@@ -116,14 +118,14 @@ def select_sure(
                 return selection, sets, rejected
             effect, reason = idle, "its 90 % interval holds 0"
         rejected.append(Rejected(effect.place, effect.name, reason))
+        known = keep_sets(selection, known, effect)
         selection = drop_finding(selection, effect)
 
 
 def drop_finding(selection: Selection, effect: Effect) -> Selection:
     """Refit without a finding, and without those that were needed beside it alone."""
-    context = selection.context
-    rest = leave_out(context, selection.chosen, [effect])
-    chosen, left_out, kept = drop_needless(context, rest, selection.kept)
+    context, known = selection.context, selection.left_out
+    chosen, left_out, kept = drop_needless(context, selection.chosen, selection.kept, known, gone=effect)
     return replace(selection, chosen=chosen, left_out=left_out, kept=kept)
 
 

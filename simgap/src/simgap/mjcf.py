@@ -55,6 +55,10 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
                 parent[k : k + 1] = [*included]
 
 
+NOT_NEGATIVE: Final = ("mass", "diaginertia", "armature", "damping", "frictionloss")
+"""Attributes that a condition does not set below 0."""
+
+
 def set_conditions(xml: str, file: RobotFile, values: Mapping[str, float], path: Path) -> str:
     """Return the text of a model with numbers that conditions set; RobotError if it has no place for one."""
     root = ElementTree.fromstring(xml)
@@ -72,7 +76,11 @@ def set_conditions(xml: str, file: RobotFile, values: Mapping[str, float], path:
             if first != key:
                 raise RobotError(f"{path}: {key}: {first} sets this number too; keep one of the two")
             if name in values:
-                numbers[one.index or 0] = repr(one.offset + one.factor * values[name])
+                number = one.offset + one.factor * values[name]
+                if number < 0.0 and attribute in NOT_NEGATIVE:  # MuJoCo takes it, and leaves it out
+                    where = f"{path}: {key}: with {name} = {values[name]:g}"
+                    raise RobotError(f"{where}, {attribute} is {number:g}; give a value of 0 or above")
+                numbers[one.index or 0] = repr(number)
                 element.set(attribute, " ".join(numbers))
                 is_changed = True
     return ElementTree.tostring(root, encoding="unicode") if is_changed else xml

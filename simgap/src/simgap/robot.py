@@ -213,6 +213,9 @@ def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = M
         names = [model.site(k).name for k in range(model.nsite)]
         raise RobotError(f"{path}: tool_site: {mjcf.describe_unknown('site', file.tool_site, names)}")
     period_s = round(1.0 / (file.control_rate_Hz * file.time_step_s)) * file.time_step_s
+    for name, table in file.conditions.items() if not conditions else ():
+        for value in table.possible if table.sets else ():
+            build_robot(file, path, {name: value})  # refuses what the model cannot have
     return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path, left_out)
 
 
@@ -234,6 +237,11 @@ def _find_joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path)
     is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
     if not is_slide and kind != mujoco.mjtJoint.mjJNT_HINGE:
         raise RobotError(f"{where}.joint: {in_model!r} is no hinge and no slide; only these can be diagnosed")
+    low, high = model.jnt_range[number] if model.jnt_limited[number] else (-np.inf, np.inf)
+    if table.possible_rad and not low <= table.possible_rad[0] < table.possible_rad[1] <= high:
+        raise RobotError(
+            f"{where}.possible_rad: leaves the range {low:.4g} to {high:.4g} of the model; stay within it"
+        )
     for key, quantities in table.quantities().items():
         column = getattr(table, key)
         if column is None or len(quantities) == 1 or column.at_0_rad is not None or table.is_of_topic(column):

@@ -192,6 +192,7 @@ CASES = {
     "diagnose full": "holds no .mcap file",
     "diagnose run.mcap --patch one.toml --new-params one.toml": "this is the file of patch too",
     "diagnose run.mcap": "log run.mcap",
+    "diagnose run.mcap --arm as-built:5": "logs are compared with a drawing, not with one arm",
     "diagnose run.mcap --catalogue nosuch": "is no effect that a diagnosis can identify",
     # tables
     "calibrate --data nosuch.csv": "there is no such log",

@@ -22,6 +22,7 @@ from simgap.next_motion.family import NAME
 from simgap.next_motion.proposal import Proposal, propose_motion
 from simgap.patch.text import FOUND_FILE, read_rivals
 from simgap.report.next_motion import next_lines, next_tables, save_next_files
+from simgap.report.sentences import join_words
 from simgap.robot import Robot
 from simgap.units import UNITS
 
@@ -61,13 +62,17 @@ def next_parts(made: NextMotion) -> list[str | ReportTable]:
     """Show what to record, the best motions, and what to do with the log."""
     lines = next_lines(made.proposal)
     if not made.proposal.choice.tells_apart:
-        return [*lines]
+        allow = "possible_rad of a joint, possible of a condition such as an added mass"
+        return [*lines, f"Or let the robot file allow more: {allow}."]
     split = made.robot.file.split if made.robot.file else ""
     names = f'"{NAME}-1" to "{NAME}-{made.proposal.runs}"'
     part = f" in a part of {split} that is fitted" if split else ""
+    tables = made.robot.file.conditions if made.robot.file else {}
+    listed = [f"conditions.{name}.values" for name, one in tables.items() if one.values]
+    given = f", and give their values in {join_words(listed, 'and')}" if listed else ""
     after = (
-        f"Begin each run at rest in the first row. Name the runs {names}{part}. Then diagnose the earlier "
-        "logs and those of this motion together."
+        f"Begin each run at rest in the first row. Name the runs {names}{part}{given}. Then diagnose the "
+        "earlier logs and those of this motion together."
     )
     return [*lines, *next_tables(made.proposal), after]
 

@@ -13,6 +13,7 @@ from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Ends = Annotated[list[float], Field(min_length=2, max_length=2)]
 TimeStep = Annotated[float, Field(ge=1e-6, le=0.1)]
 """Below, a second is a million steps; above, no joint of a robot is simulated stably."""
 
@@ -111,6 +112,8 @@ class JointTable(Record):
     """False if the torque constant is a guess, so that it is fitted."""
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
+    possible_rad: Ends | None = None
+    """Positions in the model between which a next motion may be commanded; absent: those of the logs."""
     topic: str = ""
     """Topic of messages such as JointState, which have this joint by the name of this table: its position,
     velocity and effort (as torque) are read in SI units, where no column of the signal is named."""
@@ -164,6 +167,8 @@ class JointTable(Record):
             if one.zero_rad and quantities is not POSITIONS:
                 said = " or ".join(quantities)
                 raise ValueError(f"{name}.zero_rad: a value of {said} has no zero angle; remove it")
+        if self.possible_rad and self.possible_rad[0] >= self.possible_rad[1]:
+            raise ValueError("possible_rad: begins at its end or above; write the lower position first")
         if self.gain_column and self.mode == "position" and self.kp_Nm_rad is None:
             raise ValueError("kp_Nm_rad: is missing; with a gain column it is the stiffness for a gain of 1")
         if self.mode == "voltage" and self.kp_Nm_rad is not None:
@@ -202,9 +207,7 @@ class MotionTable(Record):
     columns: list[Text] = Field(default_factory=list)
     """Columns whose values together name a motion; empty: each file is a motion, of a LeRobot data set each
     episode. The file `logs/slow.csv` is the motion `slow`."""
-    windows_s: dict[Text, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
-        default_factory=dict
-    )
+    windows_s: dict[Text, Ends] = Field(default_factory=dict)
     """Name of a motion -> its start and end in seconds from the start of the log, in place of columns:
     `{ chirp = [2.0, 30.0] }`; the rest of the log is left out."""
     repeat_column: str = ""
@@ -266,11 +269,15 @@ class ConditionTable(Record):
     """Effects that may act in proportion to the value less `neutral`, such as `payload`."""
     neutral: float = 0.0
     """Value at which these effects are absent."""
+    possible: list[float] = Field(default_factory=list)
+    """Values that a next motion may have too, such as masses at hand."""
 
     @model_validator(mode="after")
     def _check(self) -> "ConditionTable":
         if bool(self.column) == bool(self.values):
             raise ValueError("column and values: give one of the two")
+        if self.possible and not self.sets and not self.effects:
+            raise ValueError("possible: nothing follows this condition; give sets or effects, or remove it")
         names = [one.lower() for one in self.effects]
         if twice := [one for k, one in enumerate(names) if one in names[:k]]:
             raise ValueError(f"effects: {twice[0]!r} stands there twice; name it once")

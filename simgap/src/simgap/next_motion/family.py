@@ -100,7 +100,7 @@ def list_plans(
     names = [joint.name for joint in robot.joints]
     moving = [one for one in names if one in places] if set(places) & {*names} else names
     logged_rad = {name: _positions(motions, name) for name in names}
-    gains, given = _some([one.gain for one in motions]), _some([one.conditions for one in motions])
+    gains, given = _some([one.gain for one in motions]), _list_conditions(robot, motions)
     heats = _some([_round_temperatures(one) for one in motions])
     offs = {name: _list_offs(motions, name) if is_simulated else (np.inf,) for name in names}
     poses = POSES if len(names) > 1 else POSES[:1]
@@ -124,6 +124,14 @@ def _some(values: Sequence[Mapping[str, float]]) -> Sequence[Mapping[str, float]
     unique = {tuple(one.items()): one for one in values}
     ordered = sorted(unique.values(), key=lambda one: tuple(one.values()))
     return [ordered[k] for k in sorted({0, len(ordered) // 2, len(ordered) - 1})]
+
+
+def _list_conditions(robot: Robot, motions: Sequence[Motion]) -> Sequence[Mapping[str, float]]:
+    """Return some conditions of the logs, and one for each value that the robot file calls possible."""
+    logged = _some([one.conditions for one in motions])
+    middle, tables = logged[len(logged) // 2], robot.file.conditions if robot.file else {}
+    more = [{**middle, name: value} for name, one in tables.items() for value in one.possible]
+    return [*logged, *(one for one in more if one not in logged)]
 
 
 def _round_temperatures(motion: Motion) -> Mapping[str, float]:
@@ -160,6 +168,9 @@ def _strokes(
     known = [one for one in commands if one is not None and robot.joint(joint).mode is ControlMode.POSITION]
     if known:
         low, high = (float(find([find(one.value) for one in known])) for find in (np.min, np.max))
+    table = robot.file.joints[joint] if robot.file else None
+    if table and table.possible_rad:
+        low, high = table.possible_rad
     usual = joint_scales(robot, motions)[joint].speed_rad_s
     changes = [(np.abs(np.diff(one.value)), np.diff(one.time_s)) for one in known]
     steps = [(float(np.max(jump)), float(np.median(step_s))) for jump, step_s in changes]

@@ -98,7 +98,7 @@ def propose_motion(
     places = [one.effect.rpartition(": ")[0] for one in group]
     plans = list_plans(robot, logs.fit, places, kind.name == SimulationResiduals.kind)
     if not plans:
-        raise RobotError("no motion is possible within what the logs show; log motions of all joints")
+        raise RobotError("no motion is possible within the logs or possible_rad; log motions of all joints")
     progress(0.0, "noise of the logs")
     family = _Family(robot, logs.fit, plans, kind, _Models(group))
     predictions: list[Array] = []
@@ -238,8 +238,11 @@ class _Family:
         return parts
 
     def predict(self, some: Sequence[int]) -> list[Array]:
-        """Return what the rivals predict for some motions, (n_rivals, n) each."""
-        return self._compare(some, self._models.points)
+        """Return what the rivals predict for some motions, (n_rivals, n) each.
+
+        It is halved: a verdict compares sums of squares, which differ by T with a standard error of 2 sqrt T.
+        """
+        return [0.5 * one for one in self._compare(some, self._models.points)]
 
     def differentiate(self, some: Sequence[int]) -> list[Slopes]:
         """Return the slopes of the rivals in some motions."""

@@ -3,7 +3,7 @@
 Residuals are arrays (n,) in the unit of the model, all of them in the order of the model.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,15 +12,28 @@ from simgap.effects.effect import Effect
 from simgap.residuals.residuals import pseudo_huber
 from simgap.selection.acceptance import MIN_SHARE, MIN_Z, improvement_share, improvement_z, knows_noise
 from simgap.selection.chance import FALSE_ALARM, known_noise_log_p
-from simgap.selection.context import Context, FittedModel, LeftOut, Selection
+from simgap.selection.context import Context, FittedModel, LeftOut, Selection, resume_step
 from simgap.selection.fit import JointFit, gather_residuals, select_rows
-from simgap.selection.joint_fits import are_separate, fits_at, leave_out, list_layers
+from simgap.selection.joint_fits import (
+    are_separate,
+    fit_each,
+    fits_at,
+    leave_out,
+    list_layers,
+    list_rest,
+    move_others,
+    put_together,
+)
 from simgap.selection.screening import refit_p
 from simgap.selection.sharing import ALL_JOINTS
 
 
 def drop_needless(
-    context: Context, present: FittedModel, kept: frozenset[str] = frozenset()
+    context: Context,
+    present: FittedModel,
+    kept: frozenset[str] = frozenset(),
+    known: LeftOut = (),
+    gone: Effect | None = None,
 ) -> tuple[FittedModel, LeftOut, frozenset[str]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
@@ -32,37 +45,72 @@ def drop_needless(
     whose keys are `kept` from before do.
 
     Return also each effect left out, and the keys of what is kept.
+
+    Args:
+        known: Each effect of the present model left out of it, if all were judged before.
+        gone: Effect that is left out first, whatever motions say; then only what it moves is judged again.
     """
-    whole, changed = present, present.effects
-    judged: Sequence[Effect] = ()
-    left_out: LeftOut = ()
+    without = {effect.key: model for layer, model in known for effect in layer}
+    before, changed = present, present.effects
+    if gone is not None:
+        present, changed = leave_known_out(context, present, without, [gone]), (gone,)
+    whole = present
     while changed:
         near = [one for effect in changed for one in list_together(context, effect, whole.effects)]
         judged = [one for one in present.effects if one in near]
-        left_out = leave_each_out(context, present, judged)
-        needs = [
-            (effect, *find_need(context, present, without, [effect]))
-            for layer, without in left_out
-            for effect in layer
-        ]
+        for layer in list_layers(context, judged):
+            without |= dict.fromkeys((one.key for one in layer), leave_out(context, present, layer))
+        needs = [(one, *find_need(context, present, without[one.key], [one])) for one in judged]
         failed = sorted((one for one in needs if not one[1]), key=lambda one: one[2])
         if weak := [effect for effect, *_ in failed if effect.key not in kept]:
             changed, *_ = list_layers(context, weak)
-            known = [model for layer, model in left_out if layer == changed]
-            present = known[0] if known else leave_out(context, present, changed)
+            present = leave_known_out(context, present, without, changed)
         elif back := find_needed_together(context, whole, present):
             effect, present = back
             changed, kept = (effect,), kept | {effect.key}
         else:
             changed = ()
-    if len(judged) < len(present.effects):
-        left_out = leave_each_out(context, present, present.effects)
-    return present, left_out, kept
+    present, layers = refit_others(context, present, before), list_layers(context, present.effects)
+    return present, tuple((one, leave_known_out(context, present, without, one)) for one in layers), kept
 
 
-def leave_each_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> LeftOut:
-    """Refit the model without each of some effects; those that may be are left out together."""
-    return tuple((layer, leave_out(context, present, layer)) for layer in list_layers(context, effects))
+def leave_known_out(
+    context: Context, present: FittedModel, without: Mapping[str, FittedModel], layer: Sequence[Effect]
+) -> FittedModel:
+    """Leave separate effects out together, with what is known of the model without each.
+
+    Where other joints have changed since, the joint of each effect has the fit that it had without it.
+
+    Args:
+        without: Models without an effect, by its key; it may lack other, separate ones too.
+    """
+    models, rest = [without[one.key] for one in layer], list_rest(present, layer)
+    joints = [context.joint_of(one) for one in layer]
+    moves = move_others(context, present, joints)
+    is_far = ~np.isin(context.sharing.joint_of_column, joints)
+    if models[0].effects == rest and (
+        moves or np.array_equal(models[0].sizes[is_far], present.sizes[is_far])
+    ):
+        return models[0]
+    if moves:
+        return leave_out(context, present, layer)
+    fits = [model.fits[joint] for model, joint in zip(models, joints, strict=True)]
+    return put_together(context, present, rest, fits)
+
+
+def refit_others(context: Context, present: FittedModel, before: FittedModel) -> FittedModel:
+    """Refit the joints whose sizes are those of a model with more effects: they were fitted beside these."""
+    if present.effects == before.effects or len(present.fits) != len(before.fits):
+        return present
+    joints = [
+        fit.joint
+        for fit, old in zip(present.fits, before.fits, strict=True)
+        if np.array_equal(fit.sizes[fit.columns], old.sizes[old.columns])
+    ]
+    if not joints:
+        return present
+    fits = resume_step(fit_each, context, present.effects, joints, present.sizes, present.fits)
+    return put_together(context, present, present.effects, fits)
 
 
 def find_needed_together(

@@ -251,10 +251,25 @@ def fit_joints(
     joints = [*range(len(context.model.joints))]
     if any(context.joint_of(one) == ALL_JOINTS for one in effects):
         joints = [ALL_JOINTS]
-    fits = fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    fits = fit_each(context, effects, joints, sizes, known)
     if len(fits) == 1:
-        return tuple(fits)
-    sizes = merge_sizes(context, sizes, fits)
+        return fits
+    return simulate_fits(context, merge_sizes(context, sizes, fits), fits)
+
+
+def fit_each(
+    context: Context,
+    effects: Sequence[Effect],
+    joints: Sequence[int],
+    sizes: Array,
+    known: Sequence[JointFit] = (),
+) -> tuple[JointFit, ...]:
+    """Fit base and effects of some joints, each with the others as they are."""
+    return tuple(fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit"))
+
+
+def simulate_fits(context: Context, sizes: Array, fits: Sequence[JointFit]) -> tuple[JointFit, ...]:
+    """Return fits with these sizes, (n_sizes,), of all joints, and with the residuals that they leave."""
     (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
     return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
@@ -286,13 +301,45 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Arr
 
 
 def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
-    """Refit the model without some of its effects."""
-    gone = {effect.key for effect in effects}
-    rest = tuple(one for one in present.effects if one.key not in gone)
-    sizes = present.sizes.copy()
+    """Refit the model without some of its effects, at their joints; at all if a size there moves another."""
+    sizes, rest = present.sizes.copy(), list_rest(present, effects)
     sizes[context.union.columns(effects)] = 0.0
-    fits = resume_step(fit_joints, context, rest, sizes, present.fits)
-    return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
+    joints = sorted({context.joint_of(one) for one in effects})
+    if len(joints) == len(context.model.joints) or move_others(context, present, joints):
+        fits = resume_step(fit_joints, context, rest, sizes, present.fits)
+        return FittedModel(rest, fits[0].sizes, fits, resume_step(cross_validate, context, fits))
+    fits = resume_step(fit_each, context, rest, joints, sizes, present.fits)
+    return put_together(context, present, rest, fits)
+
+
+def move_others(context: Context, present: FittedModel, joints: Sequence[int]) -> bool:
+    """Return whether a size of the present model that is fitted at some joints moves another joint."""
+    columns = context.union.columns([*context.base, *present.effects])
+    columns = columns[np.isin(context.sharing.joint_of_column[columns], joints)]
+    is_one_fit = len(present.fits) < len(context.model.joints)
+    return is_one_fit or bool(np.isin(columns, context.sharing.reaching).any())
+
+
+def list_rest(present: FittedModel, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """List the effects of a model but for some."""
+    gone = {effect.key for effect in effects}
+    return tuple(one for one in present.effects if one.key not in gone)
+
+
+def put_together(
+    context: Context, present: FittedModel, effects: tuple[Effect, ...], fits: Sequence[JointFit]
+) -> FittedModel:
+    """Make a model with other effects from new fits of some joints; other joints keep their present fits.
+
+    All joints are simulated with the sizes of all, and so are left-out motions. So a comparison with the
+    present model shows what the new fits change.
+    """
+    sizes, new = present.sizes.copy(), {fit.joint: fit for fit in fits}
+    for joint, fit in new.items():
+        mine = context.sharing.list_fitted(joint)
+        sizes[mine] = fit.sizes[mine]
+    every = simulate_fits(context, sizes, [new.get(fit.joint, fit) for fit in present.fits])
+    return FittedModel(effects, sizes, every, resume_step(cross_validate, context, every))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

@@ -15,10 +15,12 @@ from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import ResidualModel, half_loss_derivatives, root_weight
 from simgap.selection.acceptance import (
-    cross_validate_each,
     improvement_share,
     improvement_z,
+    invert,
+    linearise,
     measure_distance,
+    predict_each,
 )
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -30,6 +32,7 @@ from simgap.selection.context import (
     simulate_models,
     start_fitting,
 )
+from simgap.selection.elimination import list_together
 from simgap.selection.fit import Hypothesis, JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
 from simgap.selection.selection import (
@@ -75,24 +78,46 @@ class ConfidenceSet:
     """Effects that were fitted in its place and are excluded, the one that explains most first."""
 
 
-def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
-    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause."""
-    found: dict[str, ConfidenceSet] = {}
+def find_confidence_sets(selection: Selection, known: Sequence[ConfidenceSet] = ()) -> list[ConfidenceSet]:
+    """Refit competitors in place of each finding, and exclude those that fit too badly to be the cause.
+
+    Args:
+        known: Sets of some findings, which stay as they are.
+    """
+    found = {one.effect.key: one for one in known}
     for layer, without in selection.left_out:
-        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
-        found |= {one.effect.key: one for one in sets}
+        wanted = [effect for effect in layer if effect.key not in found]
+        if wanted:
+            sets = resume_step(find_layer_sets, selection.context, selection, without, layer, wanted)
+            found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
 
-def find_layer_sets(
-    context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
-) -> list[ConfidenceSet]:
-    """Refit the competitors of findings that are left out together; the findings are fitted already.
+def keep_sets(selection: Selection, sets: Sequence[ConfidenceSet], effect: Effect) -> list[ConfidenceSet]:
+    """Keep the sets of findings that one which goes does not touch, and that have no rival at all joints."""
+    context = selection.context
+    near = list_together(context, effect, selection.chosen.effects)
+    return [
+        one
+        for one in sets
+        if one.effect not in near
+        and all(context.joint_of(other.effect) != ALL_JOINTS for other in (*one.alternatives, *one.excluded))
+    ]
 
-    Those that soon explain less than RIVAL_SHARE of a finding are excluded.
+
+def find_layer_sets(
+    context: Context,
+    selection: Selection,
+    without: FittedModel,
+    layer: Sequence[Effect],
+    wanted: Sequence[Effect],
+) -> list[ConfidenceSet]:
+    """Refit the competitors of wanted findings of a layer that is left out; findings are fitted already.
+
+    Those that soon explain less than RIVAL_SHARE of a finding of the layer are excluded.
     """
     known = {effect.key for effect in (*layer, *without.effects)}
-    every = [one for effect in layer for one in selection.competitors[effect.key]]
+    every = [one for effect in wanted for one in selection.competitors[effect.key]]
     scores = [*{one.effect.key: one for one in every if one.effect.key not in known}.values()]
     fitting = start_fitting(
         context, (start_competitor(context, without, layer, score) for score in scores), "refit"
@@ -112,6 +137,7 @@ def find_layer_sets(
     return [
         find_set(context, selection, without, effect, fit, rivals)
         for effect, fit in zip(layer, findings, strict=True)
+        if effect in wanted
     ]
 
 
@@ -161,14 +187,14 @@ def prediction_chances(
     Args:
         rows: Residuals of the joints of the finding, (n,) indices.
     """
-    if context.model.noise_std:
+    if context.model.noise_std or not fits:
         return [0.0] * len(fits)
+    mine, before = (predict_each(context, one.fits) for one in (selection.chosen, without))
     chances = []
-    for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
-        theirs = without.left_out.copy()
-        theirs[fit.rows] = left_out
-        z = improvement_z(context, rows, theirs[rows], selection.chosen.left_out[rows])
-        chances.append(float(norm.sf(z)))
+    for fit in fits:
+        theirs = before.copy()
+        theirs[fit.rows] = predict_each(context, [fit])[fit.rows]
+        chances.append(float(norm.sf(improvement_z(context, rows, theirs[rows], mine[rows]))))
     return chances
 
 
@@ -285,14 +311,12 @@ def find_pushed(context: Context, fit: JointFit) -> Integers:
 
 def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
     """Return the step to the optimum without bounds, and half of each interval, (n_free,) in their units."""
-    weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
-    z = fit.residuals * weight
     sizes = context.union.sizes_at(fit.columns)
-    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
-    a = fit.jacobian * weight[:, None] * unit
-    slope, curvature = half_loss_derivatives(z)
+    unit = np.array([size.typical for size in sizes])
     prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
-    inverse = np.linalg.pinv(a.T @ (a * curvature[:, None]) + np.diag(prior), rcond=1e-12, hermitian=True)
+    z, a, normal = linearise(context, fit)
+    slope, _ = half_loss_derivatives(z)
+    inverse = invert(normal)
     n = len(np.unique(context.model.motion_of[fit.rows]))
     quantile = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1))
     if context.model.noise_std:

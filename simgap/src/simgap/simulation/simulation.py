@@ -146,10 +146,16 @@ class Simulation:
         given = np.array(
             [np.pad(one.command, n, "edge") for one, n in zip(self._windows, missing, strict=True)]
         )
+        window_of = np.arange(self._n_sims) // self._n_candidates
         for j, joint in enumerate(self._robot.joints):
-            arrived = self._each(given[:, :, j])
-            for one in self._at("shape_command", j):
-                arrived = one.effect.shape_command(one.size, arrived, period_s)
+            shaping = self._at("shape_command", j)
+            # many candidates have the same sizes here
+            different = np.column_stack([window_of, *(one.size for one in shaping)])
+            _, some, of_sim = np.unique(different, axis=0, return_index=True, return_inverse=True)
+            arrived = given[window_of[some], :, j]
+            for one in shaping:
+                arrived = one.effect.shape_command(one.size[some], arrived, period_s)
+            arrived = arrived[of_sim]
             if joint.mode is ControlMode.POSITION:
                 for one in reversed(self._at("decode", j)):
                     arrived = one.effect.decode(one.size, arrived)
