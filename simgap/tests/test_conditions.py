@@ -167,7 +167,8 @@ def test_what_follows_a_condition_in_two_sets_is_no_change(tmp_path):
         ),
         (("[joints", "[conditions.day]\ncolumn = 't'\npossible = [2.0]\n[joints"), "give sets or effects"),
         (('"position"', '"position"\npossible_rad = [-4.0, 1.0]'), "leaves the range -3 to 3 of the model"),
-        (('"position"', '"position"\npossible_rad = [1.0, 1.0]'), "write the lower position first"),
+        (('"position"', '"position"\npossible_rad = [1.0, 1.0]'), "write two positions, the lower one first"),
+        (('"position"', '"position"\npossible_rad = [1.0]'), "write two positions, the lower one first"),
     ],
 )
 def test_a_condition_that_cannot_be_is_refused(tmp_path, change, said):

@@ -130,7 +130,7 @@ def _list_conditions(robot: Robot, motions: Sequence[Motion]) -> Sequence[Mappin
     """Return some conditions of the logs, and one for each value that the robot file calls possible."""
     logged = _some([one.conditions for one in motions])
     middle, tables = logged[len(logged) // 2], robot.file.conditions if robot.file else {}
-    more = [{**middle, name: value} for name, one in tables.items() for value in one.possible]
+    more = [{**middle, name: value} for name, one in tables.items() for value in dict.fromkeys(one.possible)]
     return [*logged, *(one for one in more if one not in logged)]
 
 

@@ -97,8 +97,19 @@ def keep_sets(selection: Selection, sets: Sequence[ConfidenceSet], effect: Effec
     """Keep the sets of findings that one which goes does not touch, and that have no rival at all joints."""
     context = selection.context
     near = list_together(context, effect, selection.chosen.effects)
+    gone = context.union.columns([effect])
+
+    def leave_out(one: Alternative) -> Alternative:
+        sizes = one.sizes.copy()
+        sizes[gone] = 0.0
+        return replace(one, sizes=sizes)
+
     return [
-        one
+        replace(
+            one,
+            alternatives=tuple(map(leave_out, one.alternatives)),
+            excluded=tuple(map(leave_out, one.excluded)),
+        )
         for one in sets
         if one.effect not in near
         and all(context.joint_of(other.effect) != ALL_JOINTS for other in (*one.alternatives, *one.excluded))
