@@ -13,6 +13,7 @@ from simgap.units import COUNTS, SHARES, UNITS, Quantity, find_unit
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 TimeStep = Annotated[float, Field(ge=1e-6, le=0.1)]
 """Below, a second is a million steps; above, no joint of a robot is simulated stably."""
 
@@ -166,8 +167,7 @@ class JointTable(Record):
             if one.zero_rad and quantities is not POSITIONS:
                 said = " or ".join(quantities)
                 raise ValueError(f"{name}.zero_rad: a value of {said} has no zero angle; remove it")
-        reach = self.possible_rad
-        if reach is not None and (len(reach) != 2 or reach[0] >= reach[1]):
+        if (reach := self.possible_rad) is not None and (len(reach) != 2 or reach[0] >= reach[1]):
             raise ValueError("possible_rad: write two positions, the lower one first")
         if self.gain_column and self.mode == "position" and self.kp_Nm_rad is None:
             raise ValueError("kp_Nm_rad: is missing; with a gain column it is the stiffness for a gain of 1")
@@ -207,9 +207,7 @@ class MotionTable(Record):
     columns: list[Text] = Field(default_factory=list)
     """Columns whose values together name a motion; empty: each file is a motion, of a LeRobot data set each
     episode. The file `logs/slow.csv` is the motion `slow`."""
-    windows_s: dict[Text, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(
-        default_factory=dict
-    )
+    windows_s: dict[Text, Pair] = Field(default_factory=dict)
     """Name of a motion -> its start and end in seconds from the start of the log, in place of columns:
     `{ chirp = [2.0, 30.0] }`; the rest of the log is left out."""
     repeat_column: str = ""
