@@ -91,14 +91,12 @@ def write_robot(folder: Path, name: str) -> Path:
     xml = xml.replace("MASS", f"{arm.mass_kg:g}").replace("LENGTH", f"{arm.length_m:g}")
     spec = mujoco.MjSpec.from_string(xml)
     servo: dict[str, Any] = {}
+    conditions: dict[str, Any] = {}
     if arm.is_servo:
         power = {"column": "enabled", "unit": "flag"}
         servo = {"gain_column": "gain", "enabled": power, "possible_rad": list(POSSIBLE_RAD)}
-    weights = {
-        "column": ADDED,
-        "sets": [{"element": "body", "name": "added", "attribute": "inertial/mass"}],
-        "possible": [0.1, 0.2],
-    }
+        number = {"element": "body", "name": "added", "attribute": "inertial/mass"}
+        conditions = {ADDED: {"column": ADDED, "sets": [number], "possible": [0.1, 0.2]}}
     columns = ("command", "rad"), ("position", "rad"), ("temperature", "degC")
     robot = {
         "name": name,
@@ -109,7 +107,7 @@ def write_robot(folder: Path, name: str) -> Path:
         "tool_site": "tool",
         "time": {"column": "t_s", "unit": "s"},
         "motion": {"columns": ["motion"], "repeat_column": "repeat"},
-        "conditions": {ADDED: weights} if arm.is_servo else {},
+        "conditions": conditions,
         "joints": {
             drive.name: {
                 "mode": "position",

@@ -20,6 +20,8 @@ from simgap.files.robot_file import JointTable, RobotFile, SettingTable
 
 MAX_BYTES: Final = 1 << 30
 """Largest size of a model: it may hold its meshes."""
+NOT_NEGATIVE: Final = ("mass", "diaginertia", "armature", "damping", "frictionloss")
+"""Attributes that a condition does not set below 0."""
 FILE_ATTRIBUTES: Final = {"mesh": "meshdir", "texture": "texturedir", "hfield": "meshdir", "skin": "meshdir"}
 """Elements of MJCF that name files, and the setting of the folder that they are relative to."""
 FILE_NUMBERS: Final = {"kp": "kp_Nm_rad", "kv": "kd_Nms_rad", "forcerange": "torque_limit_Nm"}
@@ -53,10 +55,6 @@ def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path
                 _, included = _read_xml(path)
                 _insert_includes(included, folder, (*within, path))
                 parent[k : k + 1] = [*included]
-
-
-NOT_NEGATIVE: Final = ("mass", "diaginertia", "armature", "damping", "frictionloss")
-"""Attributes that a condition does not set below 0."""
 
 
 def set_conditions(xml: str, file: RobotFile, values: Mapping[str, float], path: Path) -> str:

@@ -179,7 +179,11 @@ ROUNDING: Final = 1e-3
 def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = MappingProxyType({})) -> Robot:
     """Compile the model of a robot file that is, or will be, at this path; RobotError if it is wrong."""
     model_path = path.parent / file.model
-    xml = mjcf.set_conditions(mjcf.read_model_text(model_path), file, conditions, path)
+    text = mjcf.read_model_text(model_path)
+    for name, table in file.conditions.items() if not conditions else ():
+        for value in table.possible:
+            mjcf.set_conditions(text, file, {name: value}, path)  # refuses what no model has
+    xml = mjcf.set_conditions(text, file, conditions, path)
     left_out = tuple(file.left_out)
     try:
         model = mujoco.MjModel.from_xml_string(xml)
@@ -213,9 +217,6 @@ def build_robot(file: RobotFile, path: Path, conditions: Mapping[str, float] = M
         names = [model.site(k).name for k in range(model.nsite)]
         raise RobotError(f"{path}: tool_site: {mjcf.describe_unknown('site', file.tool_site, names)}")
     period_s = round(1.0 / (file.control_rate_Hz * file.time_step_s)) * file.time_step_s
-    for name, table in file.conditions.items() if not conditions else ():
-        for value in table.possible if table.sets else ():
-            build_robot(file, path, {name: value})  # refuses what the model cannot have
     return Robot(file.name, model, xml, joints, period_s, file.tool_site, file, path, left_out)
 
 

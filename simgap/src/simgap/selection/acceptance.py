@@ -298,12 +298,17 @@ def predict_each(context: Context, fits: Sequence[JointFit]) -> Array:
 
 def linearise(context: Context, fit: JointFit) -> tuple[Array, Array, Array]:
     """Return residuals over their scales, (n,), derivatives by typical sizes, and curvature with priors."""
-    weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
-    z, sizes = fit.residuals * weight, context.union.sizes_at(fit.columns)
-    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
-    a, (_, curvature) = fit.jacobian * weight[:, None] * unit, half_loss_derivatives(z)
-    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
+    weight, (unit, prior) = 1.0 / context.scales[context.model.joint_of[fit.rows]], size_units(context, fit)
+    z, a = fit.residuals * weight, fit.jacobian * weight[:, None] * unit
+    _, curvature = half_loss_derivatives(z)
     return z, a, a.T @ (a * curvature[:, None]) + np.diag(prior)
+
+
+def size_units(context: Context, fit: JointFit) -> tuple[Array, Array]:
+    """Return typical sizes, (n_free,), as units of one matrix, and the curvature of priors in these."""
+    sizes = context.union.sizes_at(fit.columns)
+    unit = np.array([size.typical for size in sizes])
+    return unit, (unit / np.array([size.prior_std for size in sizes])) ** 2
 
 
 def invert(curvature: Array) -> Array:

@@ -21,6 +21,7 @@ from simgap.selection.acceptance import (
     linearise,
     measure_distance,
     predict_each,
+    size_units,
 )
 from simgap.selection.chance import alternative_p
 from simgap.selection.context import (
@@ -322,10 +323,7 @@ def find_pushed(context: Context, fit: JointFit) -> Integers:
 
 def _estimate(context: Context, fit: JointFit) -> tuple[Array, Array]:
     """Return the step to the optimum without bounds, and half of each interval, (n_free,) in their units."""
-    sizes = context.union.sizes_at(fit.columns)
-    unit = np.array([size.typical for size in sizes])
-    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
-    z, a, normal = linearise(context, fit)
+    (unit, prior), (z, a, normal) = size_units(context, fit), linearise(context, fit)
     slope, _ = half_loss_derivatives(z)
     inverse = invert(normal)
     n = len(np.unique(context.model.motion_of[fit.rows]))
