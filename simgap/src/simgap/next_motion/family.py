@@ -1,4 +1,4 @@
-"""Family of motions of a robot: one joint goes to and fro, within what its logs have shown.
+"""Family of motions of a robot: one joint goes to and fro, within what logs and robot file allow.
 
 Parameters are joint, ends, speed or jumps, rests, pose of the other joints, gain, conditions, temperature
 and power.
