@@ -124,7 +124,8 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go():
     ("kind", "size", "torque"),
     [
         (GainError, [0.5], lambda t, q, v: 1.5 * (4.0 * (0.2 - q) - 0.1 * v)),
-        (DampingGain, [0.1], lambda t, q, v: 4.0 * (0.2 - q) - 0.2 * v),
+        (DampingGain, [-0.05], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.05 * v, -0.2, 0.2)),
+        (DampingGain, [0.1], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2, 0.2) - 0.1 * v),
         (TorqueConstant, [-0.4], lambda t, q, v: 0.6 * np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.5, 0.5)),
         (TorqueLimit, [5.0], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2, 0.2)),
         (BackEmf, [0.2], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 - 0.04 * v, 0.2 - 0.04 * v)),
@@ -132,7 +133,8 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go():
     ],
 )
 def test_a_position_loop_moves_as_the_law_says(kind, size, torque):
-    robot = level(ControlMode.POSITION, limit_Nm={TorqueConstant: 0.5, BackEmf: 0.2}.get(kind, np.inf))
+    limit_Nm = {TorqueConstant: 0.5, BackEmf: 0.2, DampingGain: 0.2}.get(kind, np.inf)
+    robot = level(ControlMode.POSITION, limit_Nm=limit_Nm)
     found = pendulum.simulated(robot, held(0.2), (pendulum.at_swing(kind, robot), size))
     assert np.abs(found - exact(torque)).max() < 3e-3
 

@@ -13,7 +13,7 @@ from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import BadOutput, RobotError
-from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
+from simgap.effects.actuation import BackEmf, DampingGain, DeadZone, GainError, LeakyIntegral
 from simgap.effects.command import (
     AccelerationLimit,
     ClampHigh,
@@ -305,7 +305,7 @@ def test_a_model_without_the_actuators_or_with_another_step_and_a_command_of_ano
 
 def test_a_loop_of_ones_own_has_the_gains_of_a_column_and_motors_without_torque(tmp_path):
     robot = lab.pendulum(limit_Nm=1.5, step_s=0.002, period_s=0.01)
-    effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1})
+    effects, sizes = made({CommandDelay: 0.0123, LoadFriction: 0.1, DampingGain: 0.05})
     command = np.repeat(lab.waves(FINE_s[::5], seed=5), 5)
     off = np.repeat(abs(FINE_s[::5] - 1.3) < 0.3, 5)
     enabled = Signal(FINE_s, np.where(off, 0.0, 1.0))

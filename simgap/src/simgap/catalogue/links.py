@@ -101,7 +101,7 @@ def _torques_with(robot: Robot, effect: Effect, scales: Mapping[str, JointScales
     """Compute torques of random motions with an effect at its typical size."""
     batch = mujoco.batch.Batch(robot.model, nsim=1, nthread=1)
     none = np.zeros((1, len(robot.joints)))
-    fields = Fields(none, none, none, none, none, none, batch)  # these effects change the model alone
+    fields = Fields(none, none, none, none, none, none, none, batch)  # these effects change the model alone
     effect.set_model(np.array([[size.typical for size in effect.sizes]]), fields, robot)
     batch.set_const()
     return _torques_Nm(batch.get_model(0), robot, scales)

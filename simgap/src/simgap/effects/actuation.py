@@ -1,6 +1,5 @@
 """Faults of a servo: of its gains and its torque."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
@@ -65,20 +64,11 @@ class DampingGain(AddedNumber):
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
         return (self.size_of("kd_Nms_rad", -self.nominal, scale, 0.05 * scale),)
 
-    def overrides(self, *hooks: str) -> bool:
-        """Return whether it acts in these hooks: in control periods only where the torque has a limit."""
-        has_limit = self.joint.mode is ControlMode.POSITION and math.isfinite(self.joint.torque_limit_Nm)
-        return AddedNumber.overrides(self, *(one for one in hooks if one != "act" or has_limit))
-
-    def act(self, size: Array, tick: Tick) -> None:
-        """Lower the limit where the motor drives, and raise it where the motor brakes.
-
-        Less than the nominal gain is no back-EMF: that gain acts inside the limit.
-        """
-        j = self.index
-        driving = np.sign(tick.command[:, j] - tick.state.q_rad[:, j]) * tick.state.v_rad_s[:, j]
-        left_Nm = tick.torque_limit_Nm[:, j] - np.maximum(size[:, 0], 0.0) * driving
-        tick.torque_limit_Nm[:, j] = np.maximum(left_Nm, 0.0)
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add back-EMF to a position loop. Less than the nominal gain is none: that acts inside the limit."""
+        is_added = (size[:, 0] > 0.0) & (self.joint.mode is ControlMode.POSITION)
+        fields.back_emf_Nms_rad[:, self.index] += np.where(is_added, size[:, 0], 0.0)
+        fields.kd_Nms_rad[:, self.index] += np.where(is_added, 0.0, size[:, 0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,6 +99,8 @@ class Fields:
     kp_Nm_rad: Array
     """(n_sims, n_joints). In the modes torque and current: torque per unit of the command."""
     kd_Nms_rad: Array
+    back_emf_Nms_rad: Array
+    """Damping that acts under power, outside the torque limit."""
     torque_limit_Nm: Array
     damping_Nms_rad: Array
     frictionloss_Nm: Array

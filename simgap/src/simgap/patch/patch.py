@@ -152,7 +152,9 @@ def make_patch(
     changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
-    left = _runtime_text(robot, runtime, rotors) if runtime or rotors else ""
+    left = ""
+    if runtime or rotors or fields.back_emf_Nms_rad.any():
+        left = _runtime_text(robot, runtime, rotors, fields.back_emf_Nms_rad[0])
     return Patch(text, left, found)
 
 
@@ -214,7 +216,7 @@ def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:
         "kp": fields.kp_Nm_rad,
         "kd": fields.kd_Nms_rad,
         "limit": np.maximum(fields.torque_limit_Nm, 0.0),
-        "damping": np.maximum(fields.damping_Nms_rad, 0.0),
+        "damping": np.maximum(fields.damping_Nms_rad, 0.0) + fields.back_emf_Nms_rad,
         "frictionloss": np.maximum(fields.frictionloss_Nm, 0.0),
         "armature": np.maximum(fields.armature_kgm2, 0.0),
     }
@@ -317,14 +319,17 @@ def _changed(robot: Robot, text: str, changes: Sequence[Change]) -> str:
     return made
 
 
-def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor]) -> str:
-    """Return the runtime file."""
+def _runtime_text(
+    robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor], back_emf_Nms_rad: Array
+) -> str:
+    """Return the runtime file; back-EMF, (n_joints,), is what damping a motor without power lacks."""
     joints = []
     for j, joint in enumerate(robot.joints):
         rotor, table = rotors.get(j), {"name": joint.name, "joint": robot.mjcf_joint(joint.name)}
         table |= {"actuator": _motor(robot, joint), "mode": joint.mode.value}
         turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
-        joints.append({**table, **turned})
+        back_emf = float(back_emf_Nms_rad[j])
+        joints.append({**table, **turned, **({"back_emf_Nms_rad": back_emf} if back_emf else {})})
     tables: dict[str, Any] = {
         "format": FORMAT,
         "model": MODEL_FILE,

@@ -30,7 +30,7 @@ from simgap.robot import ControlMode
 from simgap.simulation.compiled import HARD_IMPEDANCE
 
 CHANGED: Final = (
-    "dof_frictionloss",
+    *("dof_frictionloss", "dof_damping"),
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
 )
 """Numbers of a model that a wrapper changes."""
@@ -57,6 +57,8 @@ class RuntimeJoint:
     """Hinge that the motor turns in place of the joint; empty if there is none."""
     sees_output: bool = False
     """True if the encoder sees the joint, not the rotor."""
+    back_emf_Nms_rad: float = 0.0
+    """Part of the damping that a motor without power lacks."""
 
 
 @dataclass(slots=True)
@@ -115,9 +117,11 @@ class RuntimeEffects:
         before, left = _left.get(model, (now, now))
         # what the last wrapper left is not of the model; what was changed since is
         self._own = {name: np.where(now[name] == left[name], before[name], now[name]) for name in CHANGED}
-        friction_Nm, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
+        friction_Nm, damping, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
         _left[model] = self._own, now
         self._friction_Nm = friction_Nm[self._motor_dof]
+        self._damping_Nms_rad = damping[self._motor_dof]
+        self._back_emf_Nms_rad = np.array([joint.back_emf_Nms_rad for joint in joints])
         # in the model the limit is that of the actuator
         high = np.where(is_limited[motor], limits[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
@@ -163,7 +167,7 @@ class RuntimeEffects:
         """Set the inputs of one control period; call it before the first of its `n_steps` time steps.
 
         Args:
-            model: Patched model; dry friction, torque limits and gains are set anew in each period.
+            model: Patched model; friction, damping, torque limits and gains are set anew in each period.
             command: Commands, (n_joints,), in the unit of each control mode.
             temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
             gain: Values of the gain columns of the robot file, (n_joints,).
@@ -178,7 +182,7 @@ class RuntimeEffects:
         heat = self._numbers("temperature_degC", temperature_degC, rule=lambda one: ~np.isinf(one))
         self._remember(data)
         if self._last_command is None:  # a run before has left its last numbers
-            self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
+            self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0, 1.0)
             mujoco.mj_forward(model, data)
         arrived = self._arrived(command)
         tick = self._tick(model, data, arrived, heat)
@@ -187,7 +191,7 @@ class RuntimeEffects:
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
         ratio = tick.gain[0] * on
-        self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain)
+        self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain, on)
 
     def _set_model(
         self,
@@ -196,10 +200,15 @@ class RuntimeEffects:
         torque_limit_Nm: Array,
         ratio: Array | float,
         gain: Array | float,
+        on: Array | float,
     ) -> None:
-        """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position."""
+        """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position.
+
+        Back-EMF acts where a motor is `on`.
+        """
         motor = self._motor
         model.dof_frictionloss[self._motor_dof] = frictionloss_Nm
+        model.dof_damping[self._motor_dof] = self._damping_Nms_rad - self._back_emf_Nms_rad * (1.0 - on)
         of_speed = np.broadcast_to(ratio, motor.shape)
         of_position = of_speed * gain
         model.actuator_gainprm[motor, 0] = self._gain * np.where(self._has_kp, of_position, of_speed)

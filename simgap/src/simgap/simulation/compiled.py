@@ -164,6 +164,7 @@ def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fiel
     return Fields(
         kp_Nm_rad=rows(kp),
         kd_Nms_rad=rows(kd),
+        back_emf_Nms_rad=np.zeros((n_sims, len(dof))),
         torque_limit_Nm=rows(np.array([joint.torque_limit_Nm for joint in robot.joints])),
         damping_Nms_rad=rows(model.dof_damping[dof].reshape(-1)),
         frictionloss_Nm=rows(model.dof_frictionloss[dof]),
@@ -180,7 +181,7 @@ def step_armature(robot: Robot, fields: Fields) -> Array:
     damping. Without it the step is a trapezoidal rule, and SO-101 errs by a fifth as much at 5 ms.
     """
     is_damped = [joint.mode not in (ControlMode.TORQUE, ControlMode.CURRENT) for joint in robot.joints]
-    damping = fields.damping_Nms_rad + np.where(is_damped, fields.kd_Nms_rad, 0.0)
+    damping = fields.damping_Nms_rad + fields.back_emf_Nms_rad + np.where(is_damped, fields.kd_Nms_rad, 0.0)
     excess = 0.5 * float(robot.model.opt.timestep) * damping
     return np.asarray(np.maximum(fields.armature_kgm2 - excess, 0.0))
 

@@ -87,7 +87,7 @@ class Periods:
         self._compiled, self._batch, self._fields = compiled, batch, fields
         self._actuators = Actuators(compiled, batch, fields)
         self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
-        self._dry = batch.expand("dof_frictionloss")
+        self._dry, self._damping = batch.expand("dof_frictionloss"), batch.expand("dof_damping")
         self._temperature = temperature_degC
         self._effects = effects
         self._acts, self._frictions, self._torques = (
@@ -157,6 +157,10 @@ class Periods:
         """Give torque to motors from now on: 1 where one has it, else 0, (n, n_joints)."""
         self._enabled = enabled
         self._actuators.scale(enabled)
+        n = enabled.shape[0]
+        damping = self._fields.damping_Nms_rad[:n] + self._fields.back_emf_Nms_rad[:n] * enabled
+        self._damping[:n, self._compiled.dof] = damping
+        self._rotors.move(self._damping, damping)
 
     def set_inputs(self, k: int, command: Array) -> None:
         """Set the inputs of control period k; effects may change the commands, (n, n_joints)."""

@@ -127,7 +127,7 @@ class Simulation:
         fields.armature_kgm2 = step_armature(self._robot, fields)
         self._rotors = Rotors(self._robot, fields)
         for name, value in (
-            ("dof_damping", fields.damping_Nms_rad),
+            ("dof_damping", fields.damping_Nms_rad + fields.back_emf_Nms_rad),
             ("dof_armature", fields.armature_kgm2),
             ("dof_frictionloss", fields.frictionloss_Nm),
         ):
