@@ -33,7 +33,7 @@ from simgap.patch.text import (
 )
 from simgap.result import Diagnosis, Rival
 from simgap.robot import Robot, RobotJoint
-from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
+from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, power_motors
 
 RUNTIME_FILE: Final = "runtime.toml"
 FORMAT: Final = "robot runtime 1"
@@ -149,12 +149,12 @@ def make_patch(
     fields = nominal_fields(robot, 1, cast(Any, recorder))
     changes = [*_option_changes(robot), *_effect_changes(robot, active, fields, recorder)]
     rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
-    changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
+    changes += _rotor_changes(robot, rotors.values(), _numbers(_step(robot, fields), recorder))
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
     left = ""
     if runtime or rotors or fields.back_emf_Nms_rad.any():
-        left = _runtime_text(robot, runtime, rotors, fields.back_emf_Nms_rad[0])
+        left = _runtime_text(robot, runtime, rotors, fields)
     return Patch(text, left, found)
 
 
@@ -204,10 +204,15 @@ def _effect_changes(
         yield from _model_changes(robot, before, after, reason)
         before = after
     fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
-    fields.armature_kgm2 = step_armature(robot, fields)
     step_s = float(robot.model.opt.timestep)
     reason = f"less half a time step of joint damping and kd: second-order steps of {step_s:.5g} s"
-    yield from _joint_changes(robot, before, _numbers(fields, recorder), reason)
+    yield from _joint_changes(robot, before, _numbers(_step(robot, fields), recorder), reason)
+
+
+def _step(robot: Robot, fields: Fields) -> Fields:
+    """Return the numbers with the armature for steps of second order."""
+    _, armature = power_motors(robot, fields, np.ones_like(fields.kp_Nm_rad))
+    return replace(fields, armature_kgm2=armature)
 
 
 def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:
@@ -320,16 +325,17 @@ def _changed(robot: Robot, text: str, changes: Sequence[Change]) -> str:
 
 
 def _runtime_text(
-    robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor], back_emf_Nms_rad: Array
+    robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor], fields: Fields
 ) -> str:
-    """Return the runtime file; back-EMF, (n_joints,), is what damping a motor without power lacks."""
+    """Return the runtime file."""
+    damping, armature = power_motors(robot, fields, np.zeros_like(fields.kp_Nm_rad))
     joints = []
     for j, joint in enumerate(robot.joints):
         rotor, table = rotors.get(j), {"name": joint.name, "joint": robot.mjcf_joint(joint.name)}
         table |= {"actuator": _motor(robot, joint), "mode": joint.mode.value}
         turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
-        back_emf = float(back_emf_Nms_rad[j])
-        joints.append({**table, **turned, **({"back_emf_Nms_rad": back_emf} if back_emf else {})})
+        off = {"damping_off_Nms_rad": float(damping[0, j]), "armature_off_kgm2": float(armature[0, j])}
+        joints.append({**table, **turned, **off})
     tables: dict[str, Any] = {
         "format": FORMAT,
         "model": MODEL_FILE,

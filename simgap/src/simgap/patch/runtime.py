@@ -30,7 +30,7 @@ from simgap.robot import ControlMode
 from simgap.simulation.compiled import HARD_IMPEDANCE
 
 CHANGED: Final = (
-    *("dof_frictionloss", "dof_damping"),
+    *("dof_frictionloss", "dof_damping", "dof_armature"),
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
 )
 """Numbers of a model that a wrapper changes."""
@@ -57,8 +57,10 @@ class RuntimeJoint:
     """Hinge that the motor turns in place of the joint; empty if there is none."""
     sees_output: bool = False
     """True if the encoder sees the joint, not the rotor."""
-    back_emf_Nms_rad: float = 0.0
-    """Part of the damping that a motor without power lacks."""
+    damping_off_Nms_rad: float = 0.0
+    """Damping while the motor has no power."""
+    armature_off_kgm2: float = 0.0
+    """Armature while the motor has no power, for steps of second order."""
 
 
 @dataclass(slots=True)
@@ -117,11 +119,12 @@ class RuntimeEffects:
         before, left = _left.get(model, (now, now))
         # what the last wrapper left is not of the model; what was changed since is
         self._own = {name: np.where(now[name] == left[name], before[name], now[name]) for name in CHANGED}
-        friction_Nm, damping, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
+        friction_Nm, damping, armature, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
         _left[model] = self._own, now
         self._friction_Nm = friction_Nm[self._motor_dof]
-        self._damping_Nms_rad = damping[self._motor_dof]
-        self._back_emf_Nms_rad = np.array([joint.back_emf_Nms_rad for joint in joints])
+        off = np.array([(joint.damping_off_Nms_rad, joint.armature_off_kgm2) for joint in joints]).T
+        self._powered = np.array([off, (damping[self._motor_dof], armature[self._motor_dof])])
+        """Damping and armature without and with power, (2, 2, n_joints)."""
         # in the model the limit is that of the actuator
         high = np.where(is_limited[motor], limits[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
@@ -204,11 +207,13 @@ class RuntimeEffects:
     ) -> None:
         """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position.
 
-        Back-EMF acts where a motor is `on`.
+        Damping and armature are those of motors that are `on`, or off.
         """
         motor = self._motor
         model.dof_frictionloss[self._motor_dof] = frictionloss_Nm
-        model.dof_damping[self._motor_dof] = self._damping_Nms_rad - self._back_emf_Nms_rad * (1.0 - on)
+        model.dof_damping[self._motor_dof], model.dof_armature[self._motor_dof] = np.where(
+            on, self._powered[1], self._powered[0]
+        )
         of_speed = np.broadcast_to(ratio, motor.shape)
         of_position = of_speed * gain
         model.actuator_gainprm[motor, 0] = self._gain * np.where(self._has_kp, of_position, of_speed)

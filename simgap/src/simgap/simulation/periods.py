@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, Fields, State, Tick
-from simgap.simulation.compiled import Compiled, Places, Rotors, UNLIMITED_Nm, control_laws
+from simgap.simulation.compiled import Compiled, Places, Rotors, UNLIMITED_Nm, control_laws, power_motors
 
 
 @dataclass(slots=True)
@@ -87,7 +87,10 @@ class Periods:
         self._compiled, self._batch, self._fields = compiled, batch, fields
         self._actuators = Actuators(compiled, batch, fields)
         self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
-        self._dry, self._damping = batch.expand("dof_frictionloss"), batch.expand("dof_damping")
+        self._dry = batch.expand("dof_frictionloss")
+        self._powered = batch.expand("dof_damping"), batch.expand("dof_armature")
+        _, self._armatures = power_motors(compiled.robot, fields, np.ones_like(fields.kp_Nm_rad))
+        rotors.clear(self._armatures)
         self._temperature = temperature_degC
         self._effects = effects
         self._acts, self._frictions, self._torques = (
@@ -122,7 +125,7 @@ class Periods:
         if not self._has_effects:
             return
         # arrays for all periods: new ones in each of them would take a fifth of the time of a step
-        self._armature, self._loss = fields.armature_kgm2[:n], fields.frictionloss_Nm[:n]
+        self._armature, self._loss = self._armatures[:n], fields.frictionloss_Nm[:n]
         q, v = columns("qpos", at.qpos), columns("qvel", at.dof)
         self._forces = [
             columns(name, at.dof) for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
@@ -153,19 +156,27 @@ class Periods:
         control[..., self._compiled.actuator] = command.swapaxes(0, 1)
         return control if self.n_steps == 1 else np.repeat(control, self.n_steps, axis=1)
 
-    def enable(self, enabled: Array) -> None:
-        """Give torque to motors from now on: 1 where one has it, else 0, (n, n_joints)."""
+    def _enable(self, enabled: Array) -> None:
+        """Give power to motors from now on: 1 where one has it, else 0, (n, n_joints)."""
         self._enabled = enabled
         self._actuators.scale(enabled)
-        n = enabled.shape[0]
-        damping = self._fields.damping_Nms_rad[:n] + self._fields.back_emf_Nms_rad[:n] * enabled
-        self._damping[:n, self._compiled.dof] = damping
-        self._rotors.move(self._damping, damping)
+        numbers = power_motors(self._compiled.robot, self._fields, enabled)
+        for field, value in zip(self._powered, numbers, strict=True):
+            field[: len(value), self._compiled.dof] = value
+            self._rotors.move(field, value)
+        _, armature = numbers
+        self._rotors.clear(armature)
+        self._armatures[: len(armature)] = armature
 
-    def set_inputs(self, k: int, command: Array) -> None:
-        """Set the inputs of control period k; effects may change the commands, (n, n_joints)."""
-        if self._has_effects:
-            tick = self._tick(k, command)
+    def set_inputs(self, k: int, command: Array, enabled: Array | None = None) -> None:
+        """Set the inputs of control period k; effects may change the commands, (n, n_joints).
+
+        Motors have power from now on where `enabled`, (n, n_joints), is 1; None: nothing changes.
+        """
+        tick = self._tick(k, command) if self._has_effects else None
+        if enabled is not None:  # the load in the tick is still that of the last period
+            self._enable(enabled)
+        if tick is not None:
             for one in self._acts:
                 tick.memory = one.memory
                 one.effect.act(one.size, tick)

@@ -16,7 +16,7 @@ from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Fields
 from simgap.mjcf import place_tied
 from simgap.robot import ControlMode
-from simgap.simulation.compiled import Models, Rotors, nominal_fields, step_armature
+from simgap.simulation.compiled import Models, Rotors, nominal_fields, power_motors
 from simgap.simulation.periods import Acting, Periods
 from simgap.simulation.windows import Sampling, Window
 
@@ -124,16 +124,15 @@ class Simulation:
             one.effect.set_model(one.size, fields, self._robot)
         fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
-        fields.armature_kgm2 = step_armature(self._robot, fields)
+        damping, armature = power_motors(self._robot, fields, np.ones_like(fields.kp_Nm_rad))
         self._rotors = Rotors(self._robot, fields)
         for name, value in (
-            ("dof_damping", fields.damping_Nms_rad + fields.back_emf_Nms_rad),
-            ("dof_armature", fields.armature_kgm2),
+            ("dof_damping", damping),
+            ("dof_armature", armature),
             ("dof_frictionloss", fields.frictionloss_Nm),
         ):
             batch.expand(name)[:, dof] = value
             self._rotors.move(batch.expand(name), value)
-        self._rotors.clear(fields.armature_kgm2)
         batch.set_const()
         return fields
 
@@ -197,9 +196,6 @@ class Simulation:
             if alive[first] != periods.n:
                 periods.keep(int(alive[first]))
                 ids = ids[ids < periods.n]
-            if first in self._switches:
-                now = [window.enabled[first] for window in self._windows[: periods.n // self._n_candidates]]
-                periods.enable(self._each(np.array(now, dtype=float)))
             self._advance(first, last, ids, failed, path[first + 1 - begin : last + 1 - begin])
             if last % SPAN == 0 or last == n_ticks:
                 failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
@@ -219,8 +215,11 @@ class Simulation:
 
     def _advance(self, first: int, last: int, ids: Integers, failed: Flags, path: Array) -> None:
         """Simulate control periods in which only commands change, and write their ends to a path."""
-        periods = self._periods
-        periods.set_inputs(first, self._command[first, : periods.n])
+        periods, enabled = self._periods, None
+        if first in self._switches:
+            now = [window.enabled[first] for window in self._windows[: periods.n // self._n_candidates]]
+            enabled = self._each(np.array(now, dtype=float))
+        periods.set_inputs(first, self._command[first, : periods.n], enabled)
         if last - first > 1:
             periods.show(self._rollout(first, last, ids, failed), path)
             return
