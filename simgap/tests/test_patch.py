@@ -165,7 +165,7 @@ def read(folder, actuator, mode="position", of_joint="", more=""):
 def assert_patch_moves_as_engine(robot):
     """Check that the patched model alone moves as the engine does."""
     model = mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml)
-    joint = RuntimeJoint("swing", "swing", "swing", robot.joints[0].mode)
+    joint = RuntimeJoint("swing", "swing", "swing", robot.joints[0].mode, 0.02, 0.002)
     patched = play(model, RuntimeEffects(model, [], [joint], 0.002), COMMAND[:, None], np.zeros(1), every=5)[
         :, 0
     ]
@@ -268,7 +268,7 @@ def test_a_wrapper_holds_what_it_does_not_change_and_the_next_one_what_is_patche
     [
         ("friction_per_load =", "friction_per_weight =", "friction_per_weight; it takes friction_per_load"),
         ("simgap.effects.forces:LoadFriction", "os:system", "os is no module of simgap"),
-        ("robot runtime 1", "else", "is not 'robot runtime 1'"),
+        ("robot runtime 2", "robot runtime 1", "is not 'robot runtime 2'"),
         ('place = "swing"', 'place = "lift"', "lift: .*: its places are not one joint"),
         ('place = "swing"\ntext', 'place = "lift"\ntext', "its places are not one joint"),
         ("", "", "use the patched model"),

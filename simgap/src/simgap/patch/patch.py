@@ -36,7 +36,7 @@ from simgap.robot import Robot, RobotJoint
 from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, power_motors
 
 RUNTIME_FILE: Final = "runtime.toml"
-FORMAT: Final = "robot runtime 1"
+FORMAT: Final = "robot runtime 2"
 ATTRIBUTES: Final = {
     "body_pos": ("body", "pos"),
     "geom_pos": ("geom", "pos"),

@@ -53,14 +53,14 @@ class RuntimeJoint:
     """Its name in the model."""
     actuator: str
     mode: ControlMode
+    damping_off_Nms_rad: float
+    """Damping while the motor has no power."""
+    armature_off_kgm2: float
+    """Armature while the motor has no power, for steps of second order."""
     rotor: str = ""
     """Hinge that the motor turns in place of the joint; empty if there is none."""
     sees_output: bool = False
     """True if the encoder sees the joint, not the rotor."""
-    damping_off_Nms_rad: float = 0.0
-    """Damping while the motor has no power."""
-    armature_off_kgm2: float = 0.0
-    """Armature while the motor has no power, for steps of second order."""
 
 
 @dataclass(slots=True)
