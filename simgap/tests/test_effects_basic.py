@@ -139,6 +139,27 @@ def test_a_position_loop_moves_as_the_law_says(kind, size, torque):
     assert np.abs(found - exact(torque)).max() < 3e-3
 
 
+@pytest.mark.parametrize(
+    ("kind", "size", "bound_rad"),
+    [
+        (forces.Spring, [0.5, 0.1], 5e-5),
+        (forces.PositionTorque, [0.2, 0.1], 5e-5),
+        (forces.StribeckFriction, [0.1, 0.3], 1.5e-4),
+        (DeadZone, [0.02], 4e-4),
+    ],
+)
+def test_an_effect_acts_as_the_motion_is_in_the_middle_of_a_control_period(kind, size, bound_rad):
+    time_s = np.arange(0.0, 4.0, 0.01)
+    log = pendulum.motion(time_s, 0.0 * time_s, pendulum.waves(time_s, seed=5))
+
+    def move(step_s, period_s):
+        robot = pendulum.pendulum(limit_Nm=1.5, step_s=step_s, period_s=period_s)
+        return pendulum.simulated(robot, log, (pendulum.at_swing(kind, robot), size))
+
+    error = move(0.001, 0.005) - move(0.0001, 0.0001)
+    assert np.mean(np.abs(error)) < bound_rad  # at its beginning: 331, 81, 265 and 1,505 urad
+
+
 def test_a_leaky_integral_agrees_with_its_differential_equation():
     robot = level(ControlMode.POSITION)
     found = pendulum.simulated(robot, held(0.2), (pendulum.at_swing(LeakyIntegral, robot), [2.0, 0.5]))

@@ -344,9 +344,9 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
             continue
         q = np.concatenate([log.position.value for log in logs])
         torques = [log.torque.value for log in logs if log.torque is not None]
-        commands = [log.command for log in logs if log.command is not None]
+        commands = [log.command.value for log in logs if log.command is not None]
         heats = [log.temperature.value for log in logs if log.temperature is not None]
-        command = np.concatenate([one.value for one in commands]) if commands else np.array([np.nan])
+        command = np.concatenate(commands) if commands else np.array([np.nan])
         heat = np.concatenate(heats) if heats else np.array([np.nan])
         speeds = [_slope(log.position) for log in logs]
         speed = _high([one.value for one in speeds])
@@ -374,10 +374,8 @@ def _slope(signal: Signal) -> Signal:
     time_s, value = signal.time_s, signal.value
     if time_s.size <= SPAN:
         return Signal(time_s[:1], np.zeros(1))
-    return Signal(
-        (time_s[SPAN:] + time_s[:-SPAN]) / 2,
-        (value[SPAN:] - value[:-SPAN]) / (time_s[SPAN:] - time_s[:-SPAN]),
-    )
+    first, last = time_s[:-SPAN], time_s[SPAN:]
+    return Signal((last + first) / 2, (value[SPAN:] - value[:-SPAN]) / (last - first))
 
 
 def _high(values: Sequence[Array]) -> float:

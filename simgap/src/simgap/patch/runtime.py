@@ -28,6 +28,7 @@ from simgap.patch.patch import FORMAT
 from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
 from simgap.simulation.compiled import HARD_IMPEDANCE
+from simgap.simulation.periods import middle_s
 
 CHANGED: Final = (
     *("dof_frictionloss", "dof_damping", "dof_armature"),
@@ -307,10 +308,12 @@ class RuntimeEffects:
         """Let the effects act, as the engine does."""
         dof = self._dof
         force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
+        ahead_s = middle_s(self.n_steps, model.opt.timestep)
+        v_rad_s = data.qvel[None, dof]
         state = State(
             time_s=np.array([data.time]),
-            q_rad=data.qpos[None, self._qpos],
-            v_rad_s=data.qvel[None, dof],
+            q_rad=data.qpos[None, self._qpos] + ahead_s * v_rad_s,
+            v_rad_s=v_rad_s + ahead_s * data.qacc[None, dof],
             load_Nm=force_Nm[None, dof],
             temperature_degC=temperature_degC[None, :],
         )

@@ -71,6 +71,15 @@ class Actuators:
         self._bias[:n, self._places, :3] = bias[:n] * factor[..., None]
 
 
+def middle_s(n_steps: int, step_s: float) -> float:
+    """Return how far ahead the middle is of the time in which the inputs of a control period act.
+
+    A step uses one force from half a step before its state to half a step after it. Inputs that follow from
+    the motion there are right to first order, however long the period is.
+    """
+    return 0.5 * (n_steps - 1) * step_s
+
+
 class Periods:
     """The inputs of the control periods of a batch, set by commands and effects."""
 
@@ -106,6 +115,7 @@ class Periods:
         self._period_s = compiled.robot.control_period_s
         self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
         """Steps of a control period."""
+        self._ahead_s = middle_s(self.n_steps, compiled.robot.model.opt.timestep)
         self.keep(temperature_degC.shape[0])
 
     def keep(self, n: int) -> None:
@@ -133,7 +143,10 @@ class Periods:
         self._motor = columns("actuator_force", at.actuator)
         self._copies = [one for one in (q, v, *self._forces, self._motor) if not one.is_view]
         self._applied, self._friction = columns("qfrc_applied", at.dof), ColumnView(self._dry, at.dof, n)
-        self._state = State(np.empty(n), q.values, v.values, np.empty_like(q.values), self._temperature[:n])
+        self._now = now = q.values, v.values
+        if self._ahead_s > 0.0:
+            now = np.empty_like(q.values), np.empty_like(v.values)
+        self._state = State(np.empty(n), *now, np.empty_like(q.values), self._temperature[:n])
         self._limit, self._gain = np.empty_like(q.values), np.empty_like(q.values)
         self._torque_columns = [self._applied.values[:, one.joint] for one in self._torques]
         self._friction_columns = [self._friction.values[:, one.joint] for one in self._frictions]
@@ -205,6 +218,10 @@ class Periods:
         load += smooth
         load += bias
         self._state.time_s.fill(k * self._period_s)
+        if self._ahead_s > 0.0:
+            q, v = self._now
+            np.add(q, self._ahead_s * v, out=self._state.q_rad)
+            np.add(v, self._ahead_s * qacc, out=self._state.v_rad_s)
         self._friction.values[...] = self._loss
         self._applied.values.fill(0.0)
         if self._acts:
