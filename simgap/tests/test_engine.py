@@ -24,7 +24,7 @@ from helpers.pendulum import (
 from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm
 from simgap.common.errors import RobotError
-from simgap.effects.actuation import DeadZone, GainError
+from simgap.effects.actuation import DampingGain, DeadZone, GainError
 from simgap.effects.command import AccelerationLimit, CommandDelay, MeasurementDelay
 from simgap.effects.effect import Effect
 from simgap.effects.forces import ConstantTorque, CoulombFriction, LoadFriction, StribeckFriction
@@ -376,3 +376,43 @@ def test_the_profiler_is_off_inside_and_on_again_outside():
     mujoco.mj_step(model, data)
     seconds.append(data.timer[0].duration)
     assert seconds[0] == 0.0 < seconds[1]
+
+
+def off_between(first_s, last_s):
+    """Return the power of a motor that has none for some time."""
+    return Signal(TIME_s, 1.0 - ((TIME_s > first_s) & (TIME_s < last_s)))
+
+
+@pytest.mark.parametrize("back_emf", [0.0, 0.3])
+def test_a_turntable_without_power_has_its_armature(back_emf):
+    """MuJoCo takes the inertia of such a simple joint from a number that the compiler computes."""
+    xml = """<mujoco><option timestep="0.005"/><worldbody><body>
+        <joint name="swing" axis="0 0 1" damping="0.02" armature="0.01" springref="-57.3" stiffness="1"/>
+        <inertial pos="0 0 0" mass="0.003" diaginertia="0.003 0.003 0.003"/></body></worldbody></mujoco>"""
+    robot = replace(
+        pendulum(), model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, control_period_s=0.01
+    )
+    command, enabled = waves(TIME_s, 5), off_between(0.6, 1.2)
+    found = simulated(
+        robot,
+        motion(TIME_s, 0.0 * TIME_s, command, enabled=enabled),
+        (at_swing(DampingGain, robot), [back_emf]),
+    )
+    h, q, v, exact = 1e-4, 0.0, 0.0, []
+    for k in range(round(TIME_s[-1] / h) + 1):
+        exact.append(q)
+        on, wanted = (one[int(k * h / 0.01 + 0.26)] for one in (enabled.value, command))  # half a step early
+        v += h * (on * (4.0 * (wanted - q) - (0.1 + back_emf) * v) - (q + 1.0) - 0.02 * v) / 0.013
+        q += h * v
+    assert np.abs(found - np.interp(TIME_s, h * np.arange(len(exact)), exact)).max() < 0.02
+
+
+def test_a_rotor_without_power_has_its_armature():
+    log = motion(TIME_s, 0.0 * TIME_s, waves(TIME_s, 5), enabled=off_between(0.6, 1.2))
+
+    def move(step_s):
+        robot = pendulum(step_s=step_s, period_s=0.01, dry_Nm=0.0)
+        gear = Backlash("swing", 0, False, 0.02, 0.2)
+        return simulated(robot, log, (at_swing(DampingGain, robot), [0.15]), (gear, [0.02]))
+
+    assert np.abs(move(0.002) - move(0.0001)).max() < 0.02

@@ -127,7 +127,7 @@ class Tick:
     torque_limit_Nm: Array
     """(n_sims, n_joints); the value of `Fields` before the first effect."""
     gain: Array
-    """(n_sims, n_joints), factor on kp and kd in this tick; 1 before the first effect."""
+    """(n_sims, n_joints), factor on kp and kd, not on back-EMF, in this tick; 1 before the first effect."""
     motor_Nm: Array
     """(n_sims, n_joints), torque of the motors in the last step; only to read."""
     period_s: float

@@ -33,7 +33,7 @@ from simgap.patch.text import (
 )
 from simgap.result import Diagnosis, Rival
 from simgap.robot import Robot, RobotJoint
-from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, power_motors
+from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, powered_numbers
 
 RUNTIME_FILE: Final = "runtime.toml"
 FORMAT: Final = "robot runtime 2"
@@ -149,7 +149,7 @@ def make_patch(
     fields = nominal_fields(robot, 1, cast(Any, recorder))
     changes = [*_option_changes(robot), *_effect_changes(robot, active, fields, recorder)]
     rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
-    changes += _rotor_changes(robot, rotors.values(), _numbers(_step(robot, fields), recorder))
+    changes += _rotor_changes(robot, rotors.values(), _numbers(_with_powered(robot, fields), recorder))
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
     left = ""
@@ -206,12 +206,12 @@ def _effect_changes(
     fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
     step_s = float(robot.model.opt.timestep)
     reason = f"less half a time step of joint damping and kd: second-order steps of {step_s:.5g} s"
-    yield from _joint_changes(robot, before, _numbers(_step(robot, fields), recorder), reason)
+    yield from _joint_changes(robot, before, _numbers(_with_powered(robot, fields), recorder), reason)
 
 
-def _step(robot: Robot, fields: Fields) -> Fields:
-    """Return the numbers with the armature for steps of second order."""
-    _, armature = power_motors(robot, fields, np.ones_like(fields.kp_Nm_rad))
+def _with_powered(robot: Robot, fields: Fields) -> Fields:
+    """Return the numbers with the armature that joints have under power."""
+    _, armature = powered_numbers(robot, fields, np.ones_like(fields.kp_Nm_rad))
     return replace(fields, armature_kgm2=armature)
 
 
@@ -328,14 +328,14 @@ def _runtime_text(
     robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor], fields: Fields
 ) -> str:
     """Return the runtime file."""
-    damping, armature = power_motors(robot, fields, np.zeros_like(fields.kp_Nm_rad))
+    on, off = (powered_numbers(robot, fields, one + 0.0 * fields.kp_Nm_rad) for one in (1.0, 0.0))
+    more = {"back_emf_Nms_rad": on[0] - off[0], "armature_off_kgm2": off[1] - on[1]}
     joints = []
     for j, joint in enumerate(robot.joints):
         rotor, table = rotors.get(j), {"name": joint.name, "joint": robot.mjcf_joint(joint.name)}
         table |= {"actuator": _motor(robot, joint), "mode": joint.mode.value}
         turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
-        off = {"damping_off_Nms_rad": float(damping[0, j]), "armature_off_kgm2": float(armature[0, j])}
-        joints.append({**table, **turned, **off})
+        joints.append({**table, **turned, **{name: float(value[0, j]) for name, value in more.items()}})
     tables: dict[str, Any] = {
         "format": FORMAT,
         "model": MODEL_FILE,

@@ -30,8 +30,10 @@ from simgap.robot import ControlMode
 from simgap.simulation.compiled import HARD_IMPEDANCE
 from simgap.simulation.periods import middle_s
 
+SWITCHED: Final = ("dof_damping", "dof_armature", "dof_M0")
+"""Numbers that differ without power; MuJoCo takes the inertia of some simple joints from the last."""
 CHANGED: Final = (
-    *("dof_frictionloss", "dof_damping", "dof_armature"),
+    *(*SWITCHED, "dof_frictionloss"),
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
 )
 """Numbers of a model that a wrapper changes."""
@@ -54,10 +56,10 @@ class RuntimeJoint:
     """Its name in the model."""
     actuator: str
     mode: ControlMode
-    damping_off_Nms_rad: float
-    """Damping while the motor has no power."""
+    back_emf_Nms_rad: float
+    """Damping that a motor without power lacks."""
     armature_off_kgm2: float
-    """Armature while the motor has no power, for steps of second order."""
+    """Armature that it has more, for steps of second order."""
     rotor: str = ""
     """Hinge that the motor turns in place of the joint; empty if there is none."""
     sees_output: bool = False
@@ -120,12 +122,17 @@ class RuntimeEffects:
         before, left = _left.get(model, (now, now))
         # what the last wrapper left is not of the model; what was changed since is
         self._own = {name: np.where(now[name] == left[name], before[name], now[name]) for name in CHANGED}
-        friction_Nm, damping, armature, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED)
+        friction_Nm, gain, bias, is_limited, limits = (self._own[name] for name in CHANGED[len(SWITCHED) :])
         _left[model] = self._own, now
         self._friction_Nm = friction_Nm[self._motor_dof]
-        off = np.array([(joint.damping_off_Nms_rad, joint.armature_off_kgm2) for joint in joints]).T
-        self._powered = np.array([off, (damping[self._motor_dof], armature[self._motor_dof])])
-        """Damping and armature without and with power, (2, 2, n_joints)."""
+        more = np.array([joint.armature_off_kgm2 for joint in joints])
+        self._back_emf_Nms_rad = np.array([joint.back_emf_Nms_rad for joint in joints])
+        self._off = dict(zip(SWITCHED, (-self._back_emf_Nms_rad, more, more), strict=True))
+        """What is added to the numbers of a motor that loses its power."""
+        self._powered = {name: self._own[name][self._motor_dof] for name in SWITCHED}
+        """Numbers before it did."""
+        kept = [now[name][self._motor_dof] == own for name, own in self._powered.items()]
+        self._on: Flags = np.all(kept, axis=0)  # another wrapper may have left it without
         # in the model the limit is that of the actuator
         high = np.where(is_limited[motor], limits[motor, 1], np.inf)
         self._limit_Nm = high * np.abs(self._gear)
@@ -171,7 +178,8 @@ class RuntimeEffects:
         """Set the inputs of one control period; call it before the first of its `n_steps` time steps.
 
         Args:
-            model: Patched model; friction, damping, torque limits and gains are set anew in each period.
+            model: Patched model; dry friction, torque limits and gains are set anew in each period, damping
+                and armature where a motor gets or loses its power.
             command: Commands, (n_joints,), in the unit of each control mode.
             temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
             gain: Values of the gain columns of the robot file, (n_joints,).
@@ -186,7 +194,8 @@ class RuntimeEffects:
         heat = self._numbers("temperature_degC", temperature_degC, rule=lambda one: ~np.isinf(one))
         self._remember(data)
         if self._last_command is None:  # a run before has left its last numbers
-            self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0, 1.0)
+            self._set_model(model, self._friction_Nm, self._limit_Nm, 1.0, 1.0)
+            self._switch(model, np.ones(self._on.shape, bool))
             mujoco.mj_forward(model, data)
         arrived = self._arrived(command)
         tick = self._tick(model, data, arrived, heat)
@@ -195,7 +204,19 @@ class RuntimeEffects:
         data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
         ratio = tick.gain[0] * on
-        self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain, on)
+        self._set_model(model, tick.frictionloss_Nm[0], tick.torque_limit_Nm[0], ratio, gain)
+        self._switch(model, on > 0.0)
+        _left[model] = self._own, _copy_numbers(model)
+
+    def _switch(self, model: mujoco.MjModel, on: Flags) -> None:
+        """Take back-EMF from motors that lose their power, and give back what those had that get it."""
+        dof, lost, back = self._motor_dof, self._on & ~on, on & ~self._on
+        for name, more in self._off.items():
+            values, powered = getattr(model, name), self._powered[name]
+            powered[lost] = values[dof[lost]]
+            values[dof[lost]] += more[lost]
+            values[dof[back]] = powered[back]
+        self._on = on
 
     def _set_model(
         self,
@@ -204,17 +225,10 @@ class RuntimeEffects:
         torque_limit_Nm: Array,
         ratio: Array | float,
         gain: Array | float,
-        on: Array | float,
     ) -> None:
-        """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position.
-
-        Damping and armature are those of motors that are `on`, or off.
-        """
+        """Set dry friction, torque limits and gains, (n_joints,) each; `gain` scales that of the position."""
         motor = self._motor
         model.dof_frictionloss[self._motor_dof] = frictionloss_Nm
-        model.dof_damping[self._motor_dof], model.dof_armature[self._motor_dof] = np.where(
-            on, self._powered[1], self._powered[0]
-        )
         of_speed = np.broadcast_to(ratio, motor.shape)
         of_position = of_speed * gain
         model.actuator_gainprm[motor, 0] = self._gain * np.where(self._has_kp, of_position, of_speed)
@@ -223,7 +237,6 @@ class RuntimeEffects:
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
-        _left[model] = self._own, _copy_numbers(model)
 
     def shown(self, data: mujoco.MjData) -> Array:
         """Return what the encoders show at the end of a control period, (n_joints,) [rad]."""
@@ -308,6 +321,8 @@ class RuntimeEffects:
         """Let the effects act, as the engine does."""
         dof = self._dof
         force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
+        motor_Nm = data.actuator_force[self._motor] * self._gear
+        motor_Nm -= self._back_emf_Nms_rad * self._on * data.qvel[dof]
         ahead_s = middle_s(self.n_steps, model.opt.timestep)
         v_rad_s = data.qvel[None, dof]
         state = State(
@@ -324,7 +339,7 @@ class RuntimeEffects:
             frictionloss_Nm=self._friction_Nm[None, :].copy(),
             torque_limit_Nm=self._limit_Nm[None, :].copy(),
             gain=np.ones((1, dof.size)),
-            motor_Nm=(data.actuator_force[self._motor] * self._gear)[None, :],
+            motor_Nm=motor_Nm[None, :],
             period_s=self._period_s,
             memory={},
         )

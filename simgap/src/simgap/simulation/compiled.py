@@ -174,7 +174,7 @@ def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fiel
     )
 
 
-def power_motors(robot: Robot, fields: Fields, enabled: Array) -> tuple[Array, Array]:
+def powered_numbers(robot: Robot, fields: Fields, enabled: Array) -> tuple[Array, Array]:
     """Compute damping and armature of joints whose motors have power where `enabled` is 1, (n, n_joints).
 
     The implicit step takes the damping at its end, which acts like more inertia: half a step times the
@@ -184,7 +184,8 @@ def power_motors(robot: Robot, fields: Fields, enabled: Array) -> tuple[Array, A
     damping = fields.damping_Nms_rad[:n] + fields.back_emf_Nms_rad[:n] * enabled
     is_damped = [joint.mode not in (ControlMode.TORQUE, ControlMode.CURRENT) for joint in robot.joints]
     kd = np.where(is_damped, fields.kd_Nms_rad[:n] * enabled, 0.0)
-    excess = 0.5 * float(robot.model.opt.timestep) * (damping + kd)
+    # gains are not known where torques are compared
+    excess = 0.5 * float(robot.model.opt.timestep) * (damping + np.nan_to_num(kd))
     return damping, np.maximum(fields.armature_kgm2[:n] - excess, 0.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, Fields, State, Tick
-from simgap.simulation.compiled import Compiled, Places, Rotors, UNLIMITED_Nm, control_laws, power_motors
+from simgap.simulation.compiled import Compiled, Places, Rotors, UNLIMITED_Nm, control_laws, powered_numbers
 
 
 @dataclass(slots=True)
@@ -97,9 +97,13 @@ class Periods:
         self._actuators = Actuators(compiled, batch, fields)
         self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
         self._dry = batch.expand("dof_frictionloss")
-        self._powered = batch.expand("dof_damping"), batch.expand("dof_armature")
-        _, self._armatures = power_motors(compiled.robot, fields, np.ones_like(fields.kp_Nm_rad))
+        self._damping, self._inertia = batch.expand("dof_damping"), batch.expand("dof_armature")
+        self._diagonal = batch.expand("dof_M0")
+        _, self._armatures = powered_numbers(compiled.robot, fields, np.ones_like(fields.kp_Nm_rad))
+        """Armatures of the joints as they have power, (n_sims, n_joints); 0 where a rotor has it."""
         rotors.clear(self._armatures)
+        self._back_emf = fields.back_emf_Nms_rad
+        """Back-EMF of the motors that have power, (n, n_joints)."""
         self._temperature = temperature_degC
         self._effects = effects
         self._acts, self._frictions, self._torques = (
@@ -173,13 +177,14 @@ class Periods:
         """Give power to motors from now on: 1 where one has it, else 0, (n, n_joints)."""
         self._enabled = enabled
         self._actuators.scale(enabled)
-        numbers = power_motors(self._compiled.robot, self._fields, enabled)
-        for field, value in zip(self._powered, numbers, strict=True):
-            field[: len(value), self._compiled.dof] = value
+        damping, armature = powered_numbers(self._compiled.robot, self._fields, enabled)
+        n, before = len(enabled), self._inertia.copy()
+        for field, value in ((self._damping, damping), (self._inertia, armature)):
+            field[:n, self._compiled.dof] = value
             self._rotors.move(field, value)
-        _, armature = numbers
+        self._diagonal += self._inertia - before  # MuJoCo takes the inertia of some simple joints from it
         self._rotors.clear(armature)
-        self._armatures[: len(armature)] = armature
+        self._armatures[:n], self._back_emf = armature, self._fields.back_emf_Nms_rad[:n] * enabled
 
     def set_inputs(self, k: int, command: Array, enabled: Array | None = None) -> None:
         """Set the inputs of control period k; effects may change the commands, (n, n_joints).
@@ -234,7 +239,7 @@ class Periods:
             frictionloss_Nm=self._friction.values,
             torque_limit_Nm=self._limit,
             gain=self._gain,
-            motor_Nm=self._motor.values,
+            motor_Nm=self._motor.values - self._back_emf[: self.n] * self._now[1],
             period_s=self._period_s,
             memory={},
         )

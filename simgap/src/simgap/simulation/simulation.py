@@ -16,7 +16,7 @@ from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Fields
 from simgap.mjcf import place_tied
 from simgap.robot import ControlMode
-from simgap.simulation.compiled import Models, Rotors, nominal_fields, power_motors
+from simgap.simulation.compiled import Models, Rotors, nominal_fields, powered_numbers
 from simgap.simulation.periods import Acting, Periods
 from simgap.simulation.windows import Sampling, Window
 
@@ -124,7 +124,7 @@ class Simulation:
             one.effect.set_model(one.size, fields, self._robot)
         fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
-        damping, armature = power_motors(self._robot, fields, np.ones_like(fields.kp_Nm_rad))
+        damping, armature = powered_numbers(self._robot, fields, np.ones_like(fields.kp_Nm_rad))
         self._rotors = Rotors(self._robot, fields)
         for name, value in (
             ("dof_damping", damping),
