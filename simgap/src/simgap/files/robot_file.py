@@ -137,7 +137,7 @@ class JointTable(Record):
     secondary: SignalColumn | None = None
     """Angle that a second encoder shows, on the other side of the gear."""
     enabled: SignalColumn | None = None
-    """Whether the motor has power; without it the simulated motor has no torque."""
+    """Whether the motor has power; without it the simulated motor has neither torque nor back-EMF."""
 
     def quantities(self) -> dict[str, tuple[Quantity, ...]]:
         """Return the quantities that each signal may have: where it has two, of a hinge and of a slide."""
