@@ -257,8 +257,13 @@ def test_a_wrapper_holds_what_it_does_not_change_and_the_next_one_what_is_patche
         RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1), is_on=is_on)
     assert np.array_equal(model.actuator_gainprm, gain)
     model.actuator_gainprm *= 2.0  # a change of the user stays
-    RuntimeEffects.from_toml(model, tmp_path / "runtime.toml").act(model, data, np.zeros(1))
+    model.dof_damping[:], armature = 0.5, model.dof_armature.copy()
+    last = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml")
+    for is_on in (True, False, True):
+        last.act(model, data, np.zeros(1), is_on=is_on)
     assert np.array_equal(model.actuator_gainprm, 2.0 * gain)
+    assert np.array_equal(model.dof_armature, armature)
+    assert model.dof_damping == [0.5]
     assert np.array_equal(model.actuator_forcelimited, limited)
     assert math.isclose(data.time, 0.002)
 
