@@ -12,6 +12,7 @@ from helpers.toy import BASE, CATALOGUE, NAMES, SHAPES, SharedToy, Toy, ToyResid
 from helpers.verdicts import finding
 from simgap import assemble
 from simgap.next_motion.rivals import list_rivals
+from simgap.selection import joint_fits
 from simgap.selection.chance import FALSE_ALARM
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import simulate_models, start_context
@@ -172,6 +173,43 @@ def test_what_predicts_motions_that_took_no_part_worse_than_one_of_the_set_stays
     sizes = [every[f"near: {label}"] for label in ("far", "bent", "square")]
     errors = np.mean(np.abs(simulate_models(selection.context, judge, sizes)), axis=1)
     assert np.all(np.diff(errors) > 0.0)
+
+
+def test_a_joint_without_an_effect_that_gets_worse_is_no_harm_of_an_effect_elsewhere():
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, CATALOGUE, seed=1)
+    (gain,) = (one for one in BASE if one.place == "far")
+    columns = selection.context.union.columns([gain])
+
+    def shift(model):
+        sizes = model.sizes.copy()
+        sizes[columns] += 0.1
+        return replace(model, sizes=sizes)
+
+    left_out = tuple((layer, shift(model)) for layer, model in selection.left_out)
+    shifted = replace(selection, chosen=shift(selection.chosen), left_out=left_out)
+    judge = draw_toy(2, {"near: square": 0.1})
+    sizes = [selection.base.sizes, shifted.chosen.sizes]
+    rows = np.abs(simulate_models(selection.context, judge, sizes))
+    before, after = np.mean(rows, axis=1, where=judge.joint_of == 1)
+    assert after > 1.2 * before
+    assert assemble.find_harmful(shifted, judge) is None
+
+
+def test_a_joint_that_loses_its_effect_may_begin_where_its_base_parameters_were_fitted(monkeypatch):
+    selection = select_effects(draw_toy(1, TRUTH), BASE, CATALOGUE, seed=1)
+    context, chosen, begun = selection.context, selection.chosen, []
+    fit = joint_fits.fit_together
+
+    def keep(context, hypotheses, text):
+        begun.extend(hypotheses)
+        return fit(context, hypotheses, text)
+
+    monkeypatch.setattr(joint_fits, "fit_together", keep)
+    joint_fits.leave_out(context, chosen, [SQUARE])
+    (one,) = begun
+    own = context.union.columns([effect for effect in BASE if effect.place == "near"])
+    assert np.array_equal(one.other_starts[0][own], selection.base.sizes[own])
+    assert not np.array_equal(one.start[own], selection.base.sizes[own])
 
 
 def test_a_finding_whose_interval_holds_zero_is_none(monkeypatch):

@@ -169,15 +169,16 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
             distance = measure_distance(context, held_out, rows_of_it, left, residuals[0])
             harms.append((effect, *find_worst(before_it, mine if distance > 1.0 else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
-    if ratio <= 1.0:
-        ratio, j, error = find_worst(base)
-        own = [one for one in chosen.effects if joints[j] in joints_of(context, one)] or chosen.effects
+    if ratio <= 1.0:  # a joint without an effect differs from base parameters by these alone
+        acted = [j for one in chosen.effects for j in joints_of(context, one)]
+        ratio, j, error = find_worst(np.where(np.isin(joints, acted), base, after))
+        if ratio <= 1.0:
+            return None
+        own = [one for one in chosen.effects if joints[j] in joints_of(context, one)]
         effect = min(own, key=lambda one: left_out_gain(selection, one))
-    if ratio <= 1.0:
-        return None
-    name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
+    unit = held_out.units[joints[j]]
     words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
-    return effect, f"it makes {name} worse on motions that took no part: {words}"
+    return effect, f"it makes {held_out.joints[joints[j]]} worse on motions that took no part: {words}"
 
 
 def describe_finding(

@@ -33,6 +33,8 @@ class Context:
     """(n_joints,)."""
     noise_loss: Array
     """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
+    base_sizes: Array
+    """`FittedModel.sizes` with base parameters alone; empty before they are fitted."""
     base_left_out: Array
     """`FittedModel.left_out` with base parameters alone."""
     sharing: Sharing
@@ -120,6 +122,7 @@ def start_context(
         catalogue=others,
         scales=ones,
         noise_loss=0.0 * ones,
+        base_sizes=np.empty(0),
         base_left_out=np.empty(0),
         sharing=share_nothing(len(model.joints), joint_of_column),
         reach={},

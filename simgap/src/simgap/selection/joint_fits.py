@@ -89,7 +89,8 @@ def fit_base(context: Context) -> tuple[Context, FittedModel]:
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     left_out = cross_validate(context, fits)
-    return replace(context, base_left_out=left_out), FittedModel((), sizes, fits, left_out)
+    context = replace(context, base_sizes=sizes, base_left_out=left_out)
+    return context, FittedModel((), sizes, fits, left_out)
 
 
 def fit_starts(context: Context) -> tuple[JointFit, ...]:
@@ -264,8 +265,19 @@ def fit_each(
     sizes: Array,
     known: Sequence[JointFit] = (),
 ) -> tuple[JointFit, ...]:
-    """Fit base and effects of some joints, each with the others as they are."""
-    return tuple(fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit"))
+    """Fit base and effects of some joints, each with the others as they are.
+
+    A joint without an effect may begin where its base parameters were fitted: else they may stay where they
+    were fitted beside an effect that went.
+    """
+    taken, hypotheses = [context.joint_of(one) for one in effects], []
+    for joint in joints:
+        one = start_fit(context, effects, joint, sizes, known)
+        if context.base_sizes.size and joint not in (ALL_JOINTS, *taken):
+            start = np.where(context.sharing.list_fitted(joint), context.base_sizes, sizes)
+            one = replace(one, other_starts=(start,))
+        hypotheses.append(one)
+    return tuple(fit_together(context, hypotheses, "fit"))
 
 
 def simulate_fits(context: Context, sizes: Array, fits: Sequence[JointFit]) -> tuple[JointFit, ...]:
