@@ -149,8 +149,7 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
         return None
     models = [chosen, selection.base, *(model for _, model in selection.left_out)]
     residuals = simulate_models(context, held_out, [model.sizes for model in models])
-    rows = np.abs(residuals)
-    joints = np.unique(held_out.joint_of)
+    rows, joints = np.abs(residuals), np.unique(held_out.joint_of)
     after, base, *without = np.array([np.mean(rows[:, held_out.joint_of == j], axis=1) for j in joints]).T
 
     def find_worst(before: Array, own: Sequence[int] = ()) -> tuple[float, int, float]:
@@ -170,15 +169,15 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
             harms.append((effect, *find_worst(before_it, mine if distance > 1.0 else ())))
     effect, ratio, j, error = max(harms, key=lambda one: one[1])
     if ratio <= 1.0:  # a joint without an effect differs from base parameters by these alone
-        acted = [j for one in chosen.effects for j in joints_of(context, one)]
-        ratio, j, error = find_worst(np.where(np.isin(joints, acted), base, after))
+        acted = np.isin(joints, [j for one in chosen.effects for j in joints_of(context, one)])
+        ratio, j, error = find_worst(np.where(acted, base, after))
         if ratio <= 1.0:
             return None
-        own = [one for one in chosen.effects if joints[j] in joints_of(context, one)]
+        own = (one for one in chosen.effects if joints[j] in joints_of(context, one))
         effect = min(own, key=lambda one: left_out_gain(selection, one))
-    unit = held_out.units[joints[j]]
+    unit, name = held_out.units[joints[j]], held_out.joints[joints[j]]
     words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
-    return effect, f"it makes {held_out.joints[joints[j]]} worse on motions that took no part: {words}"
+    return effect, f"it makes {name} worse on motions that took no part: {words}"
 
 
 def describe_finding(
