@@ -29,6 +29,7 @@ from simgap.effects.inertia import Armature
 from simgap.logs import Logs, Signal
 from simgap.patch.patch import make_patch, save_patch
 from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
+from simgap.robot import ControlMode
 
 ROBOT = lab.pendulum(limit_Nm=1.5)
 IN_MODEL = {ViscousFriction: 0.01, CoulombFriction: 0.05, GainError: -0.3, Armature: 0.001}
@@ -140,6 +141,13 @@ def test_a_size_of_zero_changes_no_number_of_the_model():
     assert not patch.runtime
 
 
+def test_gains_that_are_not_known_leave_no_number_that_is_none():
+    joint = replace(ROBOT.joints[0], mode=ControlMode.VELOCITY, kp_Nm_rad=math.nan, kd_Nms_rad=math.nan)
+    patch = make_patch(replace(ROBOT, joints=(joint,)), *made({LoadFriction: 0.1}))
+    assert 'armature="nan"' not in patch.model_xml
+    assert "armature_off_kgm2 = 0.0" in patch.runtime
+
+
 def test_an_actuator_that_has_the_law_of_the_robot_file_is_not_touched():
     motor = "<general name='m' joint='swing' biastype='affine' gainprm='4' biasprm='0 -4 -.1'/>"
     xml = ROBOT.model_xml.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>")
@@ -165,7 +173,7 @@ def read(folder, actuator, mode="position", of_joint="", more=""):
 def assert_patch_moves_as_engine(robot):
     """Check that the patched model alone moves as the engine does."""
     model = mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml)
-    joint = RuntimeJoint("swing", "swing", "swing", robot.joints[0].mode, 0.02, 0.002)
+    joint = RuntimeJoint("swing", "swing", "swing", robot.joints[0].mode, 0.0, 0.0)
     patched = play(model, RuntimeEffects(model, [], [joint], 0.002), COMMAND[:, None], np.zeros(1), every=5)[
         :, 0
     ]

@@ -175,7 +175,7 @@ def find_harmful(selection: Selection, held_out: ResidualModel) -> tuple[Effect,
             return None
         own = (one for one in chosen.effects if joints[j] in joints_of(context, one))
         effect = min(own, key=lambda one: left_out_gain(selection, one))
-    unit, name = held_out.units[joints[j]], held_out.joints[joints[j]]
+    name, unit = held_out.joints[joints[j]], held_out.units[joints[j]]
     words = f"{quantity(error, unit)} to {quantity(float(after[j]), unit)}"
     return effect, f"it makes {name} worse on motions that took no part: {words}"
 

@@ -328,7 +328,7 @@ def _runtime_text(
     robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor], fields: Fields
 ) -> str:
     """Return the runtime file."""
-    on, off = (powered_numbers(robot, fields, one + 0.0 * fields.kp_Nm_rad) for one in (1.0, 0.0))
+    on, off = (powered_numbers(robot, fields, np.full_like(fields.kp_Nm_rad, one)) for one in (1.0, 0.0))
     more = {"back_emf_Nms_rad": on[0] - off[0], "armature_off_kgm2": off[1] - on[1]}
     joints = []
     for j, joint in enumerate(robot.joints):

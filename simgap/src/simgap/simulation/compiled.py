@@ -240,11 +240,6 @@ class Rotors:
             field[rows, one.dof] = value[rows, one.joint]
             field[rows, one.joint_dof] = 0.0
 
-    def clear(self, value: Array) -> None:
-        """Set numbers of joints to 0 where a rotor has them, (n, n_joints)."""
-        for one in self._places:
-            value[one.rows[one.rows < value.shape[0]], one.joint] = 0.0
-
     def start(self, batch: mujoco.batch.Batch) -> None:
         """Put the rotors at the positions and speeds of their joints."""
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")

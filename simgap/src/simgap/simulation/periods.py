@@ -99,9 +99,6 @@ class Periods:
         self._dry = batch.expand("dof_frictionloss")
         self._damping, self._inertia = batch.expand("dof_damping"), batch.expand("dof_armature")
         self._diagonal = batch.expand("dof_M0")
-        _, self._armatures = powered_numbers(compiled.robot, fields, np.ones_like(fields.kp_Nm_rad))
-        """Armatures of the joints as they have power, (n_sims, n_joints); 0 where a rotor has it."""
-        rotors.clear(self._armatures)
         self._back_emf = fields.back_emf_Nms_rad
         """Back-EMF of the motors that have power, (n, n_joints)."""
         self._temperature = temperature_degC
@@ -139,13 +136,14 @@ class Periods:
         if not self._has_effects:
             return
         # arrays for all periods: new ones in each of them would take a fifth of the time of a step
-        self._armature, self._loss = self._armatures[:n], fields.frictionloss_Nm[:n]
+        self._armature, self._loss = ColumnView(self._inertia, at.dof, n), fields.frictionloss_Nm[:n]
         q, v = columns("qpos", at.qpos), columns("qvel", at.dof)
         self._forces = [
             columns(name, at.dof) for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
         ]
         self._motor = columns("actuator_force", at.actuator)
-        self._copies = [one for one in (q, v, *self._forces, self._motor) if not one.is_view]
+        every = (q, v, *self._forces, self._motor, self._armature)
+        self._copies = [one for one in every if not one.is_view]
         self._applied, self._friction = columns("qfrc_applied", at.dof), ColumnView(self._dry, at.dof, n)
         self._now = now = q.values, v.values
         if self._ahead_s > 0.0:
@@ -183,8 +181,7 @@ class Periods:
             field[:n, self._compiled.dof] = value
             self._rotors.move(field, value)
         self._diagonal += self._inertia - before  # MuJoCo takes the inertia of some simple joints from it
-        self._rotors.clear(armature)
-        self._armatures[:n], self._back_emf = armature, self._fields.back_emf_Nms_rad[:n] * enabled
+        self._back_emf = self._fields.back_emf_Nms_rad[:n] * enabled
 
     def set_inputs(self, k: int, command: Array, enabled: Array | None = None) -> None:
         """Set the inputs of control period k; effects may change the commands, (n, n_joints).
@@ -218,7 +215,7 @@ class Periods:
             one.read()
         bias, smooth, constraint, qacc = (one.values for one in self._forces)
         load = self._state.load_Nm
-        np.multiply(self._armature, qacc, out=load)
+        np.multiply(self._armature.values, qacc, out=load)
         np.subtract(constraint, load, out=load)
         load += smooth
         load += bias
@@ -229,7 +226,9 @@ class Periods:
             np.add(v, self._ahead_s * qacc, out=self._state.v_rad_s)
         self._friction.values[...] = self._loss
         self._applied.values.fill(0.0)
+        motor_Nm = self._motor.values
         if self._acts:
+            motor_Nm = motor_Nm - self._back_emf[: self.n] * self._now[1]
             self._limit[...] = self._fields.torque_limit_Nm[: self.n]
             self._gain.fill(1.0)
         return Tick(
@@ -239,7 +238,7 @@ class Periods:
             frictionloss_Nm=self._friction.values,
             torque_limit_Nm=self._limit,
             gain=self._gain,
-            motor_Nm=self._motor.values - self._back_emf[: self.n] * self._now[1],
+            motor_Nm=motor_Nm,
             period_s=self._period_s,
             memory={},
         )
