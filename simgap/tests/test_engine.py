@@ -350,6 +350,22 @@ def test_the_stages_that_are_skipped_change_no_bit(robot):
     assert np.array_equal(fast, path(model))
 
 
+@pytest.mark.parametrize("robot", [arm, so101])
+def test_dry_friction_and_limits_alone_are_solved_to_a_microradian(robot):
+    model = Models(robot()).compiled([]).robot.model
+    assert model.opt.solver == mujoco.mjtSolver.mjSOL_PGS
+    model.dof_frictionloss = np.maximum(model.dof_frictionloss, 0.5)
+    found = path(model)
+    model.opt.solver, model.opt.tolerance = mujoco.mjtSolver.mjSOL_NEWTON, 1e-14
+    np.testing.assert_allclose(found, path(model), rtol=0.0, atol=1e-6)
+
+
+def test_a_model_with_a_tendon_keeps_its_solver():
+    robot = pendulum()
+    model = Models(robot).compiled([Backlash("swing", 0, False, 0.01, 0.1)]).robot.model
+    assert model.opt.solver == robot.model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+
+
 def test_a_mesh_that_is_only_seen_is_not_kept_and_its_mass_counts():
     corners = "1 0 0  0 1 0  0 0 1  -1 -1 -1"
     seen = '<geom type="mesh" mesh="cover" mass="0.4" contype="0" conaffinity="0" pos="0 0 -0.1"/></body>'
