@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from helpers.effect_lab import ARM_XML, motion_of, robot_of, simulate
 from helpers.pendulum import motion, pendulum, recorded, waves
@@ -21,7 +22,7 @@ from simgap.patch.patch import make_patch
 from simgap.patch.text import read_effect
 from simgap.report.details import bound_sentences, finding_sentences
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
-from simgap.residuals.residuals import refer_to
+from simgap.residuals.residuals import pseudo_huber, refer_to
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.selection.acceptance import Candidate, choose_simplest, pays, step_without
 from simgap.selection.checkpoint import Meter
@@ -69,6 +70,21 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside():
     fitting = Fitting(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
     (fit,) = fitting.finish()
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_fit_ends_within_a_third_of_a_standard_error_of_its_optimum(seed):
+    model = draw_toy(seed, {"near: square": 0.1})
+    effects, scale = (BASE[0], CATALOGUE[0]), 0.02
+    start = Hypothesis(np.arange(2), np.array([-1.0, 0.0]), 0)
+    sharing = share_nothing(2, np.zeros(2, np.int64))
+    (fit,) = Fitting(model, Union(effects), [start], np.full(2, scale), sharing=sharing).finish()
+
+    def loss(sizes):
+        return float(np.sum(pseudo_huber(model.residuals(effects, sizes[None])[0, fit.rows] / scale)))
+
+    # a standard error adds 1 to a sum of squares over the variance
+    assert loss(fit.sizes) < minimize(loss, fit.sizes, method="Nelder-Mead").fun + 1.0 / 9.0
 
 
 class Folded(ToyResiduals):

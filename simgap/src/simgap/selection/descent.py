@@ -16,9 +16,9 @@ from simgap.selection.fit import STEP, Hypothesis, JointFit, Union, select_rows
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
 
 CONVERGED: Final = 1e-4
-"""Relative decrease of the loss below which a fit has converged. A standard error of a size changes the loss by
-one part in as many as there are independent residuals: up to ten thousand, a fit is nearer to its optimum. With
-1e-3, effects of a set were left in it or out of it by where their fits had stopped."""
+"""Relative decrease of the loss below which a fit has converged: less than a standard error of a size changes
+it where fewer than ten thousand residuals are independent. With 1e-3, tests of a set compared where fits had
+stopped."""
 DAMPING: Final = 1e-2
 """Damping at the start, over the diagonal of the normal matrix; its usual start is 1e-3 to 1e-2."""
 MOST_DAMPING: Final = 1e3
