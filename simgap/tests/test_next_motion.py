@@ -24,9 +24,9 @@ from simgap.effects.inertia import LinkMass
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.next_motion import family
 from simgap.next_motion.family import Plan, list_contacts, list_plans, make_motion
-from simgap.next_motion.proposal import propose_motion
+from simgap.next_motion.proposal import find_slopes, propose_motion
 from simgap.next_motion.rivals import choose_rivals
-from simgap.next_motion.separation import Slopes, choose_motion, find_sigma, scale_slopes
+from simgap.next_motion.separation import Slopes, choose_motion, find_deviations, find_sigma
 from simgap.patch.patch import save_patch
 from simgap.patch.text import read_rivals
 from simgap.report.next_motion import next_document, next_lines, save_next_page
@@ -49,12 +49,18 @@ def test_the_separation_is_that_of_a_fit_of_both_motions():
     """An independent oracle: the rival is fitted again to the earlier and the new motion together."""
     old, new, prior = RANDOM.normal(size=(30, 3)), RANDOM.normal(size=(20, 3)), np.array([2.0, np.inf, 0.5])
     values = RANDOM.normal(size=(2, 20))
-    slopes = scale_slopes(new, old, prior)
+    slopes = new @ find_deviations(old, prior)
     every = np.vstack([old, new, np.diag(1.0 / prior)])
     wanted = np.concatenate([np.zeros(30), values[0] - values[1], np.zeros(3)])
     sizes, (left,), *_ = np.linalg.lstsq(every, wanted)
     error = STEP * np.linalg.norm(new @ sizes)  # of the derivatives
     assert find_sigma(values, (slopes, slopes), 0, 1) == pytest.approx(np.sqrt(left - error**2))
+
+
+def test_slopes_are_those_of_a_parabola_for_any_part_of_a_standard_deviation():
+    line, bend, share = RANDOM.normal(size=(3, 20)), RANDOM.normal(size=(3, 20)), np.array([1.0, 0.3, 1e-3])
+    changes = np.concatenate([k * share[:, None] * line + share[:, None] ** 2 * bend for k in (1.0, -1.0)])
+    np.testing.assert_allclose(find_slopes(changes, share), np.concatenate([line, bend]).T, rtol=1e-9)
 
 
 def test_a_small_rest_of_what_sizes_imitate_separates_nothing():

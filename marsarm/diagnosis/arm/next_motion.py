@@ -29,7 +29,7 @@ from simgap.common.page import Origin
 from simgap.common.progress import Progress, as_guess, no_progress, part_of
 from simgap.next_motion.proposal import Curve, Proposal
 from simgap.next_motion.rivals import choose_rivals, is_sure
-from simgap.next_motion.separation import Slopes, choose_motion, scale_slopes
+from simgap.next_motion.separation import Slopes, choose_motion, find_deviations
 from simgap.report.next_motion import save_next_files
 from simgap.result import Rival
 
@@ -99,11 +99,12 @@ def propose_motion(
     old = [_slopes(model.sensitivities, own) for own in settings]
     q = len(planned.shared_nuisances)
     priors = [np.where(np.arange(one.shape[1]) < q, 1.0, np.inf) for one in new]
+    slopes = [one @ find_deviations(*known) for one, *known in zip(new, old, priors, strict=True)]
     blocks = [*dict.fromkeys(planned.layout.block.tolist())]
     rows = [np.flatnonzero(planned.layout.block == block) for block in blocks]
 
     def differentiate(some: Sequence[int]) -> list[Slopes]:
-        return [[scale_slopes(new[k][rows[m]], old[k], priors[k]) for k in range(len(group))] for m in some]
+        return [[one[rows[m]] for one in slopes] for m in some]
 
     choice = choose_motion([white[:, own] for own in rows], differentiate, [one.p for one in group])
     named = tuple(words[block] for block in blocks)

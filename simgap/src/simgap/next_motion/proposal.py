@@ -19,7 +19,7 @@ from simgap.next_motion.family import (
     make_motion,
 )
 from simgap.next_motion.rivals import choose_rivals, is_sure
-from simgap.next_motion.separation import Choice, Slopes, choose_motion, scale_slopes
+from simgap.next_motion.separation import Choice, Slopes, choose_motion, find_deviations
 from simgap.residuals.conditioned import join_conditions
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
 from simgap.residuals.residuals import ResidualModel, refer_to
@@ -30,8 +30,8 @@ from simgap.selection.fit import STEP, Union, scale_residuals
 
 AT_ONCE: Final = 32
 """Motions that are simulated together, between two reports of the progress."""
-SCREENED: Final = 0.7
-"""Share of the time after the simulation of all motions, for the progress: 6.7 s of 9.1 s for a servo arm."""
+SCREENED: Final = 0.3
+"""Share of the time after the simulation of all motions, for the progress: of a servo arm."""
 RUNS: Final = 4
 """Times that a motion is recorded: this halves its error, and other runs predict one that is left out."""
 Report = Callable[[float, str], None]
@@ -133,27 +133,35 @@ class _Models:
         for point, rival in zip(self.points, rivals, strict=True):
             point[self.union.columns(rival.effects)] = np.concatenate([*map(np.asarray, rival.sizes)])
         self.places = {one.effect.rpartition(": ")[0] for one in rivals}
-        shifted = [(k, int(c)) for k, columns in enumerate(self.fitted) for c in columns]
-        self.shifts = [_step(self.union.sizes[c], self.points[k, c]) for k, c in shifted]
-        self.neighbours = np.array([self.points[k] for k, _ in shifted])
-        self.neighbours[np.arange(len(shifted)), [c for _, c in shifted]] += self.shifts
 
-    def slopes(self, values: Array, moved: Array) -> list[Array]:
-        """Return derivatives by typical sizes, (n, n_fitted) for each rival.
+    def neighbours(self, k: int) -> tuple[Array, Array]:
+        """Return the points a step of each fitted size from a rival, and the steps in typical sizes."""
+        sizes = self.union.sizes_at(self.fitted[k])
+        steps = [_step(one, at) for one, at in zip(sizes, self.points[k, self.fitted[k]], strict=True)]
+        points = np.repeat(self.points[k][None], len(sizes), axis=0)
+        points[np.arange(len(sizes)), self.fitted[k]] += steps
+        return points, np.array(steps) / [one.typical for one in sizes]
+
+    def deviate(self, k: int, old: Array) -> tuple[Array, Array]:
+        """Return what earlier motions leave possible beside a rival, and by how many standard deviations.
+
+        Each independent change is made up and down, as far as bounds allow, and by a typical size at most.
 
         Args:
-            values: Residuals at the points, (n_rivals, n).
-            moved: Residuals at the neighbours, (n_neighbours, n).
-        """
-        typical = [self.union.sizes[c].typical for columns in self.fitted for c in columns]
-        owner = np.repeat(np.arange(len(self.fitted)), [columns.size for columns in self.fitted])
-        factor = np.array(typical) / np.array(self.shifts)
-        slopes = (moved - values[owner]) * factor[:, None]
-        return [slopes[owner == k].T for k in range(len(self.fitted))]
+            old: Derivatives in the earlier motions, (n_old, n_fitted), in units of noise and typical size.
 
-    def priors(self, k: int) -> Array:
-        """Return standard deviations before the logs, in typical sizes, (n_fitted,)."""
-        return np.array([one.prior_std / one.typical for one in self.union.sizes_at(self.fitted[k])])
+        Returns:
+            Points (2 n_fitted, n), those down last, and deviations (n_fitted,), at most 1.
+        """
+        sizes, at = self.union.sizes_at(self.fitted[k]), self.points[k, self.fitted[k]]
+        typical = np.array([one.typical for one in sizes])
+        changes = find_deviations(old, np.array([one.prior_std for one in sizes]) / typical)
+        share = 1.0 / np.maximum(np.abs(changes).max(axis=0, initial=0.0), 1.0)
+        step = (typical[:, None] * changes * share).T
+        points = np.repeat(self.points[k][None], 2 * len(sizes), axis=0)
+        low, high = [one.low for one in sizes], [one.high for one in sizes]
+        points[:, self.fitted[k]] = np.clip(at + np.concatenate([step, -step]), low, high)
+        return points, share
 
 
 def _step(size: Size, at: float) -> float:
@@ -186,11 +194,13 @@ class _Family:
         speeds, joint_of = _speeds(earlier, earlier.explain("position")), earlier.joint_of
         self._fastest = np.array([speeds[joint_of == j].max(initial=0.0) for j in range(len(earlier.joints))])
         self._touching = list_touching(robot, motions)
-        rows = self._select(earlier)
-        every = np.concatenate([models.points, models.neighbours])
+        rows, numbers = self._select(earlier), range(len(models.points))
+        points, steps = zip(*map(models.neighbours, numbers), strict=True)
+        every = np.concatenate([models.points, *points])
         values = self._whiten(white, earlier.residuals(union.effects, every))[:, rows]
-        n = len(models.points)
-        self._old = models.slopes(values[:n], values[n:])
+        changes = _changes(values, [len(one) for one in points])
+        old = [(change / step[:, None]).T for change, step in zip(changes, steps, strict=True)]
+        self._moved, self._shares = zip(*map(models.deviate, numbers, old), strict=True)
 
     def motion(self, k: int) -> Motion:
         """Return a motion with the name of its number."""
@@ -245,18 +255,13 @@ class _Family:
         return [0.5 * one for one in self._compare(some, self._models.points)]
 
     def differentiate(self, some: Sequence[int]) -> list[Slopes]:
-        """Return the slopes of the rivals in some motions."""
-        n = len(self._models.points)
-        every = np.concatenate([self._models.points, self._models.neighbours])
-        parts = self._compare(some, every)
-        slopes = [self._models.slopes(one[:n], np.nan_to_num(one[n:])) for one in parts]
-        return [
-            [
-                scale_slopes(new, old, self._models.priors(k))
-                for k, (new, old) in enumerate(zip(of, self._old, strict=True))
-            ]
-            for of in slopes
-        ]
+        """Return the slopes of the rivals in some motions, beside them the bends.
+
+        A rival's prediction over a standard deviation of a size need not be a line: of half the second
+        difference too, one standard deviation is taken for possible.
+        """
+        parts = self._compare(some, np.concatenate([self._models.points, *self._moved]))
+        return [[*map(find_slopes, _changes(one, [*map(len, self._moved)]), self._shares)] for one in parts]
 
     def draw(self, k: int) -> tuple[Curve, ...]:
         """Return what the rivals predict of each joint that is compared in a motion."""
@@ -267,6 +272,28 @@ class _Family:
             for j, name in enumerate(model.joints)
             if (own := rows & (model.joint_of == j)).any()
         )
+
+
+def _changes(values: Array, numbers: Sequence[int]) -> list[Array]:
+    """Return the changes of residuals from each rival to its own points, 0 where one blew up.
+
+    Args:
+        values: Residuals of the rivals, then those of their points, (n_rivals + the sum of `numbers`, n).
+    """
+    n = len(numbers)
+    parts = np.split(values[n:], np.cumsum(numbers)[:-1])
+    return [np.nan_to_num(part - one) for part, one in zip(parts, values[:n], strict=True)]
+
+
+def find_slopes(changes: Array, share: Array) -> Array:
+    """Return first differences and half the second ones, (n, 2 n_sizes), by one standard deviation.
+
+    Args:
+        changes: Of a prediction by each size up, then by each down, (2 n_sizes, n).
+        share: Standard deviations that a size is changed by, (n_sizes,).
+    """
+    up, down = np.split(changes, 2)
+    return np.concatenate([(up - down) / (2.0 * share[:, None]), (up + down) / (2.0 * share[:, None] ** 2)]).T
 
 
 def _speeds(model: ResidualModel, positions: Array) -> Array:

@@ -108,11 +108,10 @@ def find_sigma(values: Array, slopes: Slopes, i: int, j: int) -> float:
     return float(np.sqrt(max(least, 0.0)))
 
 
-def scale_slopes(slopes: Array, old: Array, prior: Array) -> Array:
-    """Scale derivatives so that their sizes have independent errors of one standard deviation.
+def find_deviations(old: Array, prior: Array) -> Array:
+    """Return independent changes of the sizes, each by one standard deviation, (n_sizes, n_sizes).
 
     Args:
-        slopes: Derivatives in a new motion, (n, n_sizes), in units of the noise.
         old: Derivatives in the earlier motions, (n_old, n_sizes), in units of the noise.
         prior: Standard deviations before these, (n_sizes,); infinite without a prior.
     """
@@ -120,4 +119,4 @@ def scale_slopes(slopes: Array, old: Array, prior: Array) -> Array:
     values, vectors = np.linalg.eigh(information)
     # what nothing tells is free: its error is as large as numbers allow
     values = np.maximum(values, 1e-12 * max(float(values[-1]), 1e-300))
-    return np.asarray(slopes @ (vectors / np.sqrt(values)))
+    return np.asarray(vectors / np.sqrt(values))
