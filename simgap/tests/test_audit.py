@@ -130,8 +130,17 @@ def test_missing_rows_and_an_uneven_rate_are_named(clean):
         late_s = np.where(np.arange(log.position.time_s.size) % 2, 0.008, 0.0)
         return replace(log, position=replace(log.position, time_s=log.position.time_s + late_s))
 
-    for change, kind in ((lose, RemarkKind.MISSING), (shake, RemarkKind.JITTER)):
-        assert kinds(audit(planar_arm(), with_joint(clean, "elbow", change))) == [(kind, "elbow")]
+    def end_early(log):
+        return replace(log, position=Signal(log.position.time_s[:-300], log.position.value[:-300]))
+
+    def lose_commands(log):
+        kept = np.r_[0:200, 300 : log.command.value.size]
+        return replace(log, command=Signal(log.command.time_s[kept], log.command.value[kept]))
+
+    for change in (lose, end_early, lose_commands):
+        found = audit(planar_arm(), with_joint(clean, "elbow", change))
+        assert (RemarkKind.MISSING, "elbow") in kinds(found)
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(RemarkKind.JITTER, "elbow")]
 
 
 def test_positions_that_are_no_numbers_are_refused(clean):

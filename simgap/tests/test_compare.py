@@ -227,6 +227,15 @@ def test_a_result_that_is_damaged_or_of_another_joint_is_refused(tmp_path, late,
     assert said in str(error.value)
 
 
+def test_a_result_with_an_effect_that_stands_there_twice_is_refused(tmp_path, late):
+    save_patch(MODEL, diagnosis(effects=(late,), sizes=((0.03,),)), tmp_path)
+    path = tmp_path / "effects.toml"
+    head, table = path.read_text().split("[[effects]]")
+    path.write_text("[[effects]]".join([head, table, table]))
+    with pytest.raises(RobotError, match=r"effects.toml: two effects have the same name and place; keep one"):
+        read_found(MODEL, tmp_path)
+
+
 def test_a_result_does_not_start_from_the_model_that_it_patched(tmp_path, late):
     save_patch(MODEL, diagnosis(effects=(late,), sizes=((DELAY_s,),)), tmp_path)
     for model, said in (("patched.xml", "in which the effects of .* act already"), ("model.xml", "")):

@@ -189,6 +189,21 @@ def test_a_check_tells_that_a_diagnosis_refuses_a_model_under_a_condition(tmp_pa
     assert "with mass_kg = 200" in check_robot(CheckRequest(robot.path, (log,))).refusal
 
 
+def test_an_effect_cannot_follow_a_condition_that_is_neutral_in_all_fitted_motions(tmp_path):
+    heavy = 'column = "mass_g"\neffects = ["constant torque"]\nneutral = 200.0'
+    robot, log = read(tmp_path, ('column = "mass_g"', heavy))
+    motions = [one for one in load(robot, log).motions if one.conditions["mass_kg"] == 200.0]
+    found = diagnose(robot, motions)
+    (rejected,) = (one for one in found.rejected if one.effect == "constant torque by mass_kg")
+    assert rejected.reason == "mass_kg is 200 in all fitted motions"
+
+
+def test_a_condition_is_held_out_by_its_number_however_it_is_written(tmp_path):
+    robot, log = read(tmp_path)
+    judged = [load(robot, log, held_out=[f"length_m={text}"]).judged for text in ("0.20", "0.2")]
+    assert [one.name for one in judged[0]] == [one.name for one in judged[1]] != []
+
+
 def test_an_effect_that_no_joint_can_have_is_refused(tmp_path):
     robot, log = read(tmp_path, ('column = "mass_g"', 'column = "mass_g"\neffects = ["payloud"]'))
     logs = load(robot, log)

@@ -139,6 +139,8 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
         ({"gain": [2, 2, 1, 3, 3, 3, 3]}, "column 'gain' changes within motion 'slow'; divide the motion"),
         ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
         ({"gain": [np.nan] * 3 + [3.0] * 4}, "column 'gain', motion 'slow': a row has no number; write one"),
+        ({"motion": ["slow"] * 3 + [""] * 4}, "column 'motion' is empty in row 4; name the motion"),
+        ({"motion": ["slow"] * 3 + [None] * 4}, "column 'motion' is empty in row 4; name the motion"),
         ({"motion": [["slow"]] * 7}, "column 'motion' has lists of 1: write the place of an item, such as"),
         ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
     ],

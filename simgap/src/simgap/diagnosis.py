@@ -106,7 +106,7 @@ def diagnose(
             parts.append(replace(part, rejected=(*withdrawn, *rejected)))
     progress(1.0, "done")
     return replace(
-        convert_errors(robot, join_parts(parts)),
+        convert_errors(robot, join_parts(parts, _list_neutral(robot, logs, known))),
         seed=seed,
         is_base_only=base_only,
         refused=() if audit is None else audit.refused,
@@ -142,24 +142,33 @@ def _list_kinds(
 
 
 def list_variations(robot: Robot, logs: Logs, known: Sequence[Effect]) -> list[Effect]:
-    """List effects that may follow a condition; RobotError if none has the name, or it is always neutral."""
+    """List effects that may follow a condition, if it is not always neutral; RobotError for a wrong name."""
     found: list[Effect] = []
     candidates = [*base_effects(robot, logs), *known]
     for condition, table in (robot.file.conditions if robot.file and known else {}).items():
         largest = max(abs(motion.conditions[condition] - table.neutral) for motion in logs.fit)
         where = f"conditions.{condition}"
-        if table.effects and largest == 0.0:
-            raise RobotError(
-                f"{where}: is {table.neutral:g} in all fitted motions; fit some with another value"
-            )
         for name in table.effects:
             own = [one for one in candidates if one.name.lower() == name.lower()]
             if not own:
                 there = sorted({one.name for one in candidates})
                 hint = hint_at(name, there, "there are")
                 raise RobotError(f"{where}.effects: no joint can have the effect {name!r}; {hint}")
-            found += [Variation(one.place, unbound(one), condition, largest) for one in own]
+            if largest > 0.0:
+                found += [Variation(one.place, unbound(one), condition, largest) for one in own]
     return found
+
+
+def _list_neutral(robot: Robot, logs: Logs, known: Sequence[Effect]) -> tuple[Rejected, ...]:
+    """List the effects that cannot follow a condition, as it is neutral in all fitted motions."""
+    return tuple(
+        Rejected(
+            "any joint", f"{name} by {condition}", f"{condition} is {table.neutral:g} in all fitted motions"
+        )
+        for condition, table in (robot.file.conditions if robot.file and known else {}).items()
+        for name in table.effects
+        if all(motion.conditions[condition] == table.neutral for motion in logs.fit)
+    )
 
 
 def _part_of(progress: Progress, part: int, parts: int) -> Progress:
@@ -236,13 +245,14 @@ def _is_base(effect: Effect, one: Base) -> bool:
     return effect.place == one.place and [size.name for size in effect.sizes] == [one.name]
 
 
-def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
-    """Join the results of several kinds of residual."""
+def join_parts(parts: Sequence[Diagnosis], rejected: tuple[Rejected, ...]) -> Diagnosis:
+    """Join the results of several kinds of residual, and what none of them could name."""
     lists = (
         *("findings", "base", "errors", "remaining", "rejected"),
         *("effects", "sizes", "start", "effect_kinds", "rivals"),
     )
     joined: dict[str, Any] = {name: sum((getattr(part, name) for part in parts), ()) for name in lists}
+    joined["rejected"] += rejected
     kinds, methods = [part.kind for part in parts], [part.method for part in parts]
     return replace(parts[0], kind=" and ".join(kinds), method=" ".join(methods), **joined)
 

@@ -7,7 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from simgap.checks.records import Faulty, Remark, RemarkKind, SignalRate, is_short, joint_samples, say_times
+from simgap.arrays import Array
+from simgap.checks.records import (
+    Faulty,
+    Remark,
+    RemarkKind,
+    SignalRate,
+    hold,
+    is_short,
+    joint_samples,
+    say_times,
+)
 from simgap.common.console import pluralize
 from simgap.files.columns import GAP, MAX_WINDOWS, SETTLING_S, cut_at_pauses, find_pauses, windows_text
 from simgap.logs import JointLog, Motion
@@ -25,24 +35,30 @@ def audit_rates(
     robot: Robot, motions: Sequence[Motion], faulty: Faulty
 ) -> tuple[tuple[SignalRate, ...], list[Remark]]:
     """Return the rates of all joints in all motions, and remarks about them."""
-    pauses = {motion.name: _find_pauses(motion) for motion in motions}
+    times_s = {motion.name: _times_s(motion) for motion in motions}
+    pauses = {motion.name: _find_pauses(motion, times_s[motion.name]) for motion in motions}
     rates = tuple(
-        _rate(motion.name, name, log, pauses, int(faulty[motion.name, name]["stale"].sum()))
+        _rate(motion.name, name, log, _find_gaps(log, times_s[motion.name], pauses[motion.name]), n_stale)
         for motion in motions
         for name, log in motion.joints.items()
+        for n_stale in [int(faulty[motion.name, name]["stale"].sum())]
     )
     own = (*_describe_pauses(robot, motions, pauses), *_describe_short(motions, rates))
     return rates, [*own, *_remarks(rates)]
 
 
-def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
+def _times_s(motion: Motion) -> Array:
+    """Return the times of all samples of all signals of a motion, (n,)."""
+    signals = [getattr(log, one.name) for log in motion.joints.values() for one in fields(log)]
+    clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
+    return np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
+
+
+def _find_pauses(motion: Motion, times_s: Array) -> list[tuple[float, float]]:
     """Find times in which no signal has a sample: there, no rows are missing, but the log rests."""
     logs = motion.joints.values()
-    signals = [getattr(log, one.name) for log in logs for one in fields(log)]
-    clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
-    time_s = np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
     periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
-    return find_pauses(time_s, max(periods_s, default=0.0))
+    return find_pauses(times_s, max(periods_s, default=0.0))
 
 
 def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
@@ -64,7 +80,7 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
 def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
     """Return the windows that cut the log of a motion at its pauses, by name [s]; none if it has no pause."""
     start_s = motion.start_s
-    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion)]
+    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion, _times_s(motion))]
     end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
     return cut_at_pauses(start_s, pauses, start_s + end_s) if pauses else {}
 
@@ -83,7 +99,33 @@ def _describe_short(motions: Sequence[Motion], rates: Sequence[SignalRate]) -> I
         yield Remark(RemarkKind.SHORT, "", names, text, least.duration_s, unit="s")
 
 
-def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) -> SignalRate:
+def _find_gaps(log: JointLog, times_s: Array, pauses: Sequence[tuple[float, float]]) -> Array:
+    """Return times between rows of a joint that are longer than its period, (n,), without pauses.
+
+    A row has a position, and a command where that is logged in most rows with one and the motor is on.
+
+    Args:
+        times_s: Times of all signals of the motion: a row may be missing at its start and at its end.
+    """
+    time_s = joint_samples(log).time_s
+    if time_s.size < 2:
+        return np.zeros(0)
+    median_s = float(np.median(np.diff(time_s)))
+    if log.command is not None:
+        is_off = np.zeros(time_s.size, np.bool_) if log.enabled is None else hold(log.enabled, time_s) <= 0.5
+        is_whole = is_off | np.isin(time_s, log.command.time_s)
+        time_s = time_s[is_whole] if is_whole.mean() > 0.5 else time_s
+    # a row before the first time, and one after the last
+    edges_s = np.array([min(times_s[0], time_s[0]) - median_s, max(times_s[-1], time_s[-1]) + median_s])
+    time_s = np.concatenate([edges_s[:1], time_s, edges_s[1:]])
+    rests = np.zeros(time_s.size - 1, np.bool_)
+    for begin_s, end_s in pauses:
+        rests |= (time_s[:-1] <= begin_s) & (time_s[1:] >= end_s)
+    period_s = np.diff(time_s)
+    return period_s[(period_s > GAP * median_s) & ~rests]
+
+
+def _rate(motion: str, joint: str, log: JointLog, gaps_s: Array, n_stale: int) -> SignalRate:
     samples, n = joint_samples(log), log.position.value.size
     period = np.diff(samples.time_s)
     n_invalid = n - samples.index.size
@@ -94,10 +136,6 @@ def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) 
         return SignalRate(motion, joint, n, 0.0, nan, nan, 0, nan, n_invalid, n_stale)
     median = float(np.median(period))
     low, high = np.quantile(period, [0.05, 0.95])
-    rests = np.zeros(period.size, np.bool_)
-    for begin_s, end_s in pauses[motion]:
-        rests |= (samples.time_s[:-1] <= begin_s) & (samples.time_s[1:] >= end_s)
-    gaps = period[(period > GAP * median) & ~rests]
     return SignalRate(
         motion=motion,
         joint=joint,
@@ -105,8 +143,8 @@ def _rate(motion: str, joint: str, log: JointLog, pauses: Pauses, n_stale: int) 
         duration_s=float(samples.time_s[-1] - samples.time_s[0]),
         rate_Hz=1.0 / median if median > 0.0 else math.nan,
         jitter_s=float(high - low) / 2.0,
-        n_missing=int(np.sum(np.round(gaps / median) - 1.0)) if median > 0.0 else 0,
-        longest_s=float(period[~rests].max(initial=0.0)),
+        n_missing=int(np.sum(np.round(gaps_s / median) - 1.0)) if median > 0.0 else 0,
+        longest_s=float(np.max([*gaps_s, *period[period <= GAP * median]])),
         n_invalid=n_invalid,
         n_stale=n_stale,
     )
@@ -125,7 +163,8 @@ def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
         if gaps:
             missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
             longest_s = max(r.longest_s for r in gaps)
-            parts = [f"{missing} rows are missing, {longest_s:.3g} s at once at most"] * bool(missing)
+            parts = [f"{missing} rows lack a position or a command, {longest_s:.3g} s at once at most"]
+            parts *= bool(missing)
             parts += [f"{invalid} values are no numbers"] * bool(invalid)
             text, share = " and ".join(parts), (missing + invalid) / n_samples
             yield Remark(RemarkKind.MISSING, joint, _names(gaps), text, share)

@@ -80,9 +80,9 @@ class SignalRate:
     jitter_s: float
     """Half the distance of the quantiles 5 % and 95 % of the period."""
     n_missing: int
-    """Rows that are missing in gaps between samples, without pauses of the log."""
+    """Rows that lack a position, or a command where most have one, without pauses of the log."""
     longest_s: float
-    """Longest time between two samples that is no pause of the log; NaN for fewer than two."""
+    """Longest time between two whole rows that is no pause of the log; NaN for fewer than two positions."""
     n_invalid: int
     """Samples that are not finite."""
     n_stale: int

@@ -72,9 +72,12 @@ class MotionRows:
     def _divide(self, columns: Sequence[str]) -> None:
         texts = [self._log.texts(name) for name in columns]
         joined, self._n_rows = texts[0], texts[0].size
-        for text, name in zip(texts[1:], columns[1:], strict=True):
+        for text, name in zip(texts, columns, strict=True):
             self._check_length(text, name)
-            joined = np.char.add(np.char.add(joined, " "), text)
+            if not (is_named := np.char.str_len(text) > 0).all():
+                row = int(np.argmin(is_named)) + 1
+                raise RobotError(f"{self._log.path}: column {name!r} is empty in row {row}; name the motion")
+            joined = text if text is joined else np.char.add(np.char.add(joined, " "), text)
         names, first, number = np.unique(joined, return_index=True, return_inverse=True)
         order = np.argsort(first)
         self.names = tuple(str(names[k]) for k in order)

@@ -339,9 +339,8 @@ def read_rivals(robot: Robot, folder: Path, motions: Sequence[str]) -> tuple[Riv
             _check_sizes(effects[key], size, path)
         if rival.n_fitted > len(rival.sizes):
             raise RobotError(f"{path}: rivals: n_fitted is {rival.n_fitted}; write 1 to {len(rival.sizes)}")
-        own = rival.model_dump(exclude={"sizes"})
         acting, sizes = (tuple(effects[key] for key in rival.sizes), map(tuple, rival.sizes.values()))
-        found.append(Rival(**own, effects=acting, sizes=tuple(sizes)))
+        found.append(Rival(**rival.model_dump(exclude={"sizes"}), effects=acting, sizes=tuple(sizes)))
     return tuple(found)
 
 
@@ -350,6 +349,8 @@ def _read_effects(
 ) -> list[tuple[Effect, Array]]:
     """Read effects as `read_effect` does; RobotError if a joint of one is not as the robot has it."""
     found = [read_effect(table, path) for table in tables]
+    if len({effect.key for effect, _ in found}) < len(found):
+        raise RobotError(f"{path}: two effects have the same name and place; keep one")
     for effect, _ in found:
         joint = getattr(effect, "joint", None)
         # as texts, because a NaN is not equal to itself
