@@ -293,6 +293,18 @@ def test_commands_have_the_columns_and_units_of_the_logs(tmp_path):
     assert [first["on"], second["on"]] == ["1", "0"]
 
 
+def test_a_command_file_has_the_format_and_the_times_of_the_logs(tmp_path):
+    clock = ('column = "c1", unit', 'column = "c1", time_column = "tc", unit')
+    robot = Robot.from_toml(write_robot(tmp_path, clock, text=f"{ROBOT_FILE}\n[csv]\ndecimal = ','\n"))
+    way = JointLog(position=Signal(np.array([0.0, 0.01]), np.array([0.5, 0.6])))
+    joints = {"shoulder": replace(way, command=way.position), "elbow": way}
+    text = command_table(robot, Motion("next", joints, {"shoulder": 3.0}, conditions={"gain": 3.0}))
+    first, second = csv.DictReader(text.splitlines(), delimiter=";")
+    assert float(first["c1"].replace(",", ".")) == pytest.approx(np.degrees(0.5))
+    assert "," in first["c1"]
+    assert second["tc"] == second["t"] == "10"
+
+
 def test_joints_that_share_a_column_of_power_lose_it_together_and_runs_of_a_motion_are_repeats(tmp_path):
     power = 'enabled = { column = "on", unit = "flag" }\n'
     text = ROBOT_FILE.replace("[joints.elbow]", f"{power}\n[joints.elbow]\n{power}")

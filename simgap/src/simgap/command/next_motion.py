@@ -98,7 +98,8 @@ def command_table(robot: Robot, motion: Motion) -> str:
     file, first = robot.file, next(iter(motion.joints.values())).position.time_s
     names = filter(None, (*file.motion.columns, file.motion.repeat_column))  # its runs repeat one another
     columns: dict[str, list[str]] = {name: [NAME] * first.size for name in names}
-    columns[file.time.column or "time"] = _texts(first / UNITS[file.time.unit].factor)
+    times = _texts(first / UNITS[file.time.unit].factor)
+    columns[file.time.column or "time"] = times
     for name, table in file.joints.items():
         log = motion.joints[name]
         one, signal = table.position, log.position
@@ -106,6 +107,8 @@ def command_table(robot: Robot, motion: Motion) -> str:
             one, signal = table.command, log.command
         factor, offset = conversion(one, UNITS[one.unit].quantity, table)
         columns[one.column] = _texts((signal.value - offset) / factor)
+        if one.time_column:
+            columns[one.time_column] = times
         if table.enabled and log.enabled:
             columns[table.enabled.column] = _texts(log.enabled.value)
         if table.gain_column:
@@ -114,7 +117,10 @@ def command_table(robot: Robot, motion: Motion) -> str:
         if condition.column:
             columns[condition.column] = _texts(np.full(first.size, motion.conditions[name]))
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([columns, *zip(*columns.values(), strict=True)])
+    decimal, separator = file.csv.decimal or ".", file.csv.separator
+    rows = ([one.replace(".", decimal) for one in row] for row in zip(*columns.values(), strict=True))
+    delimiter = separator or (";" if decimal == "," else ",")
+    csv.writer(text, delimiter=delimiter, lineterminator="\n").writerows([[*columns], *rows])
     return text.getvalue()
 
 
