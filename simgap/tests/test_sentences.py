@@ -196,6 +196,10 @@ def test_base_parameters_alone_tell_the_error_of_each_joint_and_no_verdict():
     base = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=(), is_base_only=True)
     where, what, _, following = verdict_lines(base)
     assert where == "Where: no effect was looked for."
+    (much, *_) = verdict_lines(replace(base, errors=(replace(LIFT, explained=0.0124),)))
+    assert much.startswith(
+        "Where: no effect was looked for; base parameters leave 12.4 mrad at lift, which is "
+    )
     assert what == "What: gain of lift is 12.2, in the model 17.8."
     assert following == "Next: look for effects: diagnose with the whole catalogue."
     assert verdict_word(base) == "unknown"

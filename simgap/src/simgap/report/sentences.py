@@ -102,8 +102,9 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 
 
 def _where(diagnosis: Diagnosis) -> str:
+    much = _much_left(diagnosis.errors)
     if diagnosis.is_base_only:
-        return "no effect was looked for."
+        return f"no effect was looked for{much.replace(',', '; base parameters leave', 1)}."
     located = [finding for finding in rank_findings(diagnosis) if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
@@ -115,7 +116,6 @@ def _where(diagnosis: Diagnosis) -> str:
         if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
             return "nowhere; without repeated motions nobody knows if what remains is more than noise."
         return "nowhere; robot and model agree once the base parameters are fitted."
-    much = _much_left(diagnosis.errors)
     if not words:
         return f"{join_words(elsewhere, 'and')}{much}."
     more = f" Something more remains at {join_words(elsewhere, 'and')}{much}." if elsewhere else ""
