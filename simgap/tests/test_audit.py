@@ -86,9 +86,11 @@ def test_a_motor_that_is_too_weak_is_no_command_that_is_cut_off(limit_Nm):
 
 def test_a_stop_against_the_largest_load_may_be_a_torque_limit():
     logs = cut_off("shoulder", lambda sent: np.maximum(sent, -0.3))
-    (remark,) = audit(planar_arm(), logs).remarks
+    found = audit(planar_arm(), logs)
+    (remark,) = found.remarks
     assert (remark.kind, remark.joint) == (RemarkKind.SATURATION, "shoulder")
     assert "look alike" in remark.text
+    assert found.refused == ()  # effects of the catalogue tell them apart
 
 
 @pytest.mark.parametrize("limit_Nm", [2.0, np.inf])

@@ -53,12 +53,12 @@ def audit(robot: Robot, logs: Logs) -> Audit:
     chain = np.isin(rest.joints, chain_joints(robot))
     for _ in range(PASSES):
         free = predict_free(robot, motions, rest, held | (is_below[:, None] & chain))
-        cut_offs, held = find_cut_offs(robot, motions, rest, free)
+        cut_offs, held, is_cut_off = find_cut_offs(robot, motions, rest, free)
         contact, is_below = find_plane(robot, motions, rest, free, np.asarray(held.any(axis=1)))
     remarks += [*cut_offs, *contact, *find_saturation(robot, motions), *find_collisions(robot, motions, rest)]
     ranked = sorted(remarks, key=lambda one: list(RemarkKind).index(one.kind))
     reasons = {
-        "command is cut off or the joint is too weak": held,
+        "command is cut off": is_cut_off,
         "contact with a plane": is_below[:, None] & chain,
     }
     usable, refused = _refuse(motions, rest, faulty, reasons)

@@ -29,14 +29,15 @@ PUSHES: Final = 3.0
 
 def find_cut_offs(
     robot: Robot, motions: Sequence[Motion], rest: Rest, free: Free
-) -> tuple[list[Remark], Flags]:
+) -> tuple[list[Remark], Flags, Flags]:
     """Find values at which the position of a joint stops although its command goes on.
 
     Returns:
-        Remarks, and flags of the samples of `rest` at which a joint is held back, (n, n_joints).
+        Remarks, and flags of the samples of `rest` at which a joint is held back, (n, n_joints): all, and
+        those where its motor is strong enough. Where it may be too weak, effects of the catalogue explain it.
     """
     remarks: list[Remark] = []
-    held = np.zeros(rest.measured.shape, np.bool_)
+    held, is_sure = np.zeros((2, *rest.measured.shape), np.bool_)
     for k, name in enumerate(rest.joints):
         slow = np.where(rest.is_slow[:, k], free.position[:, k], np.nan)
         for side in (1.0, -1.0):
@@ -46,8 +47,10 @@ def find_cut_offs(
                 continue
             remarks.append(_cut_off(robot.joint(name), motions, rest, free, k, side, stop))
             with np.errstate(invalid="ignore"):
-                held[:, k] |= side * free.position[:, k] < stop.levels.max()
-    return remarks, held
+                below = side * free.position[:, k] < stop.levels.max()
+            held[:, k] |= below
+            is_sure[:, k] |= below & (remarks[-1].kind is RemarkKind.CUT_OFF)
+    return remarks, held, is_sure
 
 
 def _cut_off(
