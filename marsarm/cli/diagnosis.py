@@ -69,6 +69,9 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
     Example: marsarm gap demo --seed 3 --report demo.html
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
+    from simgap.common.files import json_sha256
+    from simgap.common.options import command_text
+    from simgap.common.page import Origin
     from simgap.common.report import file_lines
     from simgap.report.page import save_diagnosis_page
     from simgap.report.sentences import verdict_lines
@@ -80,7 +83,9 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
 
     def save() -> list[str]:
         if request.report is not None:
-            save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report)
+            digests = {"result": json_sha256(demo_json(found)), "truth": found.truth.digest()}
+            origin = Origin(command_text("marsarm gap demo", request), digests)
+            save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report, origin)
         return file_lines({"report": request.report})
 
     truth = found.truth
