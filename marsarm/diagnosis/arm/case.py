@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, configure
+from fsw.config import configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
@@ -27,7 +27,7 @@ from marsarm.diagnosis.arm.case_simulator import (
     fit_nuisances,
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set
-from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Sensitivities
@@ -166,10 +166,12 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
         session, name = key.split("/", 1)
         if name.startswith("motion "):
             series.setdefault((channel, session), []).append(row)
-    for (channel, session), rows in series.items():
-        time_s = np.arange(float(len(rows))) * BIN_TICKS / CYCLE_HZ
+    for (channel, session), own in series.items():
+        rows = np.array(own)[np.argsort(layout.time_s[own])]
         numbers = (values[rows] for values in (measured, nominal, explained))
-        yield Trace(channel, FeatureResiduals.kind, session, str(layout.unit[rows[0]]), time_s, *numbers)
+        yield Trace(
+            channel, FeatureResiduals.kind, session, str(layout.unit[rows[0]]), layout.time_s[rows], *numbers
+        )
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:

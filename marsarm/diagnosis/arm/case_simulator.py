@@ -81,6 +81,7 @@ def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> 
         unit=np.array([UNITS[one.channel] for one in features], str),
         regime=np.array([one.regime for one in features], str),
         condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
+        time_s=np.array([one.time_s for one in features], float),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
     )
     return ArmSimulator(feature_set, layout, notes, patch)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import configure
+from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import settle_output
@@ -212,12 +212,14 @@ def _list_rest_features(
             angle = float(turning_points.motor_rad[joint, k])
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
-            features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
+            time_s, key = turning_points.tick[k] / CYCLE_HZ, f"rest {r}/{name}"
+            features.append(Feature(recording, RESOLVER, name, "rest", condition, key, time_s=time_s))
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
         for r, k in zip(tracked, poses, strict=True):
-            sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
-            features.append(Feature(recording, channel, "turret", "pose", still(recording), key, sigma=sigma))
+            sigma, time_s = float(recording.tracker_poses.sigma[axis, k]), ticks[k] / CYCLE_HZ
+            about = recording, channel, "turret", "pose", still(recording), f"rest {r}/{named}"
+            features.append(Feature(*about, sigma=sigma, time_s=time_s))
     found = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
     without, *with_others = (_static_values(found, one) for one in (nominal, *others))
     doubts = np.abs([one - without for one in with_others]).max(axis=0).tolist()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
@@ -142,7 +143,10 @@ def test_nothing_is_compared_near_a_touch(touch):
     """Under the recorded drive another arm would push where the real one did not."""
     closed = np.flatnonzero(touch.recording.sensors["switch_closed"].any(axis=1))[0]
     bins = sum(end <= closed for segment in touch.segments for _, end in segment.bins())
-    assert 0 < sum(feature.channel == features.CURRENT for feature in touch.features) < bins
+    currents = [feature for feature in touch.features if feature.channel == features.CURRENT]
+    assert 0 < len(currents) < bins
+    assert min(one.time_s for one in currents) > 0.0
+    assert max(one.time_s for one in currents) < closed / CYCLE_HZ
 
 
 def test_an_arm_with_another_surface_or_link_touches_at_another_height(campaign):
