@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
 
 gap_app = VerbApp(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
-    "Example: marsarm gap demo --seed 3"
+    "Example: marsarm gap demo --seed 101"
 )
 
 
@@ -66,7 +66,7 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
 
     Four lines say what the logs show; then come the truth, and whether the lines are right.
 
-    Example: marsarm gap demo --seed 3 --report demo.html
+    Example: marsarm gap demo --seed 101 --report demo.html
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
     from simgap.common.files import json_sha256
