@@ -23,7 +23,6 @@ from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensit
 from marsarm.diagnosis.arm.case_simulator import (
     CaseSimulator,
     build_case_simulator,
-    build_simulator,
     fit_nuisances,
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set
@@ -127,19 +126,18 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm = build_simulator(build_feature_set(recordings), patch)
-    sensitivities = campaign.model.sensitivities
-    first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
+    feature_set, sensitivities = build_feature_set(recordings), campaign.model.sensitivities
+    first = build_case_simulator(feature_set, sensitivities.layout, len(sensitivities.nuisances), patch)
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
     fit, selection = fit_nuisances(model, first, patch, seed)
     found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
     shown = count_shown(model, found.diagnosis)
-    remarks = (*audit_recordings(recordings), *missing, *arm.floor_notes, shown)
+    remarks = (*audit_recordings(recordings), *missing, *first.floor_notes, shown)
     diagnosis = replace(
         found.diagnosis,
-        robot=arm.feature_set.arm.name,
-        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in arm.feature_set.list_features())),
+        robot=feature_set.arm.name,
+        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in feature_set.list_features())),
         remarks=tuple(f"{one}." for one in remarks),
     )
     if campaign.held_out is not None and held_out:
@@ -197,8 +195,8 @@ def _judge_held_out(
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
     NotForDiagnosis if nothing of the motion can be compared with the campaign.
     """
-    arm = build_simulator(build_feature_set(recordings), fit.arm.patch)
-    case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
+    feature_set = build_feature_set(recordings)
+    case = build_case_simulator(feature_set, sensitivities.layout, fit.nuisance.size, fit.patch)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
@@ -211,7 +209,7 @@ def _judge_held_out(
     base = residual - N @ found.nuisance
     rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error(held.layout.key.tolist(), rows, sigma, arm.feature_set.arm.params)
+    tool = compute_tool_error(held.layout.key.tolist(), rows, sigma, feature_set.arm.params)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 

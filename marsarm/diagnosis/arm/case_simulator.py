@@ -12,7 +12,7 @@ In all functions, features and their changes are arrays in the units of their ch
 `CaseSimulator`; `nuisance` is their change per unit of each nuisance, (m, q).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -46,33 +46,11 @@ MAX_UPDATES: Final = 3
 """Greatest number of resimulations of nuisances alone, and of those beside effects."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmSimulator:
-    """Arm simulator bound to a campaign.
+def lay_out(feature_set: FeatureSet) -> tuple[FeatureLayout, tuple[str, ...]]:
+    """Return the layout of features, and notes on the origin of their noise floor.
 
-    It uses the nominal arm. Flight parameters do not change it, only effects do.
+    Every place has its own channels.
     """
-
-    feature_set: FeatureSet
-    layout: FeatureLayout
-    """Layout of its m features, with their noise floor."""
-    floor_notes: tuple[str, ...]
-    """Notes on the origin of that."""
-    patch: tuple[Effect, ...]
-    """Effects that are always on."""
-
-    def predict_effects(
-        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = lambda _: True
-    ) -> Array:
-        """Predict the features with the patch and these effects; NaN for motions not wanted.
-
-        PlantDiverged if MuJoCo counted a warning.
-        """
-        return simulate_features(self.feature_set, (*self.patch, *effects), wanted)
-
-
-def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> ArmSimulator:
-    """Build the simulator of these features; every place has its own channels."""
     features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
     layout = FeatureLayout(
         sigma=sigma,
@@ -84,14 +62,23 @@ def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> 
         time_s=np.array([one.time_s for one in features], float),
         key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
     )
-    return ArmSimulator(feature_set, layout, notes, patch)
+    return layout, notes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseSimulator:
-    """Simulator of a case in m features of a campaign."""
+    """Simulator of a case in m features of a campaign.
 
-    arm: ArmSimulator
+    It uses the nominal arm. Flight parameters do not change it, only effects do.
+    """
+
+    feature_set: FeatureSet
+    patch: tuple[Effect, ...]
+    """Effects that are always on."""
+    layout: FeatureLayout
+    """Layout of the m features, with the noise floor of the case."""
+    floor_notes: tuple[str, ...]
+    """Notes on the origin of that."""
     measured: Array
     """All n measured features of the case in the units of the channels, shape (n,)."""
     nominal: Array
@@ -103,16 +90,11 @@ class CaseSimulator:
     nuisance: Array
     """Nuisances of the prediction in their units, shape (q,)."""
 
-    @property
-    def layout(self) -> FeatureLayout:
-        """Layout of the m features."""
-        return self.arm.layout.select(self.at)
-
     def simulate(self, departures: Departures) -> Array:
         """Return the change by effects, as `marsarm.diagnosis.problem.Simulate`."""
         effects = tuple(one.switch_on(a) for one, a in departures.items())
         try:
-            return simulate_change(self.arm, effects, self.nominal)[self.at]
+            return simulate_change(self.feature_set, effects, self.nominal, self.patch)[self.at]
         except PlantDiverged:
             return np.full(self.at.size, np.nan)
 
@@ -121,36 +103,44 @@ class CaseSimulator:
         return np.asarray((self.measured - self.nominal)[self.at] + nuisance @ self.nuisance)
 
 
-def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, n_nuisances: int) -> CaseSimulator:
+def build_case_simulator(
+    feature_set: FeatureSet, layout: FeatureLayout, n_nuisances: int, patch: tuple[Effect, ...] = ()
+) -> CaseSimulator:
     """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
     The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
     later shifts a start by a part of a bin, and its mean current by many noise floors.
     """
-    _, rows, at = np.intersect1d(layout.key, arm.layout.key, return_indices=True)
+    (own, notes), predicted = lay_out(feature_set), simulate_features(feature_set, patch)
+    _, rows, at = np.intersect1d(layout.key, own.key, return_indices=True)
     rows, at = np.sort(rows), at[np.argsort(rows)]
-    predicted = arm.predict_effects(())
-    difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
+    difference = np.abs(own.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & np.isfinite(predicted[at])
-    measured = measure_features(arm.feature_set)
-    return CaseSimulator(arm, measured, predicted, at[same], rows[same], np.zeros(n_nuisances))
+    rows, at = rows[same], at[same]
+    measured, nuisance = measure_features(feature_set), np.zeros(n_nuisances)
+    return CaseSimulator(feature_set, patch, own.select(at), notes, measured, predicted, at, rows, nuisance)
 
 
 def resimulate(
     case: CaseSimulator, patch: tuple[Effect, ...], only: Callable[[MotionFeatures], bool], otherwise: Array
 ) -> CaseSimulator:
     """Simulate a case again with another patch: its rests, and some motions; others change by `otherwise`."""
-    arm, extrapolated = replace(case.arm, patch=patch), case.nominal.copy()
-    simulated = arm.predict_effects((), only)
+    simulated, extrapolated = simulate_features(case.feature_set, patch, only), case.nominal.copy()
     extrapolated[case.at] += otherwise
-    return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
+    return replace(case, patch=patch, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
 
 
-def simulate_change(arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Array) -> Array:
-    """Simulate the change by effects from a prediction without them; 0 in motions that they do not change."""
-    found = arm.predict_effects(effects, lambda one: any(moves(e, one) for e in effects)) - nominal
-    return np.where(np.isfinite(found), found, 0.0)
+def simulate_change(
+    feature_set: FeatureSet, effects: tuple[Effect, ...], nominal: Array, patch: tuple[Effect, ...] = ()
+) -> Array:
+    """Simulate the change by effects from a prediction without them; 0 in motions that they do not change.
+
+    The effects of the patch are on in both. PlantDiverged if MuJoCo counted a warning.
+    """
+    every = *patch, *effects
+    change = simulate_features(feature_set, every, lambda one: any(moves(e, one) for e in effects)) - nominal
+    return np.where(np.isfinite(change), change, 0.0)
 
 
 def fit_nuisances(

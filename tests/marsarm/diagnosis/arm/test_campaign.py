@@ -17,7 +17,7 @@ from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_m
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     build_case_simulator,
-    build_simulator,
+    lay_out,
     resimulate,
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch, load_recording, world_from_imu
@@ -79,17 +79,16 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings):
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
-    arm = build_simulator(campaign)
-    found = build_case_simulator(arm, arm.layout, 0)
-    assert found.rows.size == arm.layout.size - 1
+    layout, _ = lay_out(campaign)
+    assert build_case_simulator(campaign, layout, 0).rows.size == layout.size - 1
 
 
 @pytest.mark.slow
 def test_motions_that_are_not_resimulated_are_extrapolated(campaign):
     """Rests and touches are always computed; motions if they are wanted."""
-    arm = build_simulator(campaign)
-    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout, 0) for one in (arm, replace(arm, patch=patch)))
+    layout, _ = lay_out(campaign)
+    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(layout.size, 1e-3)
+    before, after = (build_case_simulator(campaign, layout, 0, some) for some in ((), patch))
     everything, nothing = (resimulate(before, patch, only, by) for only in (lambda _: True, lambda _: False))
     rests = np.array([
         feature.regime in ("rest", "pose", "touch", "press") and feature.channel != features.IMU
@@ -206,16 +205,17 @@ def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(campai
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"]))
 def test_joints_simulated_at_once_show_what_each_shows_alone(campaign, kind):
-    simulator, (columns, wanted) = build_simulator(replace(campaign, rests=())), columns_of(kind)
-    nominal = simulator.predict_effects(())
+    campaign, (columns, wanted) = replace(campaign, rests=()), columns_of(kind)
+    nominal, sigma = feature_set.simulate_features(campaign, ()), lay_out(campaign)[0].sigma
     ((*at_once,),) = steps.group_columns(columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
-    sides = steps.simulate_side(simulator, columns, nominal, 0, dict.fromkeys(wanted, 1.0))
+    sides = steps.simulate_side(campaign, columns, nominal, 0, dict.fromkeys(wanted, 1.0))
     for hypothesis, side in zip(list_hypotheses([kind]), sides.values(), strict=True):
-        alone = simulator.predict_effects([hypothesis.switch_on(np.array([side.size]))]) - nominal
-        off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
+        effect = hypothesis.switch_on(np.array([side.size]))
+        alone = feature_set.simulate_features(campaign, [effect]) - nominal
+        off, whole = (x / sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
         *most, begin = np.sort(np.abs(off))
         assert 0.0 < np.linalg.norm(most) < 0.05 * np.linalg.norm(whole)
