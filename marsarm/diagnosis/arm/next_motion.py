@@ -76,11 +76,8 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
         kept_in, rest = cache_folder("marsarm", "sensitivities"), part_of(progress, RECORDED, 1.0)
         run = select_runner(request.workers, request.cluster)
         planned = compute_sensitivities(logs, kept_in, run, rest, kinds, (), request.arm)
-    words = {name: one.describe() for name, one in motions.items()}
-    made = propose_motion(case.model, group, planned, words)
-    name = next(one for one in motions if words[one] == made.motions[made.choice.motions[0]])
     origin = Origin(command_text("marsarm gap next", request), case.digests)
-    return NextArmMotion(request, made, motions[name], origin)
+    return NextArmMotion(request, *propose_motion(case.model, group, planned, motions), origin)
 
 
 def _choose_rivals(diagnosis: Diagnosis) -> list[Rival]:
@@ -92,12 +89,15 @@ def _choose_rivals(diagnosis: Diagnosis) -> list[Rival]:
 
 
 def propose_motion(
-    model: DiagnosisModel, group: Sequence[Rival], planned: Sensitivities, words: Mapping[str, str]
-) -> Proposal:
-    """Propose the motion that tells the rivals of a finding apart, the finding first.
+    model: DiagnosisModel,
+    group: Sequence[Rival],
+    planned: Sensitivities,
+    motions: Mapping[str, record.PlannedMotion],
+) -> tuple[Proposal, record.PlannedMotion]:
+    """Propose the motion that tells the rivals of a finding apart, the finding first; return it too.
 
     Calibration errors and sizes of effects are fitted again, with what the earlier motions say of them. The
-    sensitivities of planned motions have the effects of these rivals; each is a block with its words.
+    sensitivities of planned motions have the effects of these rivals; each is a block with its name.
     """
     settings = [_departures(one) for one in group]
     changes = np.array([planned.change(own) for own in settings])
@@ -114,10 +114,11 @@ def propose_motion(
         return [[one[rows[m]] for one in slopes] for m in some]
 
     choice = choose_motion([white[:, own] for own in rows], differentiate, [one.p for one in group])
-    named = tuple(words[block] for block in blocks)
-    curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
+    words = tuple(motions[block].describe() for block in blocks)
+    curves = tuple(_draw(planned, changes, rows[choice.motions[0]]))
     keys = tuple(one.effect for one in group)
-    return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
+    made = Proposal(group[0].finding, keys, is_sure(group), words, choice, curves)
+    return made, motions[blocks[choice.motions[0]]]
 
 
 def _departures(rival: Rival) -> Departures:

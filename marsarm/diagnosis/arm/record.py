@@ -45,9 +45,9 @@ from simgap.common.toml import Record, parse_record, read_toml, toml_text
 
 ALL: Final = "all"
 """Name in place of a joint: all joints turn at once."""
-TURNS_DEG: Final = (1.0, 5.0, 15.0)
-POSES_DEG: Final = (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)
-TRACKED_DEG: Final = tuple(start for start, _ in plans.TILTED_POSES)
+TURNS_DEG: Final = (-1.0, -5.0, -15.0)
+POSES_DEG: Final = [[*pose] for pose in (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)]
+TRACKED_DEG: Final = [[*start] for start, _ in plans.TILTED_POSES]
 HOLD_S: Final = 30.0
 """Rest that shows what creeps."""
 COUNT: Final = 2
@@ -55,8 +55,8 @@ COUNT: Final = 2
 
 LEAST_TURN_DEG: Final = 0.1
 """A joint that turns by less does not move, for a diagnosis: its set-point moves by few encoder counts."""
-ROUNDED_DEG: Final = 1e-6
-"""Precision of the angles in the file of a motion."""
+DECIMALS: Final = 6
+"""Decimals of the angles in the file of a motion, in degrees."""
 
 Degrees = Annotated[float, Field(ge=-720.0, le=720.0)]
 
@@ -124,31 +124,21 @@ def list_motions(
     numbers = [int(one.group(1)) for one in map(re.compile(r"next-(\d+)").match, known) if one]
     roll_deg, names = float(np.degrees(plans.ROLL_RAD)), [one.name.lower() for one in Joint]
     moving = [one for one in names if one in places] or names
-    short, holds = (plans.SESSION_REST_S,), (plans.SESSION_REST_S, HOLD_S)
+    rest, cold = (plans.SESSION_REST_S,), (plans.SESSION_COLD_C,)
+    fields = "joint", "turn_deg", "speed_share", "start_deg", "roll_deg", "temperature_C", "tracked", "hold_s"
     family = [
+        *product(moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,), rest),
+        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), cold, (False,), rest),
         *product(
-            moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,), short
+            *((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,)),
+            (*rest, HOLD_S),
         ),
-        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (plans.SESSION_COLD_C,), (False,), short),
-        *product((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,), holds),
     ]
-    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked, hold_s) in enumerate(
-        family, 1 + max(numbers, default=0)
-    ):
-        motion = PlannedMotion(
-            name=f"next-{number}",
-            start_deg=[float(one) for one in pose],
-            joint=joint,
-            turn_deg=-turn_deg,
-            speed_share=speed,
-            count=COUNT,
-            roll_deg=roll,
-            temperature_C=temperature_C,
-            tracked=tracked,
-            hold_s=hold_s,
-        )
-        start_deg = np.degrees(make_session(motion, params).start_rad) / ROUNDED_DEG
-        yield motion.model_copy(update={"start_deg": (np.rint(start_deg) * ROUNDED_DEG).tolist()})
+    for number, values in enumerate(family, 1 + max(numbers, default=0)):
+        content = {"name": f"next-{number}", "count": COUNT, **dict(zip(fields, values, strict=True))}
+        motion = PlannedMotion.model_validate(content)
+        start_deg = np.round(np.degrees(make_session(motion, params).start_rad), DECIMALS)
+        yield motion.model_copy(update={"start_deg": start_deg.tolist()})
 
 
 def make_session(motion: PlannedMotion, params: Params) -> plans.DiagnosisSession:
@@ -178,12 +168,10 @@ def read_motion(path: Path, params: Params) -> PlannedMotion:
     motion = parse_record(PlannedMotion, content, path)
     if motion.name in {one.name for one in plans.campaign_sessions(params)}:
         raise BadRequest(f"{path}: name: the campaign has a session {motion.name}; give another name")
-    ends = motion.ends_deg()
-    for joint, limits, low, high in zip(
-        Joint, params.joints.in_order(), ends.min(axis=0), ends.max(axis=0), strict=True
-    ):
-        least, most = np.degrees((limits.soft_min_rad, limits.soft_max_rad))
-        if low < least - ROUNDED_DEG or high > most + ROUNDED_DEG:
+    ends = np.sort(motion.ends_deg(), axis=0)
+    for joint, limits, low, high in zip(Joint, params.joints.in_order(), *ends, strict=True):
+        least, most = np.round(np.degrees((limits.soft_min_rad, limits.soft_max_rad)), DECIMALS)
+        if round(low, DECIMALS) < least or round(high, DECIMALS) > most:
             raise BadRequest(
                 f"{path}: start_deg, turn_deg: {joint.name.lower()} goes from {low:g} to {high:g} deg; "
                 f"its limits are {least:g} and {most:g} deg"

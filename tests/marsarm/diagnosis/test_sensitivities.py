@@ -236,7 +236,7 @@ def test_an_effect_that_its_simulation_refutes_is_none_where_no_other_is_left(sh
     assert found[1].remaining
 
 
-BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
+MOTIONS = {f"motion {k}": one for k, one in zip(range(15), list_motions(nominal_params()), strict=False)}
 
 
 def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, results):
@@ -244,10 +244,11 @@ def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, result
     blind = np.where(made.layout.block == "motion 6", 1.0, 1e6)
     layout = replace(made.layout, sigma=0.1 * blind * made.layout.sigma)
     rivals = choose_rivals(results["undecided"].rivals)
-    proposal = propose_motion(campaign, rivals, replace(made, layout=layout), BLOCKS)
+    proposal, best = propose_motion(campaign, rivals, replace(made, layout=layout), MOTIONS)
     assert proposal.rivals[0] == proposal.finding
     assert len(proposal.rivals) > 1
-    assert proposal.motions[proposal.choice.motions[0]] == "words 6"
+    assert best == MOTIONS["motion 6"]
+    assert proposal.motions[proposal.choice.motions[0]] == best.describe()
     assert proposal.curves
     assert all(np.all(np.diff(one.time_s) > 0.0) for one in proposal.curves)
 
@@ -309,10 +310,9 @@ def test_the_arm_completes_a_proposed_motion_and_rests_before_it_is_measured(hol
 def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path, made, campaign, results):
     deaf = replace(made.layout, sigma=1e6 * made.layout.sigma)
     rivals = choose_rivals(results["undecided"].rivals)
-    proposal = propose_motion(campaign, rivals, replace(made, layout=deaf), BLOCKS)
+    proposal = propose_motion(campaign, rivals, replace(made, layout=deaf), MOTIONS)
     request = NextRequest((tmp_path,), out=tmp_path / "next.toml")
-    motion = next(iter(list_motions(nominal_params())))
-    assert save_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
+    assert save_files(NextArmMotion(request, *proposal, Origin("", {}))) == []
     assert not (tmp_path / "next.toml").exists()
 
 
