@@ -93,7 +93,7 @@ def plan_cases(
     Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
     them, their cases have no effect.
     """
-    known, unknown = ([one for one in some if demo.can_sample(one)] for some in (catalogue, outside))
+    known, unknown = ([one for one in some if one.can_sample()] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
     if not unknown:
         counts["none"] += counts.pop("out-of-catalogue")
@@ -124,11 +124,11 @@ def _sample_effects(
     if kind == "none":
         return ()
     source = next(unknown) if kind == "out-of-catalogue" else demo.sample_effect(known, rng)
-    first = demo.sample_amplitude(source, rng)
+    first = source.sample(rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]
-    return first, demo.sample_amplitude(demo.sample_effect(others, rng), rng)
+    return first, demo.sample_effect(others, rng).sample(rng)
 
 
 @cache

@@ -54,6 +54,30 @@ class DetectableEffect:
     limit: float
     label: int | None
 
+    def can_sample(self, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
+        """Check that the campaign detects the effect and that its bounds allow the smallest amplitude."""
+        return bool(np.isfinite(self.limit)) and max(self._rooms()) >= multiples[0] * self.limit
+
+    def sample(
+        self, rng: np.random.Generator, multiples: tuple[float, float] = LIMIT_MULTIPLES
+    ) -> "SampledEffect":
+        """Sample an amplitude within multiples of the detection limit, log-uniformly, with a random sign.
+
+        It stays within the bounds. All parameters depart from neutral by the same number of typical sizes.
+        """
+        times = float(np.exp(rng.uniform(*np.log(multiples))))
+        sign, rooms = int(rng.choice((-1, 1))), self._rooms()
+        if rooms[sign > 0] < multiples[0] * self.limit:
+            sign = -sign
+        typical = min(times * self.limit, rooms[sign > 0])
+        departures = np.full(len(self.hypothesis.parameters), sign * typical)
+        return SampledEffect(self, departures, typical / self.limit)
+
+    def _rooms(self) -> tuple[float, float]:
+        """Return how many typical sizes all amplitudes together may depart down and up."""
+        least, most = self.hypothesis.common_range
+        return -BOUND_SHARE * least, BOUND_SHARE * most
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledEffect:
@@ -68,34 +92,12 @@ class SampledEffect:
         return self.source.hypothesis.switch_on(self.departures)
 
 
-def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
-    """Check that the campaign detects the effect and that its bounds allow the smallest amplitude."""
-    room = max(_room(one, sign) for sign in (-1, 1))
-    return bool(np.isfinite(one.limit)) and room >= multiples[0] * one.limit
-
-
 def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) -> DetectableEffect:
     """Sample an effect uniformly, then one of its places: many places do not make it more frequent."""
     names = sorted({one.hypothesis.name for one in some})
     name = names[int(rng.integers(len(names)))]
     places = [one for one in some if one.hypothesis.name == name]
     return places[int(rng.integers(len(places)))]
-
-
-def sample_amplitude(
-    one: DetectableEffect, rng: np.random.Generator, multiples: tuple[float, float] = LIMIT_MULTIPLES
-) -> SampledEffect:
-    """Sample an amplitude within multiples of the detection limit, log-uniformly, with a random sign.
-
-    It stays within the bounds. All parameters depart from neutral by the same number of typical sizes.
-    """
-    times = float(np.exp(rng.uniform(*np.log(multiples))))
-    sign = int(rng.choice((-1, 1)))
-    if _room(one, sign) < multiples[0] * one.limit:
-        sign = -sign
-    typical = min(times * one.limit, _room(one, sign))
-    departures = np.full(len(one.hypothesis.parameters), sign * typical)
-    return SampledEffect(one, departures, typical / one.limit)
 
 
 def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffect]:
@@ -106,12 +108,6 @@ def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffe
     """
     rows = zip(model.sensitivities.hypotheses, limits.tolist(), model.label.tolist(), strict=True)
     return [DetectableEffect(*row) for row in rows]
-
-
-def _room(one: DetectableEffect, sign: int) -> float:
-    """Return how many typical sizes all amplitudes together may depart to one side."""
-    least, most = one.hypothesis.common_range
-    return BOUND_SHARE * (most if sign > 0 else -least)
 
 
 def sample_background(rng: np.random.Generator, arm: str = NOMINAL) -> tuple[Effect, ...]:
@@ -265,8 +261,8 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    seen = [one for one in list_detectable(model, model.family_wise_limits) if can_sample(one, SIZES)]
-    drawn = sample_amplitude(sample_effect(seen, rng), rng, SIZES)
+    seen = [one for one in list_detectable(model, model.family_wise_limits) if one.can_sample(SIZES)]
+    drawn = sample_effect(seen, rng).sample(rng, SIZES)
     one, effect = drawn.source.hypothesis, drawn.switch_on()
     truth = DemoTruth(salt, kind, one.name, one.place, effect_text(effect), drawn.times_limit, texts)
     return truth, (*background, effect)
