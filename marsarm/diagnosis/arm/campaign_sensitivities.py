@@ -24,8 +24,8 @@ from marsarm.common.pool import Runner, digest_sources, in_order
 from marsarm.diagnosis.arm import finite_differences as differences
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, lay_out
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, simulate_features
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, lay_out, simulate_features
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
@@ -248,32 +248,25 @@ def _assemble(
     curvature: Array,
     reach: Array,
 ) -> Sensitivities:
-    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns."""
+    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns.
+
+    Numerical errors are restricted to their channel. Rests are simulated with STEP_NUMERICS only; other
+    numerics share their change.
+    """
     hypotheses, nuisances = known = _list_known(campaign)
     owner = np.array([k for k, one in enumerate(hypotheses) for _ in one.parameters], np.intp)
-    sized = owner.size
-    nuisance = _restrict_nuisances(feature_set.n_moving, layout, nuisances, slope[:, sized:])
-    own = nuisance[:, [bool(one.only_channel) for one in nuisances]]
-    # a share of the numerical errors is noise: the fit removes them only in part
-    sigma = np.sqrt(layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    derivatives = slope[:, :sized], curvature[:, :sized]
-    return Sensitivities(replace(layout, sigma=sigma), *known, *derivatives, reach[:sized], owner, nuisance)
-
-
-def _restrict_nuisances(
-    n_moving: int, layout: FeatureLayout, nuisances: Sequence[Nuisance], change: Array
-) -> Array:
-    """Return the nuisance columns (m, q), those of numerical errors restricted to their channel.
-
-    Rests are simulated with STEP_NUMERICS only; other numerics share their change.
-    """
-    cut = change.copy()
+    sized, rests = owner.size, slice(feature_set.n_moving, None)
+    nuisance = slope[:, sized:].copy()
     numerical = [k for k, one in enumerate(nuisances) if one.only_channel]
     stepped = next(k for k in numerical if differences.Column(nuisances[k]).sides(1.0)[0][0] == STEP_NUMERICS)
     for k in numerical:
-        cut[n_moving:, k] = change[n_moving:, stepped]
-        cut[layout.channel != nuisances[k].only_channel, k] = 0.0
-    return cut
+        nuisance[rests, k] = slope[rests, sized + stepped]
+        nuisance[layout.channel != nuisances[k].only_channel, k] = 0.0
+    own = nuisance[:, [bool(one.only_channel) for one in nuisances]]
+    # a share of the numerical errors is noise: the fit removes them only in part
+    sigma = np.sqrt(layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
+    layout, derivatives = replace(layout, sigma=sigma), (slope[:, :sized], curvature[:, :sized])
+    return Sensitivities(layout, *known, *derivatives, reach[:sized], owner, nuisance)
 
 
 def check_cache_folder(kept_in: Path) -> None:

@@ -21,8 +21,8 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
-from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import UNITS, MotionFeatures, name_channel
+from marsarm.diagnosis.arm.feature_set import FeatureSet, lay_out, measure_features, simulate_features
+from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
@@ -44,25 +44,6 @@ MAX_SIGMAS: Final = 10.0
 """Greatest simulated departure: an effect can push a similar nuisance beyond any real arm."""
 MAX_UPDATES: Final = 3
 """Greatest number of resimulations of nuisances alone, and of those beside effects."""
-
-
-def lay_out(feature_set: FeatureSet) -> tuple[FeatureLayout, tuple[str, ...]]:
-    """Return the layout of features, and notes on the origin of their noise floor.
-
-    Every place has its own channels.
-    """
-    features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
-    layout = FeatureLayout(
-        sigma=sigma,
-        block=np.array([one.recording.block for one in features], str),
-        channel=np.array([name_channel(one.place, one.channel) for one in features], str),
-        unit=np.array([UNITS[one.channel] for one in features], str),
-        regime=np.array([one.regime for one in features], str),
-        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
-        time_s=np.array([one.time_s for one in features], float),
-        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
-    )
-    return layout, notes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,6 @@ from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_m
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     build_case_simulator,
-    lay_out,
     resimulate,
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch, load_recording, world_from_imu
@@ -59,7 +58,7 @@ def columns_of(name: str) -> tuple[list[steps.Column], list[int]]:
 
 def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
     rest = feature_set.measure_features(campaign) - feature_set.simulate_features(campaign, ())
-    whitened = rest / feature_set.estimate_floor(campaign)[0]
+    whitened = rest / feature_set.lay_out(campaign)[0].sigma
     channels = np.array([feature.channel for feature in campaign.list_features()])
     for channel in sorted(set(channels)):
         mine = whitened[channels == channel]
@@ -68,7 +67,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(campaign):
     assert {f.recording.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
-    _, notes = feature_set.estimate_floor(campaign)
+    _, notes = feature_set.lay_out(campaign)
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
 
@@ -79,14 +78,14 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings):
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
-    layout, _ = lay_out(campaign)
+    layout, _ = feature_set.lay_out(campaign)
     assert build_case_simulator(campaign, layout, 0).rows.size == layout.size - 1
 
 
 @pytest.mark.slow
 def test_motions_that_are_not_resimulated_are_extrapolated(campaign):
     """Rests and touches are always computed; motions if they are wanted."""
-    layout, _ = lay_out(campaign)
+    layout, _ = feature_set.lay_out(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(layout.size, 1e-3)
     before, after = (build_case_simulator(campaign, layout, 0, some) for some in ((), patch))
     everything, nothing = (resimulate(before, patch, only, by) for only in (lambda _: True, lambda _: False))
@@ -206,7 +205,7 @@ def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(campai
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"]))
 def test_joints_simulated_at_once_show_what_each_shows_alone(campaign, kind):
     campaign, (columns, wanted) = replace(campaign, rests=()), columns_of(kind)
-    nominal, sigma = feature_set.simulate_features(campaign, ()), lay_out(campaign)[0].sigma
+    nominal, sigma = feature_set.simulate_features(campaign, ()), feature_set.lay_out(campaign)[0].sigma
     ((*at_once,),) = steps.group_columns(columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
