@@ -15,9 +15,9 @@ from typing import Final, Literal
 import numpy as np
 from mcap.stream_reader import StreamReader
 
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.arm_effects import locate, to_hypothesis
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
@@ -184,7 +184,7 @@ class TruthLeaked(UserError):
     exit_status = 1
 
 
-def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
+def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL_ARM) -> None:
     """Raise TruthLeaked if a log has a header key, topic, name or number of the truth of its case."""
     log = read_log(path)
     extra_keys = sorted(set(log.header) - ALLOWED_KEYS)

@@ -21,6 +21,7 @@ import numpy as np
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, digest_sources, in_order
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm import finite_differences as differences
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
@@ -49,8 +50,6 @@ from simgap.common.progress import Progress, as_guess, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
-NOMINAL: Final = "nominal"
-"""Name of the default arm as its drawing has it."""
 DECIDING: Final = ("fsw", "sim", "marsarm.diagnosis", "simgap.serial_arm")
 """Packages that decide the result."""
 NUMERICS_SHARE: Final = 0.25
@@ -85,7 +84,7 @@ def compute_sensitivities(
     progress: Progress,
     kinds: Sequence[str] | None = None,
     steps_of: Sequence[Path] = (),
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> Sensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 

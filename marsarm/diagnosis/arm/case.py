@@ -18,8 +18,9 @@ from fsw.config import configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm.audit import audit_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
+from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     CaseSimulator,
     build_case_simulator,
@@ -59,7 +60,7 @@ def load_campaign_model(
     run: Runner,
     progress: Progress,
     kinds: Sequence[str] | None = None,
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
@@ -130,7 +131,7 @@ def diagnose_case(
     first = build_case_simulator(feature_set, sensitivities.layout, len(sensitivities.nuisances), patch)
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
-    fit, selection = fit_nuisances(model, first, patch, seed)
+    fit, selection = fit_nuisances(model, first, seed)
     found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
     shown = count_shown(model, found.diagnosis)
     remarks = (*audit_recordings(recordings), *missing, *first.floor_notes, shown)

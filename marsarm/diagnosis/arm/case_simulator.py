@@ -125,7 +125,7 @@ def simulate_change(
 
 
 def fit_nuisances(
-    model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
+    model: DiagnosisModel, first: CaseSimulator, seed: int
 ) -> tuple[CaseSimulator, FeatureSelection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect; start at nominal nuisances.
 
@@ -134,7 +134,7 @@ def fit_nuisances(
     would lose against nuisances beyond any real arm.
     """
     whiten, slopes = build_full_whitener(model.sensitivities), model.sensitivities.nuisance
-    alone = beside = _fit_alone(model, whiten, first, patch)
+    alone = beside = _fit_alone(model, whiten, first)
     before = selection = select(model, model.sensitivities, whiten, alone.residual(slopes), seed)
     if not before.chosen:
         return alone, before
@@ -143,7 +143,7 @@ def fit_nuisances(
         if set(selection.chosen) == set(chosen):
             break
         chosen = selection.chosen
-        moved = _update(model, beside, chosen, patch)
+        moved = _update(model, beside, chosen, first.patch)
         if moved is beside:
             break
         beside = moved
@@ -154,13 +154,11 @@ def fit_nuisances(
     return alone, select_simulated(model, whiten, alone.residual(slopes), seed, alone.simulate)
 
 
-def _fit_alone(
-    model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
-) -> CaseSimulator:
+def _fit_alone(model: DiagnosisModel, whiten: Whitener, first: CaseSimulator) -> CaseSimulator:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
     current, slopes = first, model.sensitivities.nuisance
     for _ in range(MAX_UPDATES):
-        moved = _update(model, current, (), patch)
+        moved = _update(model, current, (), first.patch)
         before, after = (_deviance(whiten, one.residual(slopes)) for one in (current, moved))
         if moved is current or after > before:
             break

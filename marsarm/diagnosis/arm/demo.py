@@ -16,8 +16,9 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, campaign_digest, check_cache_folder
+from marsarm.diagnosis.arm.campaign_sensitivities import campaign_digest, check_cache_folder
 from marsarm.diagnosis.arm.case import CampaignModel, CaseDiagnosis, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_campaign, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
@@ -110,7 +111,7 @@ def list_detectable(model: DiagnosisModel, limits: Array) -> list[DetectableEffe
     return [DetectableEffect(*row) for row in rows]
 
 
-def sample_background(rng: np.random.Generator, arm: str = NOMINAL) -> tuple[Effect, ...]:
+def sample_background(rng: np.random.Generator, arm: str = NOMINAL_ARM) -> tuple[Effect, ...]:
     """Sample what a calibration of an arm leaves, friction of the day, counter offsets, other numerics."""
     errors = draw_calibration_errors(arm_named(arm).model, int(rng.integers(2**31)))
     friction = tuple(
@@ -126,7 +127,7 @@ def record_blind(
     sessions: Sequence[DiagnosisSession],
     seed: int,
     progress: Progress,
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> bool:
     """Record sessions of an arm with effects in a folder; return whether every motion completed."""
     built = arm_named(arm).with_effects(effects)
@@ -145,7 +146,7 @@ def blind_reference(built: BuiltArm, arm: str) -> Reference:
 
 
 @cache
-def nominal_reference(arm: str = NOMINAL) -> Reference:
+def nominal_reference(arm: str = NOMINAL_ARM) -> Reference:
     """Return the homing result of a named arm; computed once in each process."""
     return true_reference(arm_named(arm))
 
@@ -226,7 +227,7 @@ def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignMode
 
     Of two demonstrations that record it at once, one takes the logs of the other, which are the same.
     """
-    folder = cache_folder("marsarm", "gap-demo") / campaign_digest((), (), NOMINAL)[:16]
+    folder = cache_folder("marsarm", "gap-demo") / campaign_digest((), (), NOMINAL_ARM)[:16]
     if not any(folder.glob("*.mcap")):
         check_cache_folder(folder.parent)
         try:
@@ -269,7 +270,7 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
 
 
 def diagnose_blind(
-    folder: Path, campaign: CampaignModel, seed: int, left_out: str = "", arm: str = NOMINAL
+    folder: Path, campaign: CampaignModel, seed: int, left_out: str = "", arm: str = NOMINAL_ARM
 ) -> CaseDiagnosis:
     """Diagnose the logs of an arm in a folder, with a catalogue that lacks one effect if named.
 
