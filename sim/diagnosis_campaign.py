@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Command, GuardedMove, MoveJoint, MoveJoints, Preload, SetParam
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5, vector3
 from fsw.estimate.reference import Reference
@@ -26,7 +27,7 @@ from sim.effects.environment import Ambient
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
-from sim.sequence import Outcome, run_sequence
+from sim.sequence import Outcome, SequenceRun
 from sim.setting import WARM_C, Surface, World
 
 Degrees5 = tuple[int, int, int, int, int]
@@ -285,15 +286,15 @@ def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
     """Run a session with a rest before and after each command; SessionFailed if one is not completed."""
     yield from _rest_cycles(loop, session.rest_s)
-    for command in session.commands:
-        cycles = run_sequence(loop, (command,))
-        while True:
-            try:
-                yield SessionCycle(next(cycles), rested=False)
-            except StopIteration as end:
-                if end.value is not Outcome.DONE:
-                    raise SessionFailed(f"session {session.name}: {command} was {end.value}") from None
-                break
+    for number, command in enumerate(session.commands, 1):
+        run = SequenceRun(loop, (command,))
+        for record in run:
+            yield SessionCycle(record, rested=False)
+        if run.outcome is not Outcome.DONE:
+            warnings = [evr.message for _, evr in run.evrs if evr.severity >= Severity.WARNING_LO]
+            why = warnings[0] if warnings else run.outcome.value
+            where = f"session {session.name}: command {number} of {len(session.commands)}"
+            raise SessionFailed(f"{where} was not completed: {why}")
         yield from _rest_cycles(loop, session.rest_s)
 
 

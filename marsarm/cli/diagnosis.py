@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # `verb` imports the requests of a verb that is chosen
 
 gap_app = VerbApp(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
-    "Example: marsarm gap demo --seed 3"
+    "Example: marsarm gap demo --seed 101"
 )
 
 
@@ -66,9 +66,12 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
 
     Four lines say what the logs show; then come the truth, and whether the lines are right.
 
-    Example: marsarm gap demo --seed 3 --report demo.html
+    Example: marsarm gap demo --seed 101 --report demo.html
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
+    from simgap.common.files import json_sha256
+    from simgap.common.options import command_text
+    from simgap.common.page import Origin
     from simgap.common.report import file_lines
     from simgap.report.page import save_diagnosis_page
     from simgap.report.sentences import verdict_lines
@@ -80,7 +83,9 @@ def demo(request: "marsarm.diagnosis.arm.request.DemoRequest", progress: Progres
 
     def save() -> list[str]:
         if request.report is not None:
-            save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report)
+            digests = {"result": json_sha256(demo_json(found)), "truth": found.truth.digest()}
+            origin = Origin(command_text("marsarm gap demo", request), digests)
+            save_diagnosis_page(found.case.diagnosis, found.case.traces, request.report, origin)
         return file_lines({"report": request.report})
 
     truth = found.truth

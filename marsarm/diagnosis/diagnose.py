@@ -25,15 +25,12 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.model import (
     KINDS_OF_TEST,
-    MIN_DIRECTION_SHARE,
     DiagnosisModel,
-    FeatureGroup,
     LinearFit,
-    condition_directions,
     fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import CONDITIONS, Departures, FeatureLayout
+from marsarm.diagnosis.problem import CONDITIONS, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureResiduals, FeatureSelection
 from simgap import (
     ConfidenceSet,
@@ -48,6 +45,10 @@ from simgap.next_motion.rivals import list_rivals
 from simgap.report.sentences import join_words
 from simgap.selection.chance import FALSE_ALARM
 
+MIN_DIRECTION_SHARE: Final = 1e-6
+"""Directions below this share of the largest are not tested."""
+MIN_GROUP_FEATURES: Final = 4
+"""Least number of features in a group."""
 NORMAL_MEAN: Final = float(np.sqrt(2.0 / np.pi))
 """Mean absolute value of normal noise, over its standard deviation."""
 NEXT_MOTION: Final = "the motion that `marsarm gap next` proposes"
@@ -164,18 +165,20 @@ def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterato
     first; all channels together only if none is by itself.
     """
     rest = np.asarray(y - fit.A @ fit.theta)
-    total, freedom, found = 0.0, 0, []
-    limit = np.log(FALSE_ALARM / KINDS_OF_TEST / (2 * len(model.groups) + 1))
-    for group in model.groups:
-        statistic, d = _chi_square(group, fit, rest)
-        whole = group.regime is None
+    total, freedom, found, layout = 0.0, 0, [], model.sensitivities.layout
+    groups = group_features(layout)
+    limit = np.log(FALSE_ALARM / KINDS_OF_TEST / (2 * len(groups) + 1))
+    for regime, rows in groups:
+        directions = condition_directions(layout, rows)
+        statistic, d = _chi_square(directions, fit, rest, rows)
+        whole = not regime
         total, freedom = total + statistic * whole, freedom + d * whole
-        A = fit.A[group.rows]
-        energy = float(np.sum(rest[group.rows] ** 2))
-        n = max(group.rows.size - float(np.sum((A @ fit.covariance) * A)), 1.0)  # the energy that is expected
+        A = fit.A[rows]
+        energy = float(np.sum(rest[rows] ** 2))
+        n = max(rows.size - float(np.sum((A @ fit.covariance) * A)), 1.0)  # the energy that is expected
         of_direction, of_energy = chi_square_log_p(statistic, d), chi_square_log_p(energy, n)
-        remainder = _describe(model.sensitivities.layout, group, rest, of_direction <= of_energy)
-        found.append((min(of_direction, of_energy), remainder))
+        along = np.abs(directions.T @ rest[rows]) * (of_direction <= of_energy)
+        found.append((min(of_direction, of_energy), _describe(layout, regime, rows, rest[rows], along)))
     mean = float(np.mean(np.abs(rest)))
     everywhere = Remainder("all channels together", "all motion", mean, FeatureResiduals.units[0], "", 0.0)
     found = [(log_p, one) for log_p, one in found if log_p <= limit]
@@ -187,27 +190,52 @@ def find_lack_of_fit(model: DiagnosisModel, fit: LinearFit, y: Array) -> Iterato
     yield from largest.values()
 
 
-def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:
-    """Return statistic and degrees of freedom of the directions of a group."""
-    AQ = fit.A[group.rows].T @ group.Q
-    s, V = np.linalg.eigh(np.eye(group.Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
+def group_features(layout: FeatureLayout) -> list[tuple[str, Ints]]:
+    """Group the features that are tested together: those of a channel, and of each of its regimes.
+
+    Return the regime, "" for all of them, and the rows of each group.
+    """
+    result = []
+    for channel in dict.fromkeys(layout.channel.tolist()):
+        mine = layout.channel == channel
+        regimes = dict.fromkeys(layout.regime[mine].tolist())
+        result.append(("", np.flatnonzero(mine)))
+        if len(regimes) > 1:
+            result += [(one, np.flatnonzero(mine & (layout.regime == one))) for one in regimes]
+    return [(regime, rows) for regime, rows in result if rows.size >= MIN_GROUP_FEATURES]
+
+
+def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
+    """Compute directions (n, d) of norm 1 or 0 for n features: a constant, and the centred conditions."""
+    centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
+    all_of = np.column_stack([np.ones(rows.size), centred])
+    norm = np.linalg.norm(all_of, axis=0)
+    small = norm <= MIN_DIRECTION_SHARE * np.maximum(np.linalg.norm(layout.condition, axis=0), 1.0).max()
+    return np.asarray(all_of * np.where(small, 0.0, 1.0 / np.where(small, 1.0, norm)))
+
+
+def _chi_square(directions: Array, fit: LinearFit, rest: Array, rows: Ints) -> tuple[float, int]:
+    """Return statistic and degrees of freedom of some directions (n, d) for n features."""
+    U, norm, _ = np.linalg.svd(directions, full_matrices=False)
+    Q = U[:, norm > MIN_DIRECTION_SHARE * norm[0]]
+    AQ = fit.A[rows].T @ Q
+    s, V = np.linalg.eigh(np.eye(Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
     kept = s > MIN_DIRECTION_SHARE
-    along = V[:, kept].T @ (group.Q.T @ rest[group.rows])
+    along = V[:, kept].T @ (Q.T @ rest[rows])
     return float(np.sum(along**2 / s[kept])), int(kept.sum())
 
 
-def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, by_direction: bool) -> Remainder:
-    """Describe what is left in a group; it depends on nothing if its offset or its energy is the largest."""
-    left = rest[group.rows]
-    along = np.abs(condition_directions(layout, group.rows).T @ left)
-    strongest = int(np.argmax(along))
-    is_named = by_direction and strongest > 0
-    regime = group.regime or "all motion"
+def _describe(layout: FeatureLayout, regime: str, rows: Ints, left: Array, along: Array) -> Remainder:
+    """Describe what is left in a group, by its parts along the directions, (d,).
+
+    It depends on nothing if its offset or its energy is the largest; for its energy the parts are 0.
+    """
+    strongest, regime = int(np.argmax(along)), regime or "all motion"
     return Remainder(
-        joint=group.channel,
+        joint=str(layout.channel[rows[0]]),
         regime=REGIMES.get(regime, regime),
-        mean_abs=float(np.mean(np.abs(left * layout.sigma[group.rows]))),
-        unit=str(layout.unit[group.rows[0]]),
-        depends_on=CONDITIONS[strongest - 1] if is_named else "",
-        depends_share=float(along[strongest] ** 2 / (left @ left)) if is_named else 0.0,
+        mean_abs=float(np.mean(np.abs(left * layout.sigma[rows]))),
+        unit=str(layout.unit[rows[0]]),
+        depends_on=CONDITIONS[strongest - 1] if strongest > 0 else "",
+        depends_share=float(along[strongest] ** 2 / (left @ left)) if strongest > 0 else 0.0,
     )

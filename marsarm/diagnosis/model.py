@@ -1,7 +1,7 @@
 """Diagnosis model: all that is fixed, and can be published, before a case is measured.
 
-It holds the normal equations of the linear model, the equivalence classes and the detection limits of the
-hypotheses, and the groups of features that are tested for what remains.
+It holds the normal equations of the linear model, and the equivalence classes and the detection limits of the
+hypotheses.
 
 The whitened model is y = N v + S a + e with e of unit covariance. The nuisances v are in units of their
 sigma, so that their prior has unit covariance too. They are eliminated by the Schur complement:
@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2, ncx2
 
 from fsw.kinematics.transforms import Array, Flags
-from marsarm.diagnosis.problem import FeatureLayout, Ints, Sensitivities
+from marsarm.diagnosis.problem import Ints, Sensitivities
 from simgap.selection.chance import FALSE_ALARM
 
 ALIAS_COSINE: Final = 0.99
@@ -36,10 +36,6 @@ KINDS_OF_TEST: Final = 2
 """Effects and the test of what remains share the probability of a false alarm."""
 POWER: Final = 0.9
 """Probability that an effect at the detection limit passes the test."""
-MIN_DIRECTION_SHARE: Final = 1e-6
-"""Directions below this share of the largest are not tested."""
-MIN_GROUP_FEATURES: Final = 4
-"""Least number of features in a group."""
 ABSORBED_SHARE: Final = 1e-6
 """A column counts as not identifiable if the nuisances leave less than this share of its square."""
 
@@ -162,18 +158,6 @@ def fit_linear(equations: NormalEquations, y: Array, chosen: Collection[int]) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeatureGroup:
-    """Features that are tested together for structure."""
-
-    channel: str
-    regime: str | None
-    """None for all regimes together."""
-    rows: Ints
-    Q: Array
-    """Orthonormal directions, shape (n, d)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
@@ -186,7 +170,6 @@ class DiagnosisModel:
     infinite if it is not identifiable."""
     family_wise_limits: Array
     """The same in the selection from all hypotheses, whose false alarms together have 5 %, shape (h,)."""
-    groups: tuple[FeatureGroup, ...]
     left_out_effect: str = ""
     """Effect that does not compete, to see what takes the place of one that no catalogue has; "" for none."""
 
@@ -206,8 +189,9 @@ def build_model(sensitivities: Sensitivities, left_out_effect: str = "") -> Diag
     """Build the diagnosis model from the sensitivities of a campaign."""
     equations = form_normal_equations(sensitivities)
     label = equivalence_classes(equations)
-    limits, groups = detection_limits(equations, label), group_features(sensitivities.layout)
-    return DiagnosisModel(sensitivities, equations, label, *limits, groups, left_out_effect)
+    return DiagnosisModel(
+        sensitivities, equations, label, *detection_limits(equations, label), left_out_effect
+    )
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
@@ -274,27 +258,3 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Array, Ar
             needed = [noncentrality(at.size, by) for by in false_alarms]
             alone[index], family_wise[index] = np.sqrt(np.array(needed) / information)
     return alone, family_wise
-
-
-def group_features(layout: FeatureLayout) -> tuple[FeatureGroup, ...]:
-    """Form the groups of the lack-of-fit test, before data."""
-    result = []
-    for channel in dict.fromkeys(layout.channel.tolist()):
-        mine = layout.channel == channel
-        regimes = dict.fromkeys(layout.regime[mine].tolist())
-        for regime in [None, *regimes] if len(regimes) > 1 else [None]:
-            rows = np.flatnonzero(mine if regime is None else mine & (layout.regime == regime))
-            if rows.size >= MIN_GROUP_FEATURES:
-                U, s, _ = np.linalg.svd(condition_directions(layout, rows), full_matrices=False)
-                Q = U[:, s > MIN_DIRECTION_SHARE * s[0]]
-                result.append(FeatureGroup(channel, regime, rows, Q))
-    return tuple(result)
-
-
-def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
-    """Compute directions (n, d) of norm 1 or 0 for n features: a constant, and the centred conditions."""
-    centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
-    all_of = np.column_stack([np.ones(rows.size), centred])
-    norm = np.linalg.norm(all_of, axis=0)
-    small = norm <= MIN_DIRECTION_SHARE * np.maximum(np.linalg.norm(layout.condition, axis=0), 1.0).max()
-    return np.asarray(all_of * np.where(small, 0.0, 1.0 / np.where(small, 1.0, norm)))

@@ -168,6 +168,8 @@ class FeatureLayout:
     """Regime of motion."""
     condition: Array
     """CONDITIONS that a residual may depend on, shape (m, 6); 0 where a condition does not apply."""
+    time_s: Array
+    """Time since the start of its log; 0 for what is of a whole log."""
     key: Texts
     """Name that is equal in every log of a session: session, motion, channel, number."""
 

@@ -52,18 +52,15 @@ class FeatureSelection:
 
 
 def select_simulated(
-    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulate: Simulate | None
+    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulate: Simulate
 ) -> FeatureSelection:
-    """Select effects, simulate those beyond the reach of their sensitivities, and select again.
-
-    Without a simulator they are extrapolated.
-    """
+    """Select effects, simulate those beyond the reach of their sensitivities, and select again."""
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
     simulated: dict[int, tuple[Array, Array]] = {}
     for _ in range(MAX_SIMULATIONS):
         found = zip(selection.chosen, selection.departures.items(), strict=True)
         far = [(h, one, a) for h, (one, a) in found if _is_far(model.sensitivities, h, a, simulated)]
-        if simulate is None or not far:
+        if not far:
             break
         for h, hypothesis, a in far:
             change = simulate({hypothesis: a})

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.arm.demo import LIMIT_MULTIPLES, DetectableEffect, can_sample
+from marsarm.diagnosis.arm.demo import LIMIT_MULTIPLES, DetectableEffect
 from marsarm.diagnosis.problem import BOUND_SHARE, Hypothesis, Parameter
 from simgap import Family
 from simgap.common.errors import BadRequest
@@ -74,9 +74,9 @@ def test_a_size_stays_within_its_bounds_and_goes_where_there_is_room():
 
 
 def test_what_the_campaign_does_not_see_is_not_drawn():
-    assert can_sample(seen("e", "p"))
-    assert not can_sample(seen("e", "p", limit=np.inf))
-    assert not can_sample(seen("e", "p", limit=200.0))
+    assert seen("e", "p").can_sample()
+    assert not seen("e", "p", limit=np.inf).can_sample()
+    assert not seen("e", "p", limit=200.0).can_sample()
 
 
 def test_the_same_seed_plans_the_same():

@@ -13,8 +13,8 @@ from pydantic import TypeAdapter
 
 from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm import demo
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.arm.case import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
@@ -63,7 +63,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
     """Names of the sessions of the campaign; None for all."""
     kinds: tuple[str, ...] | None = None
     """Effects of the catalogue; None for all, and effects outside the catalogue too."""
-    arm: str = NOMINAL
+    arm: str = NOMINAL_ARM
     """Name of an arm of its drawing."""
 
     name: ClassVar[str] = "arm-cases"
@@ -131,7 +131,7 @@ class ArmCases(sealed.CaseMaker[TrueCase]):
 
 
 @cache
-def choose_sessions(names: tuple[str, ...] | None, arm: str = NOMINAL) -> tuple[DiagnosisSession, ...]:
+def choose_sessions(names: tuple[str, ...] | None, arm: str = NOMINAL_ARM) -> tuple[DiagnosisSession, ...]:
     """Return the sessions of these names, or all of the campaign of an arm."""
     every = campaign_sessions(arm_named(arm).params)
     return tuple(one for one in every if names is None or one.name in names)
@@ -158,7 +158,7 @@ def draw_truth(
     seed: int,
     known: Sequence[demo.DetectableEffect],
     outside: Sequence[demo.DetectableEffect],
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> tuple[TrueCase, ...]:
     """Draw the truth; the same seed and detection limits give the same truth."""
     plan = plan_cases(cases, known, outside, np.random.default_rng([seed, 8]))
@@ -253,7 +253,7 @@ def campaign(
     step: str = "all",
     partial: bool = False,
     small: bool = False,
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
     sessions: str = "*",
 ) -> Document:
     """Make, solve and score blind cases.

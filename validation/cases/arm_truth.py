@@ -15,9 +15,9 @@ from typing import Final, Literal
 import numpy as np
 from mcap.stream_reader import StreamReader
 
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm import demo
 from marsarm.diagnosis.arm.arm_effects import locate, to_hypothesis
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
@@ -93,7 +93,7 @@ def plan_cases(
     Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
     them, their cases have no effect.
     """
-    known, unknown = ([one for one in some if demo.can_sample(one)] for some in (catalogue, outside))
+    known, unknown = ([one for one in some if one.can_sample()] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
     if not unknown:
         counts["none"] += counts.pop("out-of-catalogue")
@@ -124,11 +124,11 @@ def _sample_effects(
     if kind == "none":
         return ()
     source = next(unknown) if kind == "out-of-catalogue" else demo.sample_effect(known, rng)
-    first = demo.sample_amplitude(source, rng)
+    first = source.sample(rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]
-    return first, demo.sample_amplitude(demo.sample_effect(others, rng), rng)
+    return first, demo.sample_effect(others, rng).sample(rng)
 
 
 @cache
@@ -184,7 +184,7 @@ class TruthLeaked(UserError):
     exit_status = 1
 
 
-def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL) -> None:
+def check_leakage(path: Path, case: TrueCase, arm: str = NOMINAL_ARM) -> None:
     """Raise TruthLeaked if a log has a header key, topic, name or number of the truth of its case."""
     log = read_log(path)
     extra_keys = sorted(set(log.header) - ALLOWED_KEYS)

@@ -21,14 +21,16 @@ import numpy as np
 from fsw.dictionary.params import digest
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, digest_sources, in_order
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm import finite_differences as differences
 from marsarm.diagnosis.arm.arm_effects import list_hypotheses, list_nuisances, moves
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.case_simulator import MIN_CURVED, ArmSimulator, build_simulator
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set
+from marsarm.diagnosis.arm.case_simulator import MIN_CURVED
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, lay_out, simulate_features
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS, is_stepped
 from marsarm.diagnosis.model import form_normal_equations
 from marsarm.diagnosis.problem import (
+    FeatureLayout,
     Hypothesis,
     Ints,
     Nuisance,
@@ -48,8 +50,6 @@ from simgap.common.progress import Progress, as_guess, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
-NOMINAL: Final = "nominal"
-"""Name of the default arm as its drawing has it."""
 DECIDING: Final = ("fsw", "sim", "marsarm.diagnosis", "simgap.serial_arm")
 """Packages that decide the result."""
 NUMERICS_SHARE: Final = 0.25
@@ -84,7 +84,7 @@ def compute_sensitivities(
     progress: Progress,
     kinds: Sequence[str] | None = None,
     steps_of: Sequence[Path] = (),
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> Sensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 
@@ -133,11 +133,11 @@ def _difference_all(
     shares = {k: one.share for k, one in up.items()}
     two_sided = {k: by for k, by in shares.items() if len(columns[k].sides(by)) > 1}
     down = _simulate(campaign, two_sided, 1, True, run, sides)
-    (first, rows), (_, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
+    (_, first, rows), (_, _, other_rows) = (_part(campaign, is_first) for is_first in (True, False))
     slope, curvature, reach = _fit_parabolas(campaign, up, down)
     if other_rows.size:
         # a line misses a step by MIN_CURVED noise floors
-        missed = np.abs(curvature * reach**2) > MIN_CURVED * first.layout.sigma[:, None]
+        missed = np.abs(curvature * reach**2) > MIN_CURVED * first.sigma[:, None]
         curved = {k: two_sided[k] for k in down if missed[:, k].any()}
         done = work[-1] / (work[-1] + _count_ticks(campaign, curved, False))
         up = _simulate(campaign, shares, 0, False, run, part_of(rest, 0.0, done))
@@ -146,7 +146,7 @@ def _difference_all(
         order = np.argsort(np.concatenate([rows, other_rows]))
         slope = np.concatenate([slope, other_slope])[order]
         curvature = np.concatenate([curvature, other_curvature])[order]
-    return _assemble(campaign, _simulator(campaign), slope, curvature, reach)
+    return _assemble(campaign, *_lay_out(campaign), slope, curvature, reach)
 
 
 def _simulate(
@@ -172,7 +172,7 @@ def _simulate(
 
 def _count_ticks(campaign: _Campaign, wanted: Iterable[int], is_first: bool) -> int:
     """Count the cycles that one side of columns simulates, which take the time, and one for each job."""
-    columns, feature_set = _list_columns(campaign), _part(campaign, is_first)[0].feature_set
+    columns, (feature_set, *_) = _list_columns(campaign), _part(campaign, is_first)
     rests = sum(1 + max(one.turning_points.tick, default=0) for one in feature_set.rests)
     ticks = 0
     for of in differences.group_columns(columns, sorted(wanted)):
@@ -192,8 +192,7 @@ def _choose_steps(
     Numerical errors keep theirs too. They are simulated last, as their rests take long. A step has the share
     of the typical size of its column.
     """
-    simulator, _ = _part(campaign, True)
-    columns = _list_columns(campaign)
+    columns, (feature_set, layout, _) = _list_columns(campaign), _part(campaign, True)
     fixed = differences.find_borrowed_slopes(columns)
     last: dict[int, differences.OneSidedStep] = {}
     numerical = [k for k in first if isinstance(one := columns[k].source, Nuisance) and one.only_channel]
@@ -204,7 +203,7 @@ def _choose_steps(
     for attempt in range(differences.MAX_ROUNDS + 1):
         update = part_of(rounds, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
         last = last | _simulate(campaign, wanted, 0, True, run, update)
-        found = _assemble(campaign, simulator, *_fit_parabolas(campaign, last, {}))
+        found = _assemble(campaign, feature_set, layout, *_fit_parabolas(campaign, last, {}))
         scale = form_normal_equations(found).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if differences.step_error(seen[k]) < best[k]]
@@ -241,33 +240,32 @@ def _fit_parabolas(
 
 
 def _assemble(
-    campaign: _Campaign, simulator: ArmSimulator, slope: Array, curvature: Array, reach: Array
+    campaign: _Campaign,
+    feature_set: FeatureSet,
+    layout: FeatureLayout,
+    slope: Array,
+    curvature: Array,
+    reach: Array,
 ) -> Sensitivities:
-    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns."""
+    """Make sensitivities of slopes and curvatures, (m, n), and largest steps, (n,), of n columns.
+
+    Numerical errors are restricted to their channel. Rests are simulated with STEP_NUMERICS only; other
+    numerics share their change.
+    """
     hypotheses, nuisances = known = _list_known(campaign)
     owner = np.array([k for k, one in enumerate(hypotheses) for _ in one.parameters], np.intp)
-    sized = owner.size
-    nuisance = _restrict_nuisances(simulator, nuisances, slope[:, sized:])
-    own = nuisance[:, [bool(one.only_channel) for one in nuisances]]
-    # a share of the numerical errors is noise: the fit removes them only in part
-    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
-    layout, derivatives = replace(simulator.layout, sigma=sigma), (slope[:, :sized], curvature[:, :sized])
-    return Sensitivities(layout, *known, *derivatives, reach[:sized], owner, nuisance)
-
-
-def _restrict_nuisances(simulator: ArmSimulator, nuisances: Sequence[Nuisance], change: Array) -> Array:
-    """Return the nuisance columns (m, q), those of numerical errors restricted to their channel.
-
-    Rests are simulated with STEP_NUMERICS only; other numerics share their change.
-    """
-    cut, channel = change.copy(), simulator.layout.channel
+    sized, rests = owner.size, slice(feature_set.n_moving, None)
+    nuisance = slope[:, sized:].copy()
     numerical = [k for k, one in enumerate(nuisances) if one.only_channel]
     stepped = next(k for k in numerical if differences.Column(nuisances[k]).sides(1.0)[0][0] == STEP_NUMERICS)
-    rests = slice(simulator.feature_set.n_moving, None)
     for k in numerical:
-        cut[rests, k] = change[rests, stepped]
-        cut[channel != nuisances[k].only_channel, k] = 0.0
-    return cut
+        nuisance[rests, k] = slope[rests, sized + stepped]
+        nuisance[layout.channel != nuisances[k].only_channel, k] = 0.0
+    own = nuisance[:, [bool(one.only_channel) for one in nuisances]]
+    # a share of the numerical errors is noise: the fit removes them only in part
+    sigma = np.sqrt(layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
+    layout, derivatives = replace(layout, sigma=sigma), (slope[:, :sized], curvature[:, :sized])
+    return Sensitivities(layout, *known, *derivatives, reach[:sized], owner, nuisance)
 
 
 def check_cache_folder(kept_in: Path) -> None:
@@ -294,20 +292,20 @@ def digest_logs(logs: Logs) -> list[str]:
 
 
 @cache
-def _simulator(campaign: _Campaign) -> ArmSimulator:
-    """Build the simulator; once in each process."""
-    arm = arm_named(campaign.arm).model
-    return build_simulator(build_feature_set(load_checked_recordings(campaign.logs, arm=arm)))
+def _lay_out(campaign: _Campaign) -> tuple[FeatureSet, FeatureLayout]:
+    """Return the features and their layout; once in each process."""
+    recordings = load_checked_recordings(campaign.logs, arm=arm_named(campaign.arm).model)
+    feature_set = build_feature_set(recordings)
+    return feature_set, lay_out(feature_set)[0]
 
 
 @cache
-def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
-    """Return the simulator of a part of the features, and their rows among all; once a process.
+def _part(campaign: _Campaign, is_first: bool) -> tuple[FeatureSet, FeatureLayout, Ints]:
+    """Return a part of the features, its layout, and its rows among all features; once a process.
 
     The first part are rests, touches, and the motions that move as many joints as any, away from a surface.
     """
-    whole = _simulator(campaign)
-    every = whole.feature_set
+    every, layout = _lay_out(campaign)
     joints = [
         len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
         for one in every.motions
@@ -318,17 +316,17 @@ def _part(campaign: _Campaign, is_first: bool) -> tuple[ArmSimulator, Ints]:
     feature_set = FeatureSet(motions, *still)
     own = set(feature_set.list_features())
     rows = np.flatnonzero([one in own for one in every.list_features()])
-    return replace(whole, feature_set=feature_set, layout=whole.layout.select(rows)), rows
+    return feature_set, layout.select(rows), rows
 
 
 @cache
 def _nominal_features(campaign: _Campaign, is_first: bool) -> Array:
-    return _part(campaign, is_first)[0].predict_effects(())
+    return simulate_features(_part(campaign, is_first)[0], ())
 
 
 def _simulate_at_once(
     campaign: _Campaign, is_first: bool, nominal: Array, side: int, shares: Mapping[int, float]
 ) -> dict[int, differences.OneSidedStep]:
     """Simulate one side of some columns, which have these steps, at once."""
-    simulator, _ = _part(campaign, is_first)
-    return differences.simulate_side(simulator, _list_columns(campaign), nominal, side, shares)
+    feature_set, *_ = _part(campaign, is_first)
+    return differences.simulate_side(feature_set, _list_columns(campaign), nominal, side, shares)

@@ -14,20 +14,20 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, configure
+from fsw.config import configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, skew
 from marsarm.common.pool import Runner
+from marsarm.common.requests import NOMINAL_ARM
 from marsarm.diagnosis.arm.audit import audit_recordings
-from marsarm.diagnosis.arm.campaign_sensitivities import NOMINAL, compute_sensitivities
+from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     CaseSimulator,
     build_case_simulator,
-    build_simulator,
     fit_nuisances,
 )
 from marsarm.diagnosis.arm.feature_set import build_feature_set
-from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
 from marsarm.diagnosis.diagnose import Explanation, diagnose, list_errors
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Sensitivities
@@ -60,7 +60,7 @@ def load_campaign_model(
     run: Runner,
     progress: Progress,
     kinds: Sequence[str] | None = None,
-    arm: str = NOMINAL,
+    arm: str = NOMINAL_ARM,
 ) -> CampaignModel:
     """Load the campaign model of these logs; compute in minutes what is not cached.
 
@@ -127,19 +127,18 @@ def diagnose_case(
     if not recordings:
         raise NotForDiagnosis("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    arm = build_simulator(build_feature_set(recordings), patch)
-    sensitivities = campaign.model.sensitivities
-    first = build_case_simulator(arm, sensitivities.layout, len(sensitivities.nuisances))
+    feature_set, sensitivities = build_feature_set(recordings), campaign.model.sensitivities
+    first = build_case_simulator(feature_set, sensitivities.layout, len(sensitivities.nuisances), patch)
     missing = _find_missing(first, campaign)
     model = _restrict_model(campaign.model, first)
-    fit, selection = fit_nuisances(model, first, patch, seed)
+    fit, selection = fit_nuisances(model, first, seed)
     found = diagnose(model, fit.residual(model.sensitivities.nuisance), selection)
     shown = count_shown(model, found.diagnosis)
-    remarks = (*audit_recordings(recordings), *missing, *arm.floor_notes, shown)
+    remarks = (*audit_recordings(recordings), *missing, *first.floor_notes, shown)
     diagnosis = replace(
         found.diagnosis,
-        robot=arm.feature_set.arm.name,
-        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in arm.feature_set.list_features())),
+        robot=feature_set.arm.name,
+        fitted_motions=tuple(dict.fromkeys(one.recording.name for one in feature_set.list_features())),
         remarks=tuple(f"{one}." for one in remarks),
     )
     if campaign.held_out is not None and held_out:
@@ -166,10 +165,12 @@ def _make_traces(case: CaseSimulator, found: Explanation) -> Iterator[Trace]:
         session, name = key.split("/", 1)
         if name.startswith("motion "):
             series.setdefault((channel, session), []).append(row)
-    for (channel, session), rows in series.items():
-        time_s = np.arange(float(len(rows))) * BIN_TICKS / CYCLE_HZ
+    for (channel, session), own in series.items():
+        rows = np.array(own)[np.argsort(layout.time_s[own])]
         numbers = (values[rows] for values in (measured, nominal, explained))
-        yield Trace(channel, FeatureResiduals.kind, session, str(layout.unit[rows[0]]), time_s, *numbers)
+        yield Trace(
+            channel, FeatureResiduals.kind, session, str(layout.unit[rows[0]]), layout.time_s[rows], *numbers
+        )
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
@@ -195,8 +196,8 @@ def _judge_held_out(
     Nuisances are those that fit beside the findings: alone, they would imitate a finding, and hide the gap.
     NotForDiagnosis if nothing of the motion can be compared with the campaign.
     """
-    arm = build_simulator(build_feature_set(recordings), fit.arm.patch)
-    case = build_case_simulator(arm, sensitivities.layout, fit.nuisance.size)
+    feature_set = build_feature_set(recordings)
+    case = build_case_simulator(feature_set, sensitivities.layout, fit.nuisance.size, fit.patch)
     if not case.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise NotForDiagnosis(f"held out: nothing in {names} can be compared with the campaign")
@@ -209,7 +210,7 @@ def _judge_held_out(
     base = residual - N @ found.nuisance
     rows = residual, base, base - change
     sigma = np.sqrt(held.layout.sigma**2 + np.sum(N @ found.covariance * N, axis=1))
-    tool = compute_tool_error(held.layout.key.tolist(), rows, sigma, arm.feature_set.arm.params)
+    tool = compute_tool_error(held.layout.key.tolist(), rows, sigma, feature_set.arm.params)
     return (*list_errors(held.layout, rows, sigma), *([] if tool is None else [tool]))
 
 

@@ -12,7 +12,7 @@ In all functions, features and their changes are arrays in the units of their ch
 `CaseSimulator`; `nuisance` is their change per unit of each nuisance, (m, q).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,8 +21,8 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import moves
-from marsarm.diagnosis.arm.feature_set import FeatureSet, estimate_floor, measure_features, simulate_features
-from marsarm.diagnosis.arm.features import UNITS, MotionFeatures, name_channel
+from marsarm.diagnosis.arm.feature_set import FeatureSet, lay_out, measure_features, simulate_features
+from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.model import DiagnosisModel, Whitener, build_full_whitener, fit_linear
 from marsarm.diagnosis.problem import CONDITIONS, LOG_UNIT, Departures, FeatureLayout, Ints
 from marsarm.diagnosis.selection import FeatureSelection, select, select_simulated
@@ -47,50 +47,19 @@ MAX_UPDATES: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmSimulator:
-    """Arm simulator bound to a campaign.
+class CaseSimulator:
+    """Simulator of a case in m features of a campaign.
 
     It uses the nominal arm. Flight parameters do not change it, only effects do.
     """
 
     feature_set: FeatureSet
-    layout: FeatureLayout
-    """Layout of its m features, with their noise floor."""
-    floor_notes: tuple[str, ...]
-    """Notes on the origin of that."""
     patch: tuple[Effect, ...]
     """Effects that are always on."""
-
-    def predict_effects(
-        self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = lambda _: True
-    ) -> Array:
-        """Predict the features with the patch and these effects; NaN for motions not wanted.
-
-        PlantDiverged if MuJoCo counted a warning.
-        """
-        return simulate_features(self.feature_set, (*self.patch, *effects), wanted)
-
-
-def build_simulator(feature_set: FeatureSet, patch: tuple[Effect, ...] = ()) -> ArmSimulator:
-    """Build the simulator of these features; every place has its own channels."""
-    features, (sigma, notes) = feature_set.list_features(), estimate_floor(feature_set)
-    layout = FeatureLayout(
-        sigma=sigma,
-        block=np.array([one.recording.block for one in features], str),
-        channel=np.array([name_channel(one.place, one.channel) for one in features], str),
-        unit=np.array([UNITS[one.channel] for one in features], str),
-        regime=np.array([one.regime for one in features], str),
-        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
-        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
-    )
-    return ArmSimulator(feature_set, layout, notes, patch)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CaseSimulator:
-    """Simulator of a case in m features of a campaign."""
-
-    arm: ArmSimulator
+    layout: FeatureLayout
+    """Layout of the m features, with the noise floor of the case."""
+    floor_notes: tuple[str, ...]
+    """Notes on the origin of that."""
     measured: Array
     """All n measured features of the case in the units of the channels, shape (n,)."""
     nominal: Array
@@ -102,16 +71,11 @@ class CaseSimulator:
     nuisance: Array
     """Nuisances of the prediction in their units, shape (q,)."""
 
-    @property
-    def layout(self) -> FeatureLayout:
-        """Layout of the m features."""
-        return self.arm.layout.select(self.at)
-
     def simulate(self, departures: Departures) -> Array:
         """Return the change by effects, as `marsarm.diagnosis.problem.Simulate`."""
         effects = tuple(one.switch_on(a) for one, a in departures.items())
         try:
-            return simulate_change(self.arm, effects, self.nominal)[self.at]
+            return simulate_change(self.feature_set, effects, self.nominal, self.patch)[self.at]
         except PlantDiverged:
             return np.full(self.at.size, np.nan)
 
@@ -120,40 +84,48 @@ class CaseSimulator:
         return np.asarray((self.measured - self.nominal)[self.at] + nuisance @ self.nuisance)
 
 
-def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, n_nuisances: int) -> CaseSimulator:
+def build_case_simulator(
+    feature_set: FeatureSet, layout: FeatureLayout, n_nuisances: int, patch: tuple[Effect, ...] = ()
+) -> CaseSimulator:
     """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
     The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
     later shifts a start by a part of a bin, and its mean current by many noise floors.
     """
-    _, rows, at = np.intersect1d(layout.key, arm.layout.key, return_indices=True)
+    (own, notes), predicted = lay_out(feature_set), simulate_features(feature_set, patch)
+    _, rows, at = np.intersect1d(layout.key, own.key, return_indices=True)
     rows, at = np.sort(rows), at[np.argsort(rows)]
-    predicted = arm.predict_effects(())
-    difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
+    difference = np.abs(own.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & np.isfinite(predicted[at])
-    measured = measure_features(arm.feature_set)
-    return CaseSimulator(arm, measured, predicted, at[same], rows[same], np.zeros(n_nuisances))
+    rows, at = rows[same], at[same]
+    measured, nuisance = measure_features(feature_set), np.zeros(n_nuisances)
+    return CaseSimulator(feature_set, patch, own.select(at), notes, measured, predicted, at, rows, nuisance)
 
 
 def resimulate(
     case: CaseSimulator, patch: tuple[Effect, ...], only: Callable[[MotionFeatures], bool], otherwise: Array
 ) -> CaseSimulator:
     """Simulate a case again with another patch: its rests, and some motions; others change by `otherwise`."""
-    arm, extrapolated = replace(case.arm, patch=patch), case.nominal.copy()
-    simulated = arm.predict_effects((), only)
+    simulated, extrapolated = simulate_features(case.feature_set, patch, only), case.nominal.copy()
     extrapolated[case.at] += otherwise
-    return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
+    return replace(case, patch=patch, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
 
 
-def simulate_change(arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Array) -> Array:
-    """Simulate the change by effects from a prediction without them; 0 in motions that they do not change."""
-    found = arm.predict_effects(effects, lambda one: any(moves(e, one) for e in effects)) - nominal
-    return np.where(np.isfinite(found), found, 0.0)
+def simulate_change(
+    feature_set: FeatureSet, effects: tuple[Effect, ...], nominal: Array, patch: tuple[Effect, ...] = ()
+) -> Array:
+    """Simulate the change by effects from a prediction without them; 0 in motions that they do not change.
+
+    The effects of the patch are on in both. PlantDiverged if MuJoCo counted a warning.
+    """
+    every = *patch, *effects
+    change = simulate_features(feature_set, every, lambda one: any(moves(e, one) for e in effects)) - nominal
+    return np.where(np.isfinite(change), change, 0.0)
 
 
 def fit_nuisances(
-    model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
+    model: DiagnosisModel, first: CaseSimulator, seed: int
 ) -> tuple[CaseSimulator, FeatureSelection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect; start at nominal nuisances.
 
@@ -162,7 +134,7 @@ def fit_nuisances(
     would lose against nuisances beyond any real arm.
     """
     whiten, slopes = build_full_whitener(model.sensitivities), model.sensitivities.nuisance
-    alone = beside = _fit_alone(model, whiten, first, patch)
+    alone = beside = _fit_alone(model, whiten, first)
     before = selection = select(model, model.sensitivities, whiten, alone.residual(slopes), seed)
     if not before.chosen:
         return alone, before
@@ -171,7 +143,7 @@ def fit_nuisances(
         if set(selection.chosen) == set(chosen):
             break
         chosen = selection.chosen
-        moved = _update(model, beside, chosen, patch)
+        moved = _update(model, beside, chosen, first.patch)
         if moved is beside:
             break
         beside = moved
@@ -182,13 +154,11 @@ def fit_nuisances(
     return alone, select_simulated(model, whiten, alone.residual(slopes), seed, alone.simulate)
 
 
-def _fit_alone(
-    model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
-) -> CaseSimulator:
+def _fit_alone(model: DiagnosisModel, whiten: Whitener, first: CaseSimulator) -> CaseSimulator:
     """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
     current, slopes = first, model.sensitivities.nuisance
     for _ in range(MAX_UPDATES):
-        moved = _update(model, current, (), patch)
+        moved = _update(model, current, (), first.patch)
         before, after = (_deviance(whiten, one.residual(slopes)) for one in (current, moved))
         if moved is current or after > before:
             break

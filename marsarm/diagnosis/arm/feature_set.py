@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import configure
+from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import settle_output
@@ -27,14 +27,17 @@ from marsarm.diagnosis.arm.features import (
     RESOLVER,
     ROTATION,
     TRANSLATION,
+    UNITS,
     Feature,
     MotionFeatures,
     SensorColumns,
     evaluate_features,
     list_motion_features,
+    name_channel,
     still,
 )
 from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.problem import CONDITIONS, FeatureLayout
 from sim.arm_model.load import ArmModel
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware, params_with_effects
 from sim.effects.environment import FARTHEST_SURFACE_M, SurfacePosition
@@ -212,12 +215,14 @@ def _list_rest_features(
             angle = float(turning_points.motor_rad[joint, k])
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
-            features.append(Feature(recording, RESOLVER, name, "rest", condition, f"rest {r}/{name}"))
+            time_s, key = turning_points.tick[k] / CYCLE_HZ, f"rest {r}/{name}"
+            features.append(Feature(recording, RESOLVER, name, "rest", condition, key, time_s=time_s))
     for axis, named in enumerate(SCREW_AXES):
         channel = ROTATION if axis < 3 else TRANSLATION
         for r, k in zip(tracked, poses, strict=True):
-            sigma, key = float(recording.tracker_poses.sigma[axis, k]), f"rest {r}/{named}"
-            features.append(Feature(recording, channel, "turret", "pose", still(recording), key, sigma=sigma))
+            sigma, time_s = float(recording.tracker_poses.sigma[axis, k]), ticks[k] / CYCLE_HZ
+            about = recording, channel, "turret", "pose", still(recording), f"rest {r}/{named}"
+            features.append(Feature(*about, sigma=sigma, time_s=time_s))
     found = RestFeatures(turning_points, nominal, tracked, poses, tuple(features))
     without, *with_others = (_static_values(found, one) for one in (nominal, *others))
     doubts = np.abs([one - without for one in with_others]).max(axis=0).tolist()
@@ -259,10 +264,11 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     return found
 
 
-def estimate_floor(feature_set: FeatureSet) -> tuple[Array, tuple[str, ...]]:
-    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise.
+def lay_out(feature_set: FeatureSet) -> tuple[FeatureLayout, tuple[str, ...]]:
+    """Return the layout of features with their noise floor, and notes on its origin.
 
-    Return the standard deviation of every feature between repeats, and notes on its origin.
+    Every place has its own channels. The floor is estimated by channel from repeats; it is never below the
+    assumed sensor noise.
     """
     features, values = feature_set.list_features(), measure_features(feature_set)
     sigma = np.array([ASSUMED_SIGMA[one.channel] if one.sigma is None else one.sigma for one in features])
@@ -292,4 +298,14 @@ def estimate_floor(feature_set: FeatureSet) -> tuple[Array, tuple[str, ...]]:
             f"{int(doubted.sum())} of {doubted.size} features have little weight: the arm rests near the "
             f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
-    return np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes)
+    layout = FeatureLayout(
+        sigma=np.where(doubted, np.hypot(sigma, doubt), sigma),
+        block=np.array([one.recording.block for one in features], str),
+        channel=np.array([name_channel(one.place, one.channel) for one in features], str),
+        unit=np.array([UNITS[one.channel] for one in features], str),
+        regime=np.array([one.regime for one in features], str),
+        condition=np.array([one.condition for one in features]).reshape(-1, len(CONDITIONS)),
+        time_s=np.array([one.time_s for one in features], float),
+        key=np.array([f"{one.recording.name}/{one.key}" for one in features], str),
+    )
+    return layout, tuple(notes)

@@ -74,6 +74,8 @@ class Feature:
     """Standard deviation of its noise; None for that which is assumed of the channel."""
     span: tuple[int, int] | None = None
     """First tick and end of its bin; None if it is of no bin."""
+    time_s: float = 0.0
+    """Time since the start of the log; 0 for what is of all of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,8 +147,10 @@ def _segment_features(
                 doubt = backlash_rad
             key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
             regime = segment.regime(first)
-            place, span = j.name.lower(), (first, end)
-            yield Feature(recording, channel, place, regime, condition, key, doubt, span=span)
+            place, time_s = j.name.lower(), (first + end) / 2 / CYCLE_HZ
+            yield Feature(
+                recording, channel, place, regime, condition, key, doubt, span=(first, end), time_s=time_s
+            )
 
 
 def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:

@@ -14,8 +14,13 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import joint_at
-from marsarm.diagnosis.arm.case_simulator import ArmSimulator, simulate_change
-from marsarm.diagnosis.arm.feature_set import changes_readings_only, rests_moved_by, simulate_touches
+from marsarm.diagnosis.arm.case_simulator import simulate_change
+from marsarm.diagnosis.arm.feature_set import (
+    FeatureSet,
+    changes_readings_only,
+    rests_moved_by,
+    simulate_touches,
+)
 from marsarm.diagnosis.arm.rest_poses import is_stepped
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
 from sim.effects.effect import Effect
@@ -130,7 +135,7 @@ def group_columns(columns: Sequence[Column], wanted: Sequence[int]) -> list[tupl
 
 
 def simulate_side(
-    simulator: ArmSimulator,
+    feature_set: FeatureSet,
     columns: Sequence[Column],
     nominal: Array,
     number: int,
@@ -145,22 +150,22 @@ def simulate_side(
     """
     ends = {k: columns[k].sides(by)[number] for k, by in shares.items()}
     effects = tuple(effect for effect, _ in ends.values())
-    change = simulate_change(simulator, effects, nominal)
+    change = simulate_change(feature_set, effects, nominal)
     changes = [change]
     if joint_at(effects[0]) is not None:
-        changes = [_change_at_joint(simulator, change, effect) for effect in effects]
+        changes = [_change_at_joint(feature_set, change, effect) for effect in effects]
     rows = zip(ends.items(), changes, strict=True)
     return {k: OneSidedStep(shares[k], size, change) for (k, (_, size)), change in rows}
 
 
-def _change_at_joint(simulator: ArmSimulator, moved: Array, effect: Effect) -> Array:
+def _change_at_joint(feature_set: FeatureSet, moved: Array, effect: Effect) -> Array:
     """Return the part of a change (m,) in the motions and the rests that the joint of an effect changes."""
-    joint, feature_set = joint_at(effect), simulator.feature_set
+    joint = joint_at(effect)
     assert joint is not None, "only effects at joints are simulated together"
     moving = np.arange(moved.size) < feature_set.n_moving
     own = moving & [one.place == joint.name.lower() for one in feature_set.list_features()]
     turns = not changes_readings_only(effect)
     found = np.where(own, moved, rests_moved_by(feature_set, moved, joint, turns))
-    nominal, touched = (simulate_touches(feature_set, (*simulator.patch, *some)) for some in ((), (effect,)))
+    nominal, touched = (simulate_touches(feature_set, some) for some in ((), (effect,)))
     found[found.size - nominal.size :] = touched - nominal
     return found

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
@@ -173,11 +173,9 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
     ticks = min(inputs.ticks, len(log[DRIVE]))
     drive = {f.name: log[DRIVE][f.name][:ticks] for f in fields(ActuatorCommand)}
     sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
-    joints = inputs.params.joints.in_order()
-    rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
+    config = configure(inputs.params)
     world = session.world or world_from_imu(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
-    begin_rad = sensors["encoder_count"][0] * rad_per_count + reference.zero_rad
-    stops_rad = np.array([j.hardstop_rad for j in joints])
+    begin_rad = sensors["encoder_count"][0] * config.rad_per_count + reference.zero_rad
     commands = json.loads(log.header.get("commands", "[]"))
     warm_C, given_C = float(np.mean(sensors["winding_C"][0])), session.temperature_C
     name = session.name or path.stem
@@ -188,8 +186,8 @@ def load_recording(path: Path, arm: ArmModel | None = None) -> Recording:
         temperature_C=warm_C if given_C is None else given_C,
         structure_C=float(np.mean(sensors["structure_C"])),
         params=inputs.params,
-        start=RecordedStart(world, begin_rad, reference.zero_rad, stops_rad, arm or default_arm()),
-        rad_per_count=rad_per_count,
+        start=RecordedStart(world, begin_rad, reference.zero_rad, config.hardstop_rad, arm or default_arm()),
+        rad_per_count=config.rad_per_count,
         drive=drive,
         drives=tuple(_split_drive(drive)),
         sensors=sensors,
@@ -229,16 +227,12 @@ def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
 
 def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
     changed = {
-        name: (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+        name: [True, *(values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim))).tolist()]
         for name, values in drive.items()
     }
-    anew = {name: [True, *flags.tolist()] for name, flags in changed.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
-        for name, values in drive.items():
-            if anew[name][tick]:
-                value = values[tick]
-                last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
+        last |= {name: values[tick] for name, values in drive.items() if changed[name][tick]}
         yield ActuatorCommand(**last)
 
 

@@ -11,18 +11,17 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import select_runner
 from marsarm.common.requests import select_arm
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.diagnose_logs import diagnose
-from marsarm.diagnosis.arm.logs import BIN_TICKS
 from marsarm.diagnosis.arm.request import NextRequest
 from marsarm.diagnosis.model import DiagnosisModel, build_whitener, whiten_nuisances
 from marsarm.diagnosis.problem import Departures, Hypothesis, Ints, Sensitivities
 from sim.initialisation import true_reference
+from simgap.common.errors import RobotError
 from simgap.common.files import cache_folder
 from simgap.common.options import command_text
 from simgap.common.page import Origin
@@ -31,7 +30,8 @@ from simgap.next_motion.proposal import Curve, Proposal
 from simgap.next_motion.rivals import choose_rivals, is_sure
 from simgap.next_motion.separation import Slopes, choose_motion, find_deviations
 from simgap.report.next_motion import save_next_files
-from simgap.result import Rival
+from simgap.report.sentences import verdict_lines
+from simgap.result import Diagnosis, Rival
 
 DIAGNOSED: Final = 0.4
 """Share of the time that the diagnosis takes, for the progress, if the campaign is not cached."""
@@ -62,10 +62,11 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
     case = diagnose(request, part_of(progress, 0.0, DIAGNOSED))
     assert case.model is not None
     assert case.params is not None
-    group = choose_rivals(case.diagnosis.rivals)
+    group = _choose_rivals(case.diagnosis)
     kinds = tuple(dict.fromkeys(one.name for rival in group for one in rival.effects))
     places = {rival.effect.partition(".")[0].partition(":")[0] for rival in group}
-    motions = {one.name: one for one in record.list_motions(places)}
+    known = (*case.diagnosis.fitted_motions, *case.diagnosis.judged_motions)
+    motions = {one.name: one for one in record.list_motions(case.params, places, known)}
     arm = replace(select_arm(request.arm, None), effects=(), params=case.params)
     sessions = [record.make_session(one, arm.params) for one in motions.values()]
     with TemporaryDirectory() as scratch:
@@ -75,23 +76,29 @@ def propose_next(request: NextRequest, progress: Progress = no_progress) -> Next
         kept_in, rest = cache_folder("marsarm", "sensitivities"), part_of(progress, RECORDED, 1.0)
         run = select_runner(request.workers, request.cluster)
         planned = compute_sensitivities(logs, kept_in, run, rest, kinds, (), request.arm)
-    words = {name: one.describe() for name, one in motions.items()}
-    made = propose_motion(case.model, case.diagnosis.rivals, planned, words)
-    name = next(one for one in motions if words[one] == made.motions[made.choice.motions[0]])
     origin = Origin(command_text("marsarm gap next", request), case.digests)
-    return NextArmMotion(request, made, motions[name], origin)
+    return NextArmMotion(request, *propose_motion(case.model, group, planned, motions), origin)
+
+
+def _choose_rivals(diagnosis: Diagnosis) -> list[Rival]:
+    """Return the finding in most doubt and its rivals; RobotError says what was found if there is none."""
+    try:
+        return choose_rivals(diagnosis.rivals)
+    except RobotError as error:
+        raise RobotError("\n".join([f"{error}; these logs say:", *verdict_lines(diagnosis)])) from error
 
 
 def propose_motion(
-    model: DiagnosisModel, rivals: Sequence[Rival], planned: Sensitivities, words: Mapping[str, str]
-) -> Proposal:
-    """Propose the motion that tells the rivals of the finding in most doubt apart.
+    model: DiagnosisModel,
+    group: Sequence[Rival],
+    planned: Sensitivities,
+    motions: Mapping[str, record.PlannedMotion],
+) -> tuple[Proposal, record.PlannedMotion]:
+    """Propose the motion that tells the rivals of a finding apart, the finding first; return it too.
 
     Calibration errors and sizes of effects are fitted again, with what the earlier motions say of them. The
-    sensitivities of planned motions have the effects of these rivals; each is a block with its words.
-    RobotError if no finding has a rival.
+    sensitivities of planned motions have the effects of these rivals; each is a block with its name.
     """
-    group = choose_rivals(rivals)
     settings = [_departures(one) for one in group]
     changes = np.array([planned.change(own) for own in settings])
     white = build_whitener(planned)(changes.T).T
@@ -107,10 +114,11 @@ def propose_motion(
         return [[one[rows[m]] for one in slopes] for m in some]
 
     choice = choose_motion([white[:, own] for own in rows], differentiate, [one.p for one in group])
-    named = tuple(words[block] for block in blocks)
-    curves = tuple(_draw(planned, changes, rows[choice.motions[0]])) if choice.motions else ()
+    words = tuple(motions[block].describe() for block in blocks)
+    curves = tuple(_draw(planned, changes, rows[choice.motions[0]]))
     keys = tuple(one.effect for one in group)
-    return Proposal(group[0].finding, keys, is_sure(group), named, choice, curves)
+    made = Proposal(group[0].finding, keys, is_sure(group), words, choice, curves)
+    return made, motions[blocks[choice.motions[0]]]
 
 
 def _departures(rival: Rival) -> Departures:
@@ -134,12 +142,12 @@ def _draw(planned: Sensitivities, changes: Array, rows: Ints) -> list[Curve]:
     layout, curves = planned.layout, []
     for channel in dict.fromkeys(layout.channel[rows].tolist()):
         own = rows[layout.channel[rows] == channel]
+        own = own[np.argsort(layout.time_s[own])]
         if own.size == 1:  # a reading at rest
             continue
         predicted, noise = changes[:, own], float(np.mean(layout.sigma[own]))
-        time_s = np.arange(float(own.size)) * BIN_TICKS / CYCLE_HZ
         differing = predicted - predicted.mean(axis=0)
-        curves.append(Curve(channel, str(layout.unit[own[0]]), time_s, differing, noise))
+        curves.append(Curve(channel, str(layout.unit[own[0]]), layout.time_s[own], differing, noise))
     peaks = [float(np.max(np.abs(one.values))) / one.noise for one in curves]
     order = sorted(range(len(curves)), key=lambda k: -peaks[k])[:MOST_DRAWN]
     return [curves[k] for k in order if peaks[k] > 1.0]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Annotated, Final, Literal
 from zlib import crc32
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from fsw.dictionary.commands import Command, MoveJoint, MoveJoints
 from fsw.dictionary.enums import Joint
@@ -44,15 +45,20 @@ from simgap.common.toml import Record, parse_record, read_toml, toml_text
 
 ALL: Final = "all"
 """Name in place of a joint: all joints turn at once."""
-TURNS_DEG: Final = (1.0, 5.0, 15.0)
-POSES_DEG: Final = (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)
-TRACKED_DEG: Final = tuple(start for start, _ in plans.TILTED_POSES)
+TURNS_DEG: Final = (-1.0, -5.0, -15.0)
+POSES_DEG: Final = [[*pose] for pose in (plans.OUTSTRETCHED, plans.HELD_OUT_POSE, plans.TOUCHING_DEG)]
+TRACKED_DEG: Final = [[*start] for start, _ in plans.TILTED_POSES]
 HOLD_S: Final = 30.0
 """Rest that shows what creeps."""
 COUNT: Final = 2
 """Times that a joint goes there and back: the second time shows what the first has left behind."""
 
-Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+LEAST_TURN_DEG: Final = 0.1
+"""A joint that turns by less does not move, for a diagnosis: its set-point moves by few encoder counts."""
+DECIMALS: Final = 6
+"""Decimals of the angles in the file of a motion, in degrees."""
+
+Degrees = Annotated[float, Field(ge=-720.0, le=720.0)]
 
 
 class PlannedMotion(Record):
@@ -63,7 +69,7 @@ class PlannedMotion(Record):
     name: Annotated[str, Field(pattern=r"^[\w-]+$")]
     """Name of the session and of its log."""
     start_deg: Annotated[list[Degrees], Field(min_length=5, max_length=5)]
-    """Output angles at the start; an angle beyond its limit is brought within."""
+    """Output angles at the start."""
     joint: Literal["all", "azimuth", "elevation", "elbow", "wrist", "turret"]
     """Joint that turns."""
     turn_deg: Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -81,6 +87,20 @@ class PlannedMotion(Record):
     hold_s: Annotated[float, Field(ge=1.0, le=600.0)] = plans.SESSION_REST_S
     """Rest before and after each way."""
 
+    @field_validator("turn_deg")
+    @classmethod
+    def _check_turn(cls, turn_deg: float) -> float:
+        if abs(turn_deg) < LEAST_TURN_DEG:
+            raise ValueError(f"is {turn_deg:g}: nothing moves; at least {LEAST_TURN_DEG:g} deg is right")
+        return turn_deg
+
+    def ends_deg(self) -> Array:
+        """Return the output angles at the start and after the turn, (2, 5)."""
+        share = np.array(plans.COORDINATED_TURN) / plans.COORDINATED_TURN[Joint.ELBOW]
+        if self.joint != ALL:
+            share = np.eye(len(Joint))[Joint[self.joint.upper()]]
+        return np.array([self.start_deg, self.start_deg + share * self.turn_deg])
+
     def describe(self) -> str:
         """Return the motion in words."""
         pose = ", ".join(f"{one:g}" for one in self.start_deg)
@@ -93,40 +113,38 @@ class PlannedMotion(Record):
         )
 
 
-def list_motions(places: Collection[str] = ()) -> Iterator[PlannedMotion]:
-    """Yield the motions of the family, of joints that turn alone; of all if no place is a joint."""
+def list_motions(
+    params: Params, places: Collection[str] = (), known: Collection[str] = ()
+) -> Iterator[PlannedMotion]:
+    """Yield the motions of the family for an arm, of joints that turn alone; of all if no place is a joint.
+
+    They stay within the limits of the arm. Their numbers follow those of known motions, so that no two
+    motions of a campaign have one name.
+    """
+    numbers = [int(one.group(1)) for one in map(re.compile(r"next-(\d+)").match, known) if one]
     roll_deg, names = float(np.degrees(plans.ROLL_RAD)), [one.name.lower() for one in Joint]
     moving = [one for one in names if one in places] or names
-    short, holds = (plans.SESSION_REST_S,), (plans.SESSION_REST_S, HOLD_S)
+    rest, cold = (plans.SESSION_REST_S,), (plans.SESSION_COLD_C,)
+    fields = "joint", "turn_deg", "speed_share", "start_deg", "roll_deg", "temperature_C", "tracked", "hold_s"
     family = [
+        *product(moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,), rest),
+        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), cold, (False,), rest),
         *product(
-            moving, TURNS_DEG, (1.0, plans.SLOW_FRACTION), POSES_DEG, (0.0,), (WARM_C,), (False,), short
+            *((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,)),
+            (*rest, HOLD_S),
         ),
-        *product((ALL,), TURNS_DEG, (1.0,), POSES_DEG, (roll_deg,), (plans.SESSION_COLD_C,), (False,), short),
-        *product((ALL,), TURNS_DEG[-1:], (1.0,), TRACKED_DEG, (0.0, -roll_deg), (WARM_C,), (True,), holds),
     ]
-    for number, (joint, turn_deg, speed, pose, roll, temperature_C, tracked, hold_s) in enumerate(family, 1):
-        yield PlannedMotion(
-            name=f"next-{number}",
-            start_deg=[float(one) for one in pose],
-            joint=joint,
-            turn_deg=-turn_deg,
-            speed_share=speed,
-            count=COUNT,
-            roll_deg=roll,
-            temperature_C=temperature_C,
-            tracked=tracked,
-            hold_s=hold_s,
-        )
+    for number, values in enumerate(family, 1 + max(numbers, default=0)):
+        content = {"name": f"next-{number}", "count": COUNT, **dict(zip(fields, values, strict=True))}
+        motion = PlannedMotion.model_validate(content)
+        start_deg = np.round(np.degrees(make_session(motion, params).start_rad), DECIMALS)
+        yield motion.model_copy(update={"start_deg": start_deg.tolist()})
 
 
 def make_session(motion: PlannedMotion, params: Params) -> plans.DiagnosisSession:
     """Return the session of a motion, for an arm with these flight parameters; it stays within the limits."""
-    joints, share = [*Joint], np.array(plans.COORDINATED_TURN) / plans.COORDINATED_TURN[Joint.ELBOW]
-    if motion.joint != ALL:
-        joints = [Joint[motion.joint.upper()]]
-        share = np.eye(5)[joints[0]]
-    here, there = plans.within_limits(params, motion.start_deg, motion.start_deg + share * motion.turn_deg)
+    joints = [*Joint] if motion.joint == ALL else [Joint[motion.joint.upper()]]
+    here, there = plans.within_limits(params, *motion.ends_deg())
     ways: list[Command] = [MoveJoints(joints5(pose), "off") for pose in (there, here)]
     if motion.joint != ALL:
         ways = [MoveJoint(joints[0], pose[joints[0]], "off") for pose in (there, here)]
@@ -142,12 +160,23 @@ def motion_text(motion: PlannedMotion) -> str:
     return toml_text(motion.model_dump(), [motion.describe(), "`marsarm gap record --motion` records it."])
 
 
-def read_motion(path: Path) -> PlannedMotion:
-    """Read the file of a motion; BadRequest or RobotError if it is wrong."""
+def read_motion(path: Path, params: Params) -> PlannedMotion:
+    """Read the file of a motion of an arm; BadRequest or RobotError if it is wrong, or no motion for it."""
     content = read_toml(path)
     if "start_deg" not in content:
         raise BadRequest(f"{path}: is no motion; give a file that `gap next --out` wrote")
-    return parse_record(PlannedMotion, content, path)
+    motion = parse_record(PlannedMotion, content, path)
+    if motion.name in {one.name for one in plans.campaign_sessions(params)}:
+        raise BadRequest(f"{path}: name: the campaign has a session {motion.name}; give another name")
+    ends = np.sort(motion.ends_deg(), axis=0)
+    for joint, limits, low, high in zip(Joint, params.joints.in_order(), *ends, strict=True):
+        least, most = np.round(np.degrees((limits.soft_min_rad, limits.soft_max_rad)), DECIMALS)
+        if round(low, DECIMALS) < least or round(high, DECIMALS) > most:
+            raise BadRequest(
+                f"{path}: start_deg, turn_deg: {joint.name.lower()} goes from {low:g} to {high:g} deg; "
+                f"its limits are {least:g} and {most:g} deg"
+            )
+    return motion
 
 
 HELD_OUT_FOLDER: Final = "held-out"
@@ -239,7 +268,7 @@ def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[plans.Diagno
     if request.motion is not None and request.sessions != "*":
         raise BadRequest("motion, sessions: they exclude each other; give one of the two")
     if request.motion is not None:
-        return [make_session(read_motion(request.motion), arm.params)]
+        return [make_session(read_motion(request.motion, arm.params), arm.params)]
     every = plans.campaign_sessions(arm.params)
     chosen = [session for session in every if fnmatchcase(session.name, request.sessions)]
     if not chosen:

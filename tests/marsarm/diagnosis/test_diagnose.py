@@ -17,13 +17,15 @@ from simgap.report.sentences import level, verdict_word
 from tests.marsarm.diagnosis.worlds import indices, select_and_diagnose, sized, strange, world
 
 
-def test_every_case_has_its_verdict_and_level(results):
+def test_every_case_has_its_verdict_and_level_and_what_remains_is_told_where_it_is(results):
     assert {name: verdict_word(one) for name, one in results.items()} == {
         "named": "named", "alike": "named", "undecided": "set", "nothing": "none", "unknown": "unknown",
         "beside": "unknown",
     }  # fmt: skip
     levels = [{level(finding) for finding in results[name].findings} for name in ("named", "beside")]
     assert levels == [{"effect"}, {"place"}]
+    assert [name for name, one in results.items() if one.remaining] == ["unknown", "beside"]
+    assert results["unknown"].remaining[0].joint == "place 2.a"
 
 
 def test_an_effect_has_its_interval_and_says_what_is_the_same(results):
@@ -46,12 +48,6 @@ def test_agreement_of_motions_that_show_no_effect_is_refused(made, results):
     with pytest.raises(NotForDiagnosis, match="would show 0 of"):
         count_shown(weak, results["nothing"])
     assert "would show 0 of" in count_shown(weak, results["named"])
-
-
-def test_structure_is_reported_where_it_is(results):
-    for name, expected in (("unknown", True), ("beside", True), ("named", False), ("nothing", False)):
-        assert bool(results[name].remaining) is expected
-    assert results["unknown"].remaining[0].joint == "place 2.a"
 
 
 def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):

@@ -23,9 +23,11 @@ from marsarm.diagnosis.selection import FeatureResiduals, list_competitors, sele
 from sim.arms import arm_named, nominal_params
 from sim.diagnosis_campaign import run_session, start_session
 from sim.initialisation import true_reference
-from simgap.common.errors import BadRequest, RobotError
+from simgap import verdict_lines
+from simgap.common.errors import BadRequest, UserError
 from simgap.common.page import Origin
 from simgap.common.report import to_json
+from simgap.next_motion.rivals import choose_rivals
 from simgap.residuals.residuals import split_sizes
 from tests.marsarm.diagnosis.worlds import select_and_diagnose, sized, world
 
@@ -234,19 +236,21 @@ def test_an_effect_that_its_simulation_refutes_is_none_where_no_other_is_left(sh
     assert found[1].remaining
 
 
-BLOCKS = {f"motion {k}": f"words {k}" for k in range(15)}
+MOTIONS = {f"motion {k}": one for k, one in zip(range(15), list_motions(nominal_params()), strict=False)}
 
 
 def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, results):
     """All blocks but one are made blind; the one that is left has to be chosen."""
     blind = np.where(made.layout.block == "motion 6", 1.0, 1e6)
     layout = replace(made.layout, sigma=0.1 * blind * made.layout.sigma)
-    rivals = results["undecided"].rivals
-    proposal = propose_motion(campaign, rivals, replace(made, layout=layout), BLOCKS)
+    rivals = choose_rivals(results["undecided"].rivals)
+    proposal, best = propose_motion(campaign, rivals, replace(made, layout=layout), MOTIONS)
     assert proposal.rivals[0] == proposal.finding
     assert len(proposal.rivals) > 1
-    assert proposal.motions[proposal.choice.motions[0]] == "words 6"
+    assert best == MOTIONS["motion 6"]
+    assert proposal.motions[proposal.choice.motions[0]] == best.describe()
     assert proposal.curves
+    assert all(np.all(np.diff(one.time_s) > 0.0) for one in proposal.curves)
 
 
 @pytest.mark.parametrize(
@@ -256,40 +260,46 @@ def test_the_motion_in_which_rivals_differ_most_is_chosen(made, campaign, result
         ('joint = "elbow"', 'joint = "knee"'),
         ("speed_share = 1", "speed_share = 3"),
         ("hold_s = 1", "hold_s = 0"),
+        ("turn_deg = -1", "turn_deg = 0"),
+        ("start_deg = [0", "start_deg = [300"),
+        ('name = "next-8"', 'name = "elsewhere-cold"'),
     ],
 )
 def test_a_motion_is_read_again_from_its_file_and_a_wrong_one_is_refused_with_its_key(tmp_path, old, new):
-    motions, path = [*list_motions({"elbow"})], tmp_path / "next.toml"
+    params, path = nominal_params(), tmp_path / "next.toml"
+    motions = [*list_motions(params, {"elbow"}, {"sweep-elbow", "next-7", "next-3"})]
     assert {one.joint for one in motions} == {"elbow", "all"}
+    assert [one.name for one in motions[:2]] == ["next-8", "next-9"]  # after those that are known
     path.write_text(motion_text(motions[0]))
-    assert read_motion(path) == motions[0]
+    assert read_motion(path, params) == motions[0]
     path.write_text(re.sub("hold_s = .*", "", motion_text(motions[0])))  # as before motions had rests
-    assert read_motion(path) == motions[0]
+    assert read_motion(path, params) == motions[0]
     path.write_text(motion_text(motions[0]))
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(RobotError, match=rf"next\.toml: {old.split()[0]}"):
-        read_motion(path)
+    with pytest.raises(UserError, match=rf"next\.toml: {old.split()[0]}"):
+        read_motion(path, params)
     path.write_text('name = "servo arm"')
     with pytest.raises(
         BadRequest, match=r"next\.toml: is no motion; give a file that `gap next --out` wrote"
     ):
-        read_motion(path)
+        read_motion(path, params)
 
 
 @pytest.mark.parametrize("arm", ["nominal", "m2020"])
-def test_every_motion_begins_and_ends_within_the_limits_of_every_arm(arm):
-    params = arm_named(arm).params
-    joints = params.joints.in_order()
-    low, high = np.array([(one.soft_min_rad, one.soft_max_rad) for one in joints]).T
-    for motion in list_motions():
-        start = np.array(make_session(motion, params).start_rad)
-        assert np.all((start >= low - 1e-9) & (start <= high + 1e-9))
+def test_every_motion_begins_and_ends_within_the_limits_of_every_arm(arm, tmp_path):
+    """Reading refuses another; its file says where it begins."""
+    params, path = arm_named(arm).params, tmp_path / "next.toml"
+    for motion in list_motions(params):
+        path.write_text(motion_text(motion))
+        start = make_session(read_motion(path, params), params).start_rad
+        np.testing.assert_allclose(np.degrees(start), motion.start_deg, atol=1e-6)
 
 
 @pytest.mark.parametrize("hold_s", [1.0, 30.0])
 def test_the_arm_completes_a_proposed_motion_and_rests_before_it_is_measured(hold_s):
-    arm, motion = arm_named("nominal"), next(one for one in list_motions({"wrist"}) if one.hold_s == hold_s)
+    arm = arm_named("nominal")
+    motion = next(one for one in list_motions(arm.params, {"wrist"}) if one.hold_s == hold_s)
     session = make_session(motion, arm.params)
     cycles = [*run_session(start_session(session, arm, true_reference(arm), seed=1), session)]
     rested = [k for k, one in enumerate(cycles) if one.rested]
@@ -299,19 +309,19 @@ def test_the_arm_completes_a_proposed_motion_and_rests_before_it_is_measured(hol
 
 def test_without_a_motion_that_tells_anything_apart_no_file_is_written(tmp_path, made, campaign, results):
     deaf = replace(made.layout, sigma=1e6 * made.layout.sigma)
-    rivals = results["undecided"].rivals
-    proposal = propose_motion(campaign, rivals, replace(made, layout=deaf), BLOCKS)
+    rivals = choose_rivals(results["undecided"].rivals)
+    proposal = propose_motion(campaign, rivals, replace(made, layout=deaf), MOTIONS)
     request = NextRequest((tmp_path,), out=tmp_path / "next.toml")
-    motion = next(iter(list_motions()))
-    assert save_files(NextArmMotion(request, proposal, motion, Origin("", {}))) == []
+    assert save_files(NextArmMotion(request, *proposal, Origin("", {}))) == []
     assert not (tmp_path / "next.toml").exists()
 
 
-def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page(
+def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page_or_says_what_was_found(
     tmp_path, monkeypatch, made, campaign, results
 ):
     """It has a given diagnosis and given sensitivities of the planned motions."""
     monkeypatch.chdir(tmp_path)
+    results = dict(results)
     recorded: list[str] = []
 
     def diagnose(request, progress):
@@ -334,5 +344,10 @@ def test_the_command_writes_a_motion_that_gap_record_reads_and_a_page(
     done = CliRunner().invoke(app, ["gap", "next", "a.mcap", *words])
     said = json.loads(done.stdout)
     assert done.exit_code == 0
-    assert read_motion(tmp_path / "next.toml").describe() == said["motions"][0]["motion"]
+    assert read_motion(tmp_path / "next.toml", nominal_params()).describe() == said["motions"][0]["motion"]
     assert "<polygon" in (tmp_path / "next.html").read_text()
+    results["undecided"] = results["nothing"]
+    done = CliRunner().invoke(app, ["gap", "next", "a.mcap"])
+    assert done.exit_code == 2
+    assert done.stderr.startswith("no finding has a rival")
+    assert all(line in done.stderr for line in verdict_lines(results["nothing"]))

@@ -60,7 +60,7 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
     layout = FeatureLayout(
         sigma, np.array(names[0])[block], np.array(channels)[channel], np.full(m, "u"),
-        np.array(REGIMES)[block % 3], condition, np.arange(m).astype(str),
+        np.array(REGIMES)[block % 3], condition, np.arange(m) / 4.0, np.arange(m).astype(str),
     )  # fmt: skip
     basis = _basis(condition, channel)
     shapes = [
@@ -89,9 +89,10 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
 
 
 def select_and_diagnose(model, value, simulate=None):
-    """Select effects and diagnose; without a simulator, large effects are extrapolated."""
-    whiten = build_full_whitener(model.sensitivities)
-    return diagnose(model, value, select_simulated(model, whiten, value, 1, simulate)).diagnosis
+    """Select effects and diagnose; by default large effects are extrapolated."""
+    made = model.sensitivities
+    found = select_simulated(model, build_full_whitener(made), value, 1, simulate or made.change)
+    return diagnose(model, value, found).diagnosis
 
 
 def sized(made, campaign, one, times):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Frame, Joint
 from helpers.marks import slow_but
 from marsarm.common.pool import local_runner
@@ -16,7 +17,6 @@ from marsarm.diagnosis.arm.audit import audit_recordings, find_anomalies, find_m
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import (
     build_case_simulator,
-    build_simulator,
     resimulate,
 )
 from marsarm.diagnosis.arm.logs import Recording, find_touch, load_recording, world_from_imu
@@ -58,7 +58,7 @@ def columns_of(name: str) -> tuple[list[steps.Column], list[int]]:
 
 def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
     rest = feature_set.measure_features(campaign) - feature_set.simulate_features(campaign, ())
-    whitened = rest / feature_set.estimate_floor(campaign)[0]
+    whitened = rest / feature_set.lay_out(campaign)[0].sigma
     channels = np.array([feature.channel for feature in campaign.list_features()])
     for channel in sorted(set(channels)):
         mine = whitened[channels == channel]
@@ -67,7 +67,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(campaign):
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(campaign):
     assert {f.recording.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
-    _, notes = feature_set.estimate_floor(campaign)
+    _, notes = feature_set.lay_out(campaign)
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
 
@@ -78,17 +78,16 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings):
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
-    arm = build_simulator(campaign)
-    found = build_case_simulator(arm, arm.layout, 0)
-    assert found.rows.size == arm.layout.size - 1
+    layout, _ = feature_set.lay_out(campaign)
+    assert build_case_simulator(campaign, layout, 0).rows.size == layout.size - 1
 
 
 @pytest.mark.slow
 def test_motions_that_are_not_resimulated_are_extrapolated(campaign):
     """Rests and touches are always computed; motions if they are wanted."""
-    arm = build_simulator(campaign)
-    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (build_case_simulator(one, arm.layout, 0) for one in (arm, replace(arm, patch=patch)))
+    layout, _ = feature_set.lay_out(campaign)
+    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(layout.size, 1e-3)
+    before, after = (build_case_simulator(campaign, layout, 0, some) for some in ((), patch))
     everything, nothing = (resimulate(before, patch, only, by) for only in (lambda _: True, lambda _: False))
     rests = np.array([
         feature.regime in ("rest", "pose", "touch", "press") and feature.channel != features.IMU
@@ -142,7 +141,10 @@ def test_nothing_is_compared_near_a_touch(touch):
     """Under the recorded drive another arm would push where the real one did not."""
     closed = np.flatnonzero(touch.recording.sensors["switch_closed"].any(axis=1))[0]
     bins = sum(end <= closed for segment in touch.segments for _, end in segment.bins())
-    assert 0 < sum(feature.channel == features.CURRENT for feature in touch.features) < bins
+    currents = [feature for feature in touch.features if feature.channel == features.CURRENT]
+    assert 0 < len(currents) < bins
+    assert min(one.time_s for one in currents) > 0.0
+    assert max(one.time_s for one in currents) < closed / CYCLE_HZ
 
 
 def test_an_arm_with_another_surface_or_link_touches_at_another_height(campaign):
@@ -202,16 +204,17 @@ def test_a_switch_that_is_always_closed_or_closes_far_away_shows_no_touch(campai
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"]))
 def test_joints_simulated_at_once_show_what_each_shows_alone(campaign, kind):
-    simulator, (columns, wanted) = build_simulator(replace(campaign, rests=())), columns_of(kind)
-    nominal = simulator.predict_effects(())
+    campaign, (columns, wanted) = replace(campaign, rests=()), columns_of(kind)
+    nominal, sigma = feature_set.simulate_features(campaign, ()), feature_set.lay_out(campaign)[0].sigma
     ((*at_once,),) = steps.group_columns(columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
-    sides = steps.simulate_side(simulator, columns, nominal, 0, dict.fromkeys(wanted, 1.0))
+    sides = steps.simulate_side(campaign, columns, nominal, 0, dict.fromkeys(wanted, 1.0))
     for hypothesis, side in zip(list_hypotheses([kind]), sides.values(), strict=True):
-        alone = simulator.predict_effects([hypothesis.switch_on(np.array([side.size]))]) - nominal
-        off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
+        effect = hypothesis.switch_on(np.array([side.size]))
+        alone = feature_set.simulate_features(campaign, [effect]) - nominal
+        off, whole = (x / sigma for x in (side.change - alone, alone))
         # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
         *most, begin = np.sort(np.abs(off))
         assert 0.0 < np.linalg.norm(most) < 0.05 * np.linalg.norm(whole)

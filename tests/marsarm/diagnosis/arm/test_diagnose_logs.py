@@ -2,32 +2,41 @@
 
 import json
 import re
-from collections import Counter, namedtuple
+from collections import Counter, deque, namedtuple
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import IDENTITY, stack_poses
 from marsarm.common.requests import parse_effects
-from marsarm.diagnosis.arm import diagnose_logs, record
+from marsarm.diagnosis.arm import demo, diagnose_logs, record
 from marsarm.diagnosis.arm import logs as load_logs
 from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, list_hypotheses
 from marsarm.diagnosis.arm.audit import load_checked_recordings
+from marsarm.diagnosis.arm.campaign_sensitivities import campaign_digest
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
 from marsarm.diagnosis.arm.diagnose_logs import diagnose, effects_of_findings, params_text, patch_text
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, TrackerPoses, read_tracker_poses, write_tracker_poses
-from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
+from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, RecordRequest
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Hypothesis
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named, nominal_params, params_over_nominal
-from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
+from sim.diagnosis_campaign import (
+    DiagnosisSession,
+    SessionFailed,
+    campaign_sessions,
+    run_session,
+    start_session,
+)
 from sim.effects.effect import params_with_effects
 from sim.effects.joints import GearStiffness
+from sim.initialisation import true_reference
 from sim.params import params_table
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import no_progress
@@ -165,6 +174,25 @@ def test_the_same_seed_draws_the_same(campaign, monkeypatch):
     assert len({one.digest() for one in again}) == 16
 
 
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_demonstration_fills_an_empty_cache_or_takes_what_another_has_recorded(
+    tmp_path, monkeypatch, is_late
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "marsarm" / "gap-demo" / campaign_digest((), (), "nominal")[:16]
+    folder.mkdir(parents=True)
+
+    def record_logs(request: RecordRequest, progress: object) -> None:
+        (request.out / "cold.mcap").touch()
+        if is_late:
+            raise BadRequest("is there and is no empty folder")
+
+    monkeypatch.setattr(demo, "record_logs", record_logs)
+    monkeypatch.setattr(demo, "load_campaign_model", lambda logs, *_: logs)
+    found = demo.load_demo_campaign(DemoRequest(), no_progress)
+    assert found == [folder / "cold.mcap"]
+
+
 def test_a_diagnosis_is_right_where_its_set_holds_what_was_on(results, campaign, locations):
     """Another name beside the right one is wrong, and another place is not."""
     nothing, named = DemoTruth("00", "none", "", "", "", 0.0, ()), results["named"]
@@ -283,7 +311,7 @@ def test_logs_of_other_seeds_and_sessions_share_no_noise():
 
 
 def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monkeypatch):
-    """Without a log of any session there is no folder."""
+    """Without a log of any session there is no folder, and the error says what stopped the arm."""
 
     def stopped(path: Path, session: DiagnosisSession, *_: object) -> None:
         path.touch()
@@ -301,3 +329,14 @@ def test_a_session_that_does_not_complete_has_no_log_and_is_said(tmp_path, monke
     with pytest.raises(BadRequest, match=r"completes no session; with smaller effects.*poses-level-5"):
         record.record_logs(replace(request, out=tmp_path / "none"), no_progress)
     assert [path.name for path in tmp_path.iterdir()] == ["logs"]
+
+
+def test_a_session_that_fails_says_in_words_which_command_and_why():
+    arm = arm_named("nominal")
+    (one,) = (one for one in campaign_sessions(arm.params) if one.name == "warm")
+    beyond = replace(one, commands=(MoveJoint(Joint.ELBOW, 9.0, "off"),))
+    loop = start_session(beyond, arm, true_reference(arm), 1)
+    with pytest.raises(
+        SessionFailed, match=r"^session warm: command 1 of 1 was not completed: MoveJoint refu"
+    ):
+        deque(run_session(loop, beyond), 0)
