@@ -274,14 +274,17 @@ def _link_effects(frame: Frame, old: LinkParams, new: LinkParams) -> Iterator[Ef
 
 def _joint_effects(joint: Joint, nominal: Params, params: Params) -> Iterator[Effect]:
     old, new = joint_of(nominal, joint), joint_of(params, joint)
-    for kind, neutral, size in (
-        (joints.HardstopAngle, 0.0, new.hardstop_rad - old.hardstop_rad),
-        (gears.OutputFriction, 0.0, new.output_friction_Nm - old.output_friction_Nm),
-        (sensors.EncoderScale, 0.0, new.gear_ratio / old.gear_ratio - 1.0),
-        (joints.BacklashWidth, 1.0, new.backlash_rad / old.backlash_rad),
-        (joints.GearStiffness, 1.0, new.gear_stiffness_Nm_rad / old.gear_stiffness_Nm_rad),
-        (joints.HardstopStiffness, 1.0, new.hardstop_stiffness_Nm_rad / old.hardstop_stiffness_Nm_rad),
-        (joints.MotorConstant, 1.0, new.torque_constant_Nm_A / old.torque_constant_Nm_A),
+    if new.hardstop_rad != old.hardstop_rad:
+        yield joints.HardstopAngle(joint, new.hardstop_rad - old.hardstop_rad)
+    if new.output_friction_Nm != old.output_friction_Nm:
+        yield gears.OutputFriction(joint, new.output_friction_Nm - old.output_friction_Nm)
+    if new.gear_ratio != old.gear_ratio:
+        yield sensors.EncoderScale(joint, new.gear_ratio / old.gear_ratio - 1.0)
+    for kind, before, after in (
+        (joints.BacklashWidth, old.backlash_rad, new.backlash_rad),
+        (joints.GearStiffness, old.gear_stiffness_Nm_rad, new.gear_stiffness_Nm_rad),
+        (joints.HardstopStiffness, old.hardstop_stiffness_Nm_rad, new.hardstop_stiffness_Nm_rad),
+        (joints.MotorConstant, old.torque_constant_Nm_A, new.torque_constant_Nm_A),
     ):
-        if size != neutral:
-            yield kind(joint, size)
+        if after != before:
+            yield kind(joint, after / before)

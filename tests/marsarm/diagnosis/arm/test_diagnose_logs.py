@@ -127,6 +127,10 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed):
     ours, theirs = (numbers(params_table(one)["joints"]) for one in (found, params))
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
     assert [*effects_of_params(nominal_params(), nominal_params())] == []
+    rigid = replace(
+        params, joints=replace(params.joints, elbow=replace(params.joints.elbow, backlash_rad=0.0))
+    )
+    assert [*effects_of_params(rigid, rigid)] == []
 
 
 def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path):
