@@ -15,7 +15,7 @@ from simgap.common.errors import RobotError
 from simgap.compare import compare
 from simgap.diagnosis import diagnose, list_variations
 from simgap.effects.variation import Variation
-from simgap.loading import load
+from simgap.loading import Member, find_members, load
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
@@ -202,6 +202,10 @@ def test_a_condition_is_held_out_by_its_number_however_it_is_written(tmp_path):
     robot, log = read(tmp_path)
     judged = [load(robot, log, held_out=[f"length_m={text}"]).judged for text in ("0.20", "0.2")]
     assert [one.name for one in judged[0]] == [one.name for one in judged[1]] != []
+    members = [Member("v=1", ("", "", "m=2.5")), Member("v=1.00", ("", "", "m=3"))]
+    assert find_members(["v=1.00", " m = 2.50"], members, "here") == {"v=1.00", "v=1"}
+    with pytest.raises(RobotError, match=r"here: 'm=4\.0' is no motion"):
+        find_members(["m=4.0"], members, "here")
 
 
 def test_an_effect_that_no_joint_can_have_is_refused(tmp_path):

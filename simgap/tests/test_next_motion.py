@@ -63,6 +63,12 @@ def test_slopes_are_those_of_a_parabola_for_any_part_of_a_standard_deviation():
     np.testing.assert_allclose(find_slopes(changes, share), np.concatenate([line, bend]).T, rtol=1e-9)
 
 
+def test_sizes_that_act_to_one_side_alone_separate_nothing():
+    up = 1e3 * RANDOM.normal(size=(3, 40))
+    slopes = find_slopes(np.concatenate([up, 0.0 * up]), np.full(3, 1e-6))
+    assert find_sigma(np.stack([up[0], 0.0 * up[0]]), (slopes, slopes), 0, 1) < 1.0
+
+
 def test_a_small_rest_of_what_sizes_imitate_separates_nothing():
     values, column = RANDOM.normal(size=(2, 50)), RANDOM.normal(size=(50, 1))
     values[1] = values[0] + 500.0 * column[:, 0] + np.eye(50)[0] * 10.0

@@ -103,8 +103,8 @@ def _part_members(file: SplitFile, parts: Sequence[str], members: Sequence[Membe
 def find_members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
     """Return the motions with these names, conditions or files; RobotError if a name is unknown."""
     found: set[str] = set()
-    for name in map(_rewrite_number, names):
-        chosen = {one.motion for one in members if name and name in (one.motion, *one.others)}
+    for name in names:
+        chosen = _match(name, members) or _match(_rewrite_number(name), members)
         if not chosen:
             there = dict.fromkeys(text for one in members for text in (one.motion, *one.others))
             raise RobotError(
@@ -114,11 +114,15 @@ def find_members(names: Sequence[str], members: Sequence[Member], where: str) ->
     return frozenset(found)
 
 
+def _match(name: str, members: Sequence[Member]) -> set[str]:
+    return {one.motion for one in members if name and name in (one.motion, *one.others)}
+
+
 def _rewrite_number(name: str) -> str:
     """Return a condition with its number as motions have it: `mass_kg=0.50` is `mass_kg=0.5`."""
     left, equals, number = name.rpartition("=")
     try:
-        return f"{left}={float(number):.9g}" if equals else name
+        return f"{left.strip()}={float(number) + 0.0:.9g}" if equals else name
     except ValueError:
         return name
 

@@ -102,7 +102,8 @@ def find_sigma(values: Array, slopes: Slopes, i: int, j: int) -> float:
     d, least = values[i] - values[j], np.inf
     for own in (slopes[i], slopes[j]):
         along = own.T @ d
-        delta = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), along)
+        # second differences may be parallel to first ones, and larger by many orders
+        delta, *_ = np.linalg.lstsq(own.T @ own + np.eye(own.shape[1]), along)
         error = STEP * np.linalg.norm(own @ delta)
         least = min(least, float(d @ d - along @ delta - error**2))
     return float(np.sqrt(max(least, 0.0)))
