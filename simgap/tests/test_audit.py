@@ -139,9 +139,18 @@ def test_missing_rows_and_an_uneven_rate_are_named(clean):
         kept = np.r_[0:200, 300 : log.command.value.size]
         return replace(log, command=Signal(log.command.time_s[kept], log.command.value[kept]))
 
-    for change in (lose, end_early, lose_commands):
+    def warm_up(log):
+        time_s = np.arange(log.position.time_s[0] - 0.5, log.position.time_s[-1] + 0.5, 0.2)
+        return replace(log, temperature=Signal(time_s, 20.0 + time_s))
+
+    n = len(clean.motions)
+    for change, said in ((lose, "20 rows"), (end_early, "300 rows"), (lose_commands, "100 rows")):
         found = audit(planar_arm(), with_joint(clean, "elbow", change))
-        assert (RemarkKind.MISSING, "elbow") in kinds(found)
+        (remark,) = (one for one in found.remarks if one.kind is RemarkKind.MISSING)
+        assert remark.joint == "elbow"
+        count, rest = said.split()
+        assert remark.text.startswith(f"{n * int(count)} {rest}")
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", warm_up))) == []
     assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(RemarkKind.JITTER, "elbow")]
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Flags
 from simgap.checks.records import (
     Faulty,
     Remark,
@@ -35,30 +35,30 @@ def audit_rates(
     robot: Robot, motions: Sequence[Motion], faulty: Faulty
 ) -> tuple[tuple[SignalRate, ...], list[Remark]]:
     """Return the rates of all joints in all motions, and remarks about them."""
-    times_s = {motion.name: _times_s(motion) for motion in motions}
-    pauses = {motion.name: _find_pauses(motion, times_s[motion.name]) for motion in motions}
+    pauses = {motion.name: _find_pauses(motion) for motion in motions}
+    # a command that is sent by row in one motion is sent so in all
+    by_row = {name for motion in motions for name, log in motion.joints.items() if _has_commands(log)}
     rates = tuple(
-        _rate(motion.name, name, log, _find_gaps(log, times_s[motion.name], pauses[motion.name]), n_stale)
+        _rate(motion, name, pauses, int(faulty[motion.name, name]["stale"].sum()), name in by_row)
         for motion in motions
-        for name, log in motion.joints.items()
-        for n_stale in [int(faulty[motion.name, name]["stale"].sum())]
+        for name in motion.joints
     )
     own = (*_describe_pauses(robot, motions, pauses), *_describe_short(motions, rates))
     return rates, [*own, *_remarks(rates)]
 
 
-def _times_s(motion: Motion) -> Array:
-    """Return the times of all samples of all signals of a motion, (n,)."""
+def _clocks_s(motion: Motion) -> list[Array]:
+    """Return the times of the signals of a motion, those that many share once."""
     signals = [getattr(log, one.name) for log in motion.joints.values() for one in fields(log)]
-    clocks = {id(one.time_s): one.time_s for one in signals if one is not None}  # many share one
-    return np.unique(np.concatenate([one[np.isfinite(one)] for one in clocks.values()]))
+    clocks = {id(one.time_s): one.time_s for one in signals if one is not None}
+    return [one[np.isfinite(one)] for one in clocks.values()]
 
 
-def _find_pauses(motion: Motion, times_s: Array) -> list[tuple[float, float]]:
+def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
     """Find times in which no signal has a sample: there, no rows are missing, but the log rests."""
     logs = motion.joints.values()
     periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
-    return find_pauses(times_s, max(periods_s, default=0.0))
+    return find_pauses(np.unique(np.concatenate(_clocks_s(motion))), max(periods_s, default=0.0))
 
 
 def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
@@ -80,7 +80,7 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
 def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
     """Return the windows that cut the log of a motion at its pauses, by name [s]; none if it has no pause."""
     start_s = motion.start_s
-    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion, _times_s(motion))]
+    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion)]
     end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
     return cut_at_pauses(start_s, pauses, start_s + end_s) if pauses else {}
 
@@ -99,33 +99,41 @@ def _describe_short(motions: Sequence[Motion], rates: Sequence[SignalRate]) -> I
         yield Remark(RemarkKind.SHORT, "", names, text, least.duration_s, unit="s")
 
 
-def _find_gaps(log: JointLog, times_s: Array, pauses: Sequence[tuple[float, float]]) -> Array:
-    """Return times between rows of a joint that are longer than its period, (n,), without pauses.
-
-    A row has a position, and a command where that is logged in most rows with one and the motor is on.
+def _find_gaps(time_s: Array, clocks_s: Sequence[Array], pauses: Sequence[tuple[float, float]]) -> Array:
+    """Return times between positions that are longer than their period, (n,), without the pauses in them.
 
     Args:
-        times_s: Times of all signals of the motion: a row may be missing at its start and at its end.
+        time_s: Times of the positions of a joint, two at least.
+        clocks_s: Times of signals. Of those that share most times of the positions, none is expected before
+            the first and after the last.
+        pauses: Last time before and first time after each pause of the log.
     """
-    time_s = joint_samples(log).time_s
-    if time_s.size < 2:
-        return np.zeros(0)
     median_s = float(np.median(np.diff(time_s)))
-    if log.command is not None:
-        is_off = np.zeros(time_s.size, np.bool_) if log.enabled is None else hold(log.enabled, time_s) <= 0.5
-        is_whole = is_off | np.isin(time_s, log.command.time_s)
-        time_s = time_s[is_whole] if is_whole.mean() > 0.5 else time_s
-    # a row before the first time, and one after the last
-    edges_s = np.array([min(times_s[0], time_s[0]) - median_s, max(times_s[-1], time_s[-1]) + median_s])
-    time_s = np.concatenate([edges_s[:1], time_s, edges_s[1:]])
-    rests = np.zeros(time_s.size - 1, np.bool_)
-    for begin_s, end_s in pauses:
-        rests |= (time_s[:-1] <= begin_s) & (time_s[1:] >= end_s)
+    shared = [time_s, *(one for one in clocks_s if np.isin(time_s, one).mean() > 0.5)]
+    begin_s, end_s = min(one[0] for one in shared) - median_s, max(one[-1] for one in shared) + median_s
+    time_s = np.array([begin_s, *time_s, end_s])
     period_s = np.diff(time_s)
-    return period_s[(period_s > GAP * median_s) & ~rests]
+    for begin_s, end_s in pauses:
+        period_s[(time_s[:-1] <= begin_s) & (time_s[1:] >= end_s)] -= end_s - begin_s
+    return period_s[period_s > GAP * median_s]
 
 
-def _rate(motion: str, joint: str, log: JointLog, gaps_s: Array, n_stale: int) -> SignalRate:
+def _lacks_command(log: JointLog, time_s: Array) -> Flags:
+    """Return the times of positions at which a motor is on and has no command, (n,)."""
+    if log.command is None:
+        return np.zeros(time_s.size, np.bool_)
+    is_on = np.ones(time_s.size, np.bool_) if log.enabled is None else hold(log.enabled, time_s) > 0.5
+    return np.asarray(is_on & ~np.isin(time_s, log.command.time_s))
+
+
+def _has_commands(log: JointLog) -> bool:
+    """Return whether most positions of a joint have a command of the same time."""
+    time_s = joint_samples(log).time_s
+    return log.command is not None and bool(np.isin(time_s, log.command.time_s).sum() > 0.5 * time_s.size)
+
+
+def _rate(motion: Motion, joint: str, pauses: Pauses, n_stale: int, by_row: bool) -> SignalRate:
+    log = motion.joints[joint]
     samples, n = joint_samples(log), log.position.value.size
     period = np.diff(samples.time_s)
     n_invalid = n - samples.index.size
@@ -133,17 +141,19 @@ def _rate(motion: str, joint: str, log: JointLog, gaps_s: Array, n_stale: int) -
         n_invalid += int(np.sum(~np.isfinite(log.command.value)))
     if period.size == 0:
         nan = math.nan
-        return SignalRate(motion, joint, n, 0.0, nan, nan, 0, nan, n_invalid, n_stale)
+        return SignalRate(motion.name, joint, n, 0.0, nan, nan, 0, 0, nan, n_invalid, n_stale)
     median = float(np.median(period))
     low, high = np.quantile(period, [0.05, 0.95])
+    gaps_s = _find_gaps(samples.time_s, _clocks_s(motion), pauses[motion.name])
     return SignalRate(
-        motion=motion,
+        motion=motion.name,
         joint=joint,
         n_samples=n,
         duration_s=float(samples.time_s[-1] - samples.time_s[0]),
         rate_Hz=1.0 / median if median > 0.0 else math.nan,
         jitter_s=float(high - low) / 2.0,
         n_missing=int(np.sum(np.round(gaps_s / median) - 1.0)) if median > 0.0 else 0,
+        n_held=int(np.sum(_lacks_command(log, samples.time_s))) if by_row else 0,
         longest_s=float(np.max([*gaps_s, *period[period <= GAP * median]])),
         n_invalid=n_invalid,
         n_stale=n_stale,
@@ -161,13 +171,13 @@ def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
             yield Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples)
         gaps = [rate for rate in own if _has_gaps(rate) or rate.n_invalid]
         if gaps:
-            missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
-            longest_s = max(r.longest_s for r in gaps)
-            parts = [f"{missing} rows lack a position or a command, {longest_s:.3g} s at once at most"]
-            parts *= bool(missing)
+            missing, held = sum(r.n_missing for r in gaps), sum(r.n_held for r in gaps)
+            invalid, longest_s = sum(r.n_invalid for r in gaps), max(r.longest_s for r in gaps)
+            parts = [f"{missing} rows are missing, {longest_s:.3g} s at once at most"] * bool(missing)
+            parts += [f"{held} rows have no command: the last one counts there"] * bool(held)
             parts += [f"{invalid} values are no numbers"] * bool(invalid)
-            text, share = " and ".join(parts), (missing + invalid) / n_samples
-            yield Remark(RemarkKind.MISSING, joint, _names(gaps), text, share)
+            text, count = " and ".join(parts), missing + held + invalid
+            yield Remark(RemarkKind.MISSING, joint, _names(gaps), text, count / (n_samples + missing))
         uneven = [rate for rate in own if rate.jitter_s * rate.rate_Hz > JITTER_SHARE]
         if uneven:
             worst = max(uneven, key=lambda rate: rate.jitter_s)
@@ -177,7 +187,8 @@ def _remarks(rates: Sequence[SignalRate]) -> Iterator[Remark]:
 
 def _has_gaps(rate: SignalRate) -> bool:
     most = REMARK_SHARE * rate.n_samples
-    return rate.n_missing > 0 and (rate.n_missing > most or rate.longest_s > SETTLING_S)
+    is_long = rate.n_missing > 0 and rate.longest_s > SETTLING_S
+    return is_long or rate.n_missing + rate.n_held > most
 
 
 def _names(rates: Sequence[SignalRate]) -> tuple[str, ...]:

@@ -80,9 +80,11 @@ class SignalRate:
     jitter_s: float
     """Half the distance of the quantiles 5 % and 95 % of the period."""
     n_missing: int
-    """Rows that lack a position, or a command where most have one, without pauses of the log."""
+    """Positions that are missing in gaps and at the ends of a motion, without pauses of the log."""
+    n_held: int
+    """Positions without a command where most have one: the last one is held."""
     longest_s: float
-    """Longest time between two whole rows that is no pause of the log; NaN for fewer than two positions."""
+    """Longest time between two positions that is no pause of the log; NaN for fewer than two."""
     n_invalid: int
     """Samples that are not finite."""
     n_stale: int

@@ -74,7 +74,7 @@ class MotionRows:
         joined, self._n_rows = texts[0], texts[0].size
         for text, name in zip(texts, columns, strict=True):
             self._check_length(text, name)
-            if not (is_named := np.char.str_len(text) > 0).all():
+            if not (is_named := np.char.str_len(np.char.strip(text)) > 0).all():
                 row = int(np.argmin(is_named)) + 1
                 raise RobotError(f"{self._log.path}: column {name!r} is empty in row {row}; name the motion")
             joined = text if text is joined else np.char.add(np.char.add(joined, " "), text)
