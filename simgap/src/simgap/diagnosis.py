@@ -147,13 +147,14 @@ def list_variations(robot: Robot, logs: Logs, known: Sequence[Effect]) -> list[E
     candidates = [*base_effects(robot, logs), *known]
     for condition, table in (robot.file.conditions if robot.file and known else {}).items():
         largest = max(abs(motion.conditions[condition] - table.neutral) for motion in logs.fit)
-        where = f"conditions.{condition}"
         for name in table.effects:
             own = [one for one in candidates if one.name.lower() == name.lower()]
             if not own:
                 there = sorted({one.name for one in candidates})
                 hint = hint_at(name, there, "there are")
-                raise RobotError(f"{where}.effects: no joint can have the effect {name!r}; {hint}")
+                raise RobotError(
+                    f"conditions.{condition}.effects: no joint can have the effect {name!r}; {hint}"
+                )
             if largest > 0.0:
                 found += [Variation(one.place, unbound(one), condition, largest) for one in own]
     return found

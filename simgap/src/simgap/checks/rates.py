@@ -35,16 +35,18 @@ def audit_rates(
     robot: Robot, motions: Sequence[Motion], faulty: Faulty
 ) -> tuple[tuple[SignalRate, ...], list[Remark]]:
     """Return the rates of all joints in all motions, and remarks about them."""
-    pauses = {motion.name: _find_pauses(motion) for motion in motions}
+    clocks_s = {motion.name: _clocks_s(motion) for motion in motions}
+    pauses = {motion.name: _find_pauses(motion, clocks_s[motion.name]) for motion in motions}
+    every = [(motion.name, joint, log) for motion in motions for joint, log in motion.joints.items()]
     # a command that is sent by row in one motion is sent so in all
-    by_row = {name for motion in motions for name, log in motion.joints.items() if _has_commands(log)}
-    rates = tuple(
-        _rate(motion, name, pauses, int(faulty[motion.name, name]["stale"].sum()), name in by_row)
-        for motion in motions
-        for name in motion.joints
-    )
+    by_row = {joint for _, joint, log in every if (has := _has_command(log)).sum() > 0.5 * has.size}
+    rates = []
+    for motion, joint, log in every:
+        gaps_s = _find_gaps(joint_samples(log).time_s, clocks_s[motion], pauses[motion])
+        n_held = int(np.sum(_is_on(log) & ~_has_command(log))) if joint in by_row else 0
+        rates.append(_rate(motion, joint, log, gaps_s, n_held, int(faulty[motion, joint]["stale"].sum())))
     own = (*_describe_pauses(robot, motions, pauses), *_describe_short(motions, rates))
-    return rates, [*own, *_remarks(rates)]
+    return tuple(rates), [*own, *_remarks(rates)]
 
 
 def _clocks_s(motion: Motion) -> list[Array]:
@@ -54,11 +56,11 @@ def _clocks_s(motion: Motion) -> list[Array]:
     return [one[np.isfinite(one)] for one in clocks.values()]
 
 
-def _find_pauses(motion: Motion) -> list[tuple[float, float]]:
+def _find_pauses(motion: Motion, clocks_s: Sequence[Array]) -> list[tuple[float, float]]:
     """Find times in which no signal has a sample: there, no rows are missing, but the log rests."""
     logs = motion.joints.values()
     periods_s = [np.median(np.diff(log.position.time_s)) for log in logs if log.position.time_s.size > 1]
-    return find_pauses(np.unique(np.concatenate(_clocks_s(motion))), max(periods_s, default=0.0))
+    return find_pauses(np.unique(np.concatenate(clocks_s)), max(periods_s, default=0.0))
 
 
 def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) -> Iterator[Remark]:
@@ -80,7 +82,7 @@ def _describe_pauses(robot: Robot, motions: Sequence[Motion], pauses: Pauses) ->
 def pause_windows_s(motion: Motion) -> dict[str, list[float]]:
     """Return the windows that cut the log of a motion at its pauses, by name [s]; none if it has no pause."""
     start_s = motion.start_s
-    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion)]
+    pauses = [(low + start_s, high + start_s) for low, high in _find_pauses(motion, _clocks_s(motion))]
     end_s = max(float(log.position.time_s[-1]) for log in motion.joints.values())
     return cut_at_pauses(start_s, pauses, start_s + end_s) if pauses else {}
 
@@ -103,11 +105,13 @@ def _find_gaps(time_s: Array, clocks_s: Sequence[Array], pauses: Sequence[tuple[
     """Return times between positions that are longer than their period, (n,), without the pauses in them.
 
     Args:
-        time_s: Times of the positions of a joint, two at least.
+        time_s: Times of the positions of a joint.
         clocks_s: Times of signals. Of those that share most times of the positions, none is expected before
             the first and after the last.
         pauses: Last time before and first time after each pause of the log.
     """
+    if time_s.size < 2:
+        return np.zeros(0)
     median_s = float(np.median(np.diff(time_s)))
     shared = [time_s, *(one for one in clocks_s if np.isin(time_s, one).mean() > 0.5)]
     begin_s, end_s = min(one[0] for one in shared) - median_s, max(one[-1] for one in shared) + median_s
@@ -118,22 +122,19 @@ def _find_gaps(time_s: Array, clocks_s: Sequence[Array], pauses: Sequence[tuple[
     return period_s[period_s > GAP * median_s]
 
 
-def _lacks_command(log: JointLog, time_s: Array) -> Flags:
-    """Return the times of positions at which a motor is on and has no command, (n,)."""
-    if log.command is None:
-        return np.zeros(time_s.size, np.bool_)
-    is_on = np.ones(time_s.size, np.bool_) if log.enabled is None else hold(log.enabled, time_s) > 0.5
-    return np.asarray(is_on & ~np.isin(time_s, log.command.time_s))
-
-
-def _has_commands(log: JointLog) -> bool:
-    """Return whether most positions of a joint have a command of the same time."""
+def _has_command(log: JointLog) -> Flags:
+    """Return which positions of a joint have a command of the same time, (n,)."""
     time_s = joint_samples(log).time_s
-    return log.command is not None and bool(np.isin(time_s, log.command.time_s).sum() > 0.5 * time_s.size)
+    return np.isin(time_s, () if log.command is None else log.command.time_s)
 
 
-def _rate(motion: Motion, joint: str, pauses: Pauses, n_stale: int, by_row: bool) -> SignalRate:
-    log = motion.joints[joint]
+def _is_on(log: JointLog) -> Flags:
+    """Return at which positions of a joint its motor is on, (n,)."""
+    time_s = joint_samples(log).time_s
+    return np.ones(time_s.size, np.bool_) if log.enabled is None else hold(log.enabled, time_s) > 0.5
+
+
+def _rate(motion: str, joint: str, log: JointLog, gaps_s: Array, n_held: int, n_stale: int) -> SignalRate:
     samples, n = joint_samples(log), log.position.value.size
     period = np.diff(samples.time_s)
     n_invalid = n - samples.index.size
@@ -141,19 +142,18 @@ def _rate(motion: Motion, joint: str, pauses: Pauses, n_stale: int, by_row: bool
         n_invalid += int(np.sum(~np.isfinite(log.command.value)))
     if period.size == 0:
         nan = math.nan
-        return SignalRate(motion.name, joint, n, 0.0, nan, nan, 0, 0, nan, n_invalid, n_stale)
+        return SignalRate(motion, joint, n, 0.0, nan, nan, 0, 0, nan, n_invalid, n_stale)
     median = float(np.median(period))
     low, high = np.quantile(period, [0.05, 0.95])
-    gaps_s = _find_gaps(samples.time_s, _clocks_s(motion), pauses[motion.name])
     return SignalRate(
-        motion=motion.name,
+        motion=motion,
         joint=joint,
         n_samples=n,
         duration_s=float(samples.time_s[-1] - samples.time_s[0]),
         rate_Hz=1.0 / median if median > 0.0 else math.nan,
         jitter_s=float(high - low) / 2.0,
         n_missing=int(np.sum(np.round(gaps_s / median) - 1.0)) if median > 0.0 else 0,
-        n_held=int(np.sum(_lacks_command(log, samples.time_s))) if by_row else 0,
+        n_held=n_held,
         longest_s=float(np.max([*gaps_s, *period[period <= GAP * median]])),
         n_invalid=n_invalid,
         n_stale=n_stale,

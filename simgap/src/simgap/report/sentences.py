@@ -104,7 +104,7 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 def _where(diagnosis: Diagnosis) -> str:
     much = _much_left(diagnosis.errors)
     if diagnosis.is_base_only:
-        return f"no effect was looked for{much.replace(',', '; base parameters leave', 1)}."
+        return f"no effect was looked for{much and f'; base parameters leave {much}'}."
     located = [finding for finding in rank_findings(diagnosis) if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
@@ -116,9 +116,10 @@ def _where(diagnosis: Diagnosis) -> str:
         if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
             return "nowhere; without repeated motions nobody knows if what remains is more than noise."
         return "nowhere; robot and model agree once the base parameters are fitted."
+    rest = much and f", {much}"
     if not words:
-        return f"{join_words(elsewhere, 'and')}{much}."
-    more = f" Something more remains at {join_words(elsewhere, 'and')}{much}." if elsewhere else ""
+        return f"{join_words(elsewhere, 'and')}{rest}."
+    more = f" Something more remains at {join_words(elsewhere, 'and')}{rest}." if elsewhere else ""
     return f"{join_words(words, 'and')}.{more}"
 
 
@@ -130,13 +131,13 @@ def _much_remaining(diagnosis: Diagnosis) -> list[Remainder]:
 
 
 def _much_left(errors: Sequence[JointError]) -> str:
-    """Return the joint whose error is the most times its noise, if over twice."""
+    """Return the error that is the most times its noise, with its joint, if over twice; else nothing."""
     known = [one for one in errors if one.noise_floor > 0.0]
     worst = max(known, key=lambda one: one.explained / one.noise_floor, default=None)
     if worst is None or worst.explained <= MUCH * worst.noise_floor:
         return ""
     left, times = quantity(worst.explained, worst.unit), worst.explained / worst.noise_floor
-    return f", {left} at {worst.joint}, which is {times:{'.2g' if times < 100.0 else '.0f'}} times the noise"
+    return f"{left} at {worst.joint}, which is {times:{'.2g' if times < 100.0 else '.0f'}} times the noise"
 
 
 def rank_findings(diagnosis: Diagnosis) -> list[Finding]:
