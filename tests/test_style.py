@@ -31,7 +31,6 @@ OF_ANGLE = FUNCTION + '    """Turn it.\n\n    Args:\n        angle: Angle{}.\n  
     [
         ("sim/a.py", '"""What nothing is."""\n', 1, "opens with 'What'"),
         ("sim/a.py", '"""`how` it is."""\n', 1, "opens with 'how'"),
-        ("sim/a.py", MODULE + "\n" * 401, 1, "402 lines, 400 at most"),
         ("sim/a.py", MODULE + "def long():\n" + "    pass\n" * 60, 2, "long has 61 lines, 60 at most"),
         (KINEMATICS, MODULE + FUNCTION + '    """Turn it."""\n', 2, "Args does not name angle"),
         (KINEMATICS, MODULE + OF_ANGLE.format(" [rad]"), 2, "Args gives no shape of angle"),
